@@ -40,12 +40,15 @@ test: $(VENV)/dev.stamp  ## all tests but the slow ones: pure ones on all cores,
 test-slow: $(VENV)/dev.stamp  ## compose, long drills
 	$(BIN)/python -m pytest -m slow
 
-check: $(VENV)/dev.stamp  ## format, lint, types, import contracts, language
+PRODUCT := longreach server web diagnosis sim_plc machine recording protocol
+
+check: $(VENV)/dev.stamp  ## format, lint, types, import contracts, language, spelling
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright --threads 2
 	$(BIN)/lint-imports
 	$(BIN)/python tools/language.py
+	$(BIN)/codespell README.md CHANGELOG.md CONTRIBUTING.md docs $(PRODUCT) benchmarks examples tools
 
 docs: $(VENV)/docs.stamp  ## the documentation as a site: build/site/index.html
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --clean

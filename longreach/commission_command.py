@@ -34,7 +34,7 @@ from server.shell_settings import link_settings, vision_settings
 from server.version import __version__
 from server.warm_up import warmed_up
 
-_COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.SKIPPED: "yellow", Verdict.CANNOT_TELL: "yellow"}
+_COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.SKIPPED: "yellow", Verdict.INCONCLUSIVE: "yellow"}
 _PERSON_ARM_S = 45.0  # time to walk to the enable key
 _NOBODY_ARM_S = 8.0
 _LIST = ", ".join(f"{step.number} {step.name}" for step in STEPS)
@@ -131,7 +131,7 @@ async def _commission(
         if earlier is not None:
             await _require_same_plc(earlier, settings, link)
         vision, machine = await _vision(settings, machine, steps, stack)
-        operator.tell("getting ready")
+        operator.show("getting ready")
         await warmed_up(machine, chain)
         await go_through(Site(settings, machine, chain, link, vision, operator, options), steps, report.earlier, done)
     path = _save(replace(report, complete=True), Path(settings.recording.folder))

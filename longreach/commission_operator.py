@@ -103,7 +103,7 @@ class TerminalOperator:
     async def confirm(self, text: str) -> bool:
         """Enter goes on, anything else does not; --yes goes on."""
         if self._assume_yes:
-            self.tell(text)
+            self.show(text)
             return True
         return await self._line(f"{text}. Press Enter to continue, n to refuse") == ""
 
@@ -111,11 +111,11 @@ class TerminalOperator:
         """The file's answer, or the engineer's."""
         self._asked.add(key)
         if key in self._answers:
-            self.tell(f"{question}: {self._answers[key]} (from the answers)")
+            self.show(f"{question}: {self._answers[key]} (from the answers)")
             return self._answers[key]
         return None if self._assume_yes else await self._line(question)
 
-    def tell(self, text: str) -> None:
+    def show(self, text: str) -> None:
         """One line."""
         self.close()
         self._console.print(escape(text), highlight=False, soft_wrap=True)

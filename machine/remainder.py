@@ -11,6 +11,7 @@ from machine.errors import MachineFileError
 if TYPE_CHECKING:
     from machine.effects.entries import EffectEntry
 
+OLD_KEYS = {"swing_rad": "oscillation_rad"}  # old name, read for one release
 STAGES = ("link", "controller", "actuator", "structure", "camera")
 LARGEST = 1e12  # of any number here: squares and sums of more leave what a float holds
 KEYS = {
@@ -22,7 +23,7 @@ KEYS = {
     "ar",
     "usual",
     "by_axis",
-    "swing_rad",
+    "oscillation_rad",
     "form",
     "form_most",
     "wander",
@@ -38,7 +39,7 @@ class Remainder:
     [px], without the noise; `rms`: the same before whitening; `ar`: the increments' autoregression. `on`: static,
     tracker, ooi or tool.
     `by_axis`: of points, sigma radial, tangential, up about the base's upright; of corners, what u and v of all corners
-    of a frame share, besides each own `sigma`. `swing_rad`: slew oscillation shared by the points of an instant.
+    of a frame share, besides each own `sigma`. `oscillation_rad`: slew oscillation shared by the points of an instant.
     `usual`: what each effect gains at most on baseline recordings [nats]. `form`: what the model
     itself is wrong by there, as a function of what drives it (actuator [rad], points [m]): families and the numbers of
     each; `form_most`: the most that it gave for a baseline recording, mean square in floors, 0 where that does not
@@ -53,7 +54,7 @@ class Remainder:
     ar: tuple[float, ...] = ()
     usual: tuple[tuple[str, float], ...] = ()
     by_axis: tuple[float, ...] = ()
-    swing_rad: float = 0.0
+    oscillation_rad: float = 0.0
     form: Form = ()
     form_most: float = 0.0
     wander: tuple[tuple[str, float], ...] = ()
@@ -80,7 +81,11 @@ def parse_remainders(tables: object) -> tuple[Remainder, ...]:
         return ()
     if not isinstance(tables, list):
         raise MachineFileError(f"remainder = {tables!r} is not a list; write each as its own [[remainder]] table")
-    return tuple(_one(table, f"remainder {number}") for number, table in enumerate(tables, start=1))
+    return tuple(_one(_renamed(table), f"remainder {number}") for number, table in enumerate(tables, start=1))
+
+
+def _renamed(table: object) -> object:
+    return {OLD_KEYS.get(key, key): value for key, value in table.items()} if isinstance(table, dict) else table
 
 
 def _one(table: object, where: str) -> Remainder:
@@ -106,7 +111,7 @@ def _one(table: object, where: str) -> Remainder:
         _numbers(ar, f"{where}: ar"),
         _sizes(table.get("usual", {}), f"{where}: usual"),
         _numbers(by_axis, f"{where}: by_axis"),
-        _number(table, "swing_rad", 0.0, where),
+        _number(table, "oscillation_rad", 0.0, where),
         _form(table.get("form", {}), where),
         _number(table, "form_most", 0.0, where),
         _wander(table.get("wander", {}), f"{where}: wander"),
@@ -166,8 +171,8 @@ def _toml(one: Remainder) -> str:
     more = _table("usual", one.usual)
     if one.by_axis:
         more += f"by_axis = [{', '.join(map(repr, one.by_axis))}]\n"
-    if one.swing_rad:
-        more += f"swing_rad = {one.swing_rad!r}\n"
+    if one.oscillation_rad:
+        more += f"oscillation_rad = {one.oscillation_rad!r}\n"
     if one.form:
         families = ", ".join(f"{json.dumps(name)} = [{', '.join(map(repr, row))}]" for name, row in one.form)
         more += f"form = {{ {families} }}\nform_most = {one.form_most!r}\n"

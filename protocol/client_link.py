@@ -1,7 +1,7 @@
 """The PC's end of the link: one session from HELLO to its end. Sans-IO; a new connection is a new object.
 
 The shell hands in datagrams (`receive`), asks every 20 ms for the next one (`send`) and lets time pass (`poll`).
-Requests are wishes, repeated in every command until the PLC's state shows them fulfilled: no single datagram matters.
+A request is repeated in every command until the PLC's state shows it fulfilled, so no single datagram matters.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from protocol.client_events import (
     TrajectoryEnded,
 )
 from protocol.client_run import MOVING, Run, Stop
-from protocol.client_state import ClientCounters, ClockOffset, SentCommands, StandingWish, Wish, other_pc_text
+from protocol.client_state import ClientCounters, ClockOffset, PendingRequest, RequestKind, SentCommands, other_pc_text
 from protocol.codec import decode_state, encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
 from protocol.errors import LocalProtocolError, RemoteProtocolError
@@ -73,7 +73,7 @@ class ClientLink:
     _t_state_ns: int = 0
     _seq: int = 0
     _t_hello_ns: int | None = None
-    _standing: StandingWish = field(default_factory=StandingWish)
+    _request: PendingRequest = field(default_factory=PendingRequest)
     _stop: Stop | None = None
     _run: Run | None = None
     _sent: SentCommands = field(default_factory=SentCommands)
@@ -102,20 +102,20 @@ class ClientLink:
     # --- requests ---------------------------------------------------------------------------------------------------
 
     def request_arm(self) -> None:
-        """Arm as soon as the link is proven. Wishes end with the session; `cancel_wish` ends them before."""
-        self._standing.wish = Wish.ARM
+        """Arm as soon as the link is proven. A request ends with the session, or by `cancel_request`."""
+        self._request.kind = RequestKind.ARM
 
     def request_reset(self) -> None:
         """Ask for a latched fault to be cleared; never restarts motion."""
-        self._standing.wish = Wish.RESET
+        self._request.kind = RequestKind.RESET
 
     def request_disarm(self) -> None:
         """Ramp down if moving, then leave the armed state; the session ends with it."""
-        self._standing.wish = Wish.DISARM
+        self._request.kind = RequestKind.DISARM
 
-    def cancel_wish(self) -> None:
+    def cancel_request(self) -> None:
         """Stop asking for arm or reset; a disarm that was requested goes on until it is done."""
-        self._standing.cancel()
+        self._request.cancel()
 
     def request_run(
         self, traj_id: int, knots: Sequence[Knot], t_mono_ns: int, judged: bool = False
@@ -274,7 +274,7 @@ class ClientLink:
         if self.state and state.t_send_ns <= self.state.t_send_ns:
             self.counters.stale += 1
             return []
-        disarmed = self._standing.is_disarm
+        disarmed = self._request.is_disarm
         events = self._take(state, t_mono_ns)
         return events + self._close("disarmed" if disarmed else "the PLC has ended the session; connect and arm again")
 
@@ -316,7 +316,7 @@ class ClientLink:
     # --- progress of what was requested -------------------------------------------------------------------------------
 
     def _progress(self, state: State) -> list[ClientEvent]:
-        self._standing.look(state)
+        self._request.look(state)
         events: list[ClientEvent] = []
         run, stop = self._run, self._stop
         if run:
@@ -336,7 +336,7 @@ class ClientLink:
 
     def _close(self, reason: str) -> list[ClientEvent]:
         events = self._ended(False, reason, self.state) if self.state else []
-        self.closed, self._stop, self._standing = True, None, StandingWish()
+        self.closed, self._stop, self._request = True, None, PendingRequest()
         return [*events, Closed(reason)]
 
     # --- output -------------------------------------------------------------------------------------------------------
@@ -348,17 +348,17 @@ class ClientLink:
         return self._emit(self._command(t_mono_ns, Mode.HEARTBEAT, hello=True))
 
     def _draft(self, t_mono_ns: int) -> Command:
-        """What we would like to send: the most careful wish first."""
+        """The command to send if the gate passes it; the most cautious case is decided first."""
         state, age_ns = self.state, self.age_ns(t_mono_ns)
         if state is None or self._stop or age_ns > STATE_LOST.ns:
             return self._command(t_mono_ns, Mode.QUICK_STOP if self._stop and self._stop.quick else Mode.STOP)
-        if self._standing.is_disarm:
+        if self._request.is_disarm:
             return self._command(t_mono_ns, Mode.DISARM)
         if age_ns > STATE_LATE.ns:
             return self._command(t_mono_ns, Mode.HEARTBEAT)
         if self._run and state.plc_state in (PlcState.HOLD, PlcState.RUN):
             return self._motion(self._run, state, t_mono_ns)
-        return self._command(t_mono_ns, self._standing.mode(state, t_mono_ns))
+        return self._command(t_mono_ns, self._request.mode(state, t_mono_ns))
 
     def _motion(self, run: Run, state: State, t_mono_ns: int) -> Command:
         if isinstance(run.motion, Playback):

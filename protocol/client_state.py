@@ -62,7 +62,7 @@ def other_pc_text(state: State, session: int, linked: bool) -> str:
     return ""
 
 
-# How far the PLC's clock is from the PC's, from the echo's four stamps; the fastest round trips tell most.
+# How far the PLC's clock is from the PC's, from the echo's four stamps; the fastest round trips weigh most.
 
 _BUCKET_NS = 1_000_000_000
 _BUCKETS = 30  # half a minute: at 50 ppm the clocks drift apart by 1.5 ms in it
@@ -107,8 +107,8 @@ class ClockOffset:
         return min(self._best, key=lambda best: best.delay_ns).offset_ns if self._best else None
 
 
-class Wish(Enum):
-    """One at a time; the newest counts."""
+class RequestKind(Enum):
+    """What the PC requests of the PLC: one thing at a time, the newest counts."""
 
     NONE = "none"
     ARM = "arm"
@@ -117,35 +117,35 @@ class Wish(Enum):
 
 
 @dataclass(slots=True)
-class StandingWish:
-    """The wish of one session; it ends with it."""
+class PendingRequest:
+    """The request of one session, which ends with it."""
 
-    wish: Wish = Wish.NONE
+    kind: RequestKind = RequestKind.NONE
     _t_asked_ns: int | None = None  # for arm or reset
 
     @property
     def is_disarm(self) -> bool:
         """Whether disarming was requested, which nothing but its end takes back."""
-        return self.wish is Wish.DISARM
+        return self.kind is RequestKind.DISARM
 
     def cancel(self) -> None:
         """Stop asking for arm or reset; a disarm that was requested goes on until it is done."""
         if not self.is_disarm:
-            self.wish = Wish.NONE
+            self.kind = RequestKind.NONE
 
     def look(self, state: State) -> None:
         """Forget what a state shows fulfilled."""
         armed = state.plc_state in (PlcState.HOLD, *MOVING)
         reset = state.plc_state is not PlcState.FAULT
-        if (self.wish is Wish.ARM and armed) or (self.wish is Wish.RESET and reset):
-            self.wish = Wish.NONE
+        if (self.kind is RequestKind.ARM and armed) or (self.kind is RequestKind.RESET and reset):
+            self.kind = RequestKind.NONE
 
     def mode(self, state: State, t_mono_ns: int) -> Mode:
         """RESET or ARM when the PLC is ready for it and it is time to ask, else HEARTBEAT."""
         proven = state.rx_ok >= GOOD_COMMANDS_TO_ARM
-        if self.wish is Wish.RESET and state.plc_state is PlcState.FAULT:
+        if self.kind is RequestKind.RESET and state.plc_state is PlcState.FAULT:
             mode = Mode.RESET
-        elif self.wish is Wish.ARM and state.plc_state is PlcState.LINKED and proven:
+        elif self.kind is RequestKind.ARM and state.plc_state is PlcState.LINKED and proven:
             mode = Mode.ARM
         else:
             return Mode.HEARTBEAT

@@ -176,7 +176,7 @@ def serve(settings: ServerSettings, listening: Callable[[], None] = lambda: None
 
 
 class StoppingServer(uvicorn.Server):
-    """Ends the motion before anything else: uvicorn closes its port at once, and then waits for readers for seconds.
+    """Ends the motion first: uvicorn closes its port immediately, and then waits for readers for seconds.
 
     The application's lifespan is entered here, not by uvicorn, which would wait for the end of a start of minutes.
     """

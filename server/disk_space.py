@@ -32,7 +32,7 @@ class DiskSpace:
 
 
 def shortage(free_bytes: int | None) -> str:
-    """How little is left, with its limit; empty while there is enough, or nobody knows."""
+    """How little is left, with its limit; empty while there is enough, or where it is not known."""
     if free_bytes is None or free_bytes >= DISK_LOW_BYTES:
         return ""
     return f"{free_bytes / 1e6:.0f} MB left (limit {DISK_LOW_BYTES / 1e6:.0f} MB)"

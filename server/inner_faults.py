@@ -1,4 +1,4 @@
-"""What is wrong inside the server itself. Its parts tell; the fault list, the panel's alarms and /readyz show it."""
+"""What is wrong inside the server itself. Its parts report; the fault list, the panel's alarms and /readyz show it."""
 
 from collections.abc import Callable
 
@@ -12,13 +12,13 @@ class InnerFaults:
     def __init__(self) -> None:
         self._parts: list[tuple[str, Callable[[], str]]] = []
 
-    def watch(self, fault_id: str, told: Callable[[], str]) -> None:
-        """Ask this part for its trouble from now on; it answers with an empty text while all is well."""
-        self._parts.append((fault_id, told))
+    def watch(self, fault_id: str, problem: Callable[[], str]) -> None:
+        """Include this part from now on; `problem` returns an empty text while all is well."""
+        self._parts.append((fault_id, problem))
 
     @property
-    def told(self) -> dict[str, str]:
-        """Fault id -> what is wrong now, of all parts that have something to tell."""
+    def active(self) -> dict[str, str]:
+        """Fault id -> what is wrong now, of all parts that report a problem."""
         found: dict[str, str] = {}
         for fault_id, part in self._parts:
             if text := part():

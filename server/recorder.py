@@ -1,4 +1,4 @@
-"""The recorder: what link, camera and jobs tell, into one MCAP file per run."""
+"""The recorder: data of link, camera and jobs into one MCAP file per run."""
 
 import logging
 import os
@@ -29,7 +29,7 @@ from server.version import __version__, library_versions
 from server.vision.contracts import Look
 
 TRANSFORM_PERIOD_NS = 100_000_000
-CLOCK_ANEW_NS = 1_000_000_000  # a PLC stamp that falls back by more is of a PLC that was switched off and on
+CLOCK_RESTART_NS = 1_000_000_000  # a PLC stamp that falls back by more is of a PLC that was switched off and on
 IMAGE_PERIOD_NS = 100_000_000
 DISK_WAIT_S = 0.5  # longest that a slow disk may hold the event loop at a run's begin, and at its end
 CAMERA_PERIOD_NS = 1_000_000_000  # the camera's intrinsics are repeated, so that a reader may start anywhere
@@ -141,10 +141,10 @@ class Recorder:
     @_noted
     def sample(self, sample: PlcSample) -> None:
         """A PLC state."""
-        anew = sample.t_plc_ns < self._last_plc_ns - CLOCK_ANEW_NS
+        restarted = sample.t_plc_ns < self._last_plc_ns - CLOCK_RESTART_NS
         writer = self._writer
-        if anew and writer is not None:
-            self._begin_anew()
+        if restarted and writer is not None:
+            self._begin_again()
         self._last_plc_ns = sample.t_plc_ns
         if writer is None:
             return
@@ -158,8 +158,8 @@ class Recorder:
             writer.joint_states(names, sample.q_rad[: len(names)], sample.t_mono_ns)
             writer.transforms(frame_poses(self._chain, self._machine.T_tcp_cam_left, sample.q_rad), sample.t_mono_ns)
 
-    def _begin_anew(self) -> None:
-        """The PLC was switched off and on: what was open ends by its old clock, and its stamps are mapped anew."""
+    def _begin_again(self) -> None:
+        """The PLC was switched off and on: what was open ends by its old clock, and its stamps are mapped again."""
         _log.warning("the PLC's clock restarted during a recording; its segments end there")
         self.event("warning", "the PLC's clock restarted")
         self._end_segments()
@@ -249,7 +249,8 @@ class Recorder:
     def end_marks(self) -> None:
         """The trajectory ended, or was stopped: what was driven of its stretches are segments.
 
-        All count from one moment, so that repeats lie on each other to the PLC's cycle. A repeat that was cut is none.
+        All count from one moment, so that repeats lie on each other to the PLC's cycle. A repeat that was cut is left
+        out.
         """
         (marks, start_ns), self._marks = self._marks, ((), 0)
         driven_s = (self._last_plc_ns - start_ns) * 1e-9
@@ -262,7 +263,7 @@ class Recorder:
     def _end_segments(self) -> None:
         self.end_marks()
         self.end_segment()
-        if not self._segments and self._first_plc_ns is not None:  # nobody said what it was: a job of the server
+        if not self._segments and self._first_plc_ns is not None:  # without segments of its own: a job of the server
             span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9
             self._segments.append(Segment(self._run.name, "positioning", *span))
 
@@ -283,15 +284,15 @@ class Recorder:
             segments=tuple(self._segments),
         )
         self._problem = writer.close(final, DISK_WAIT_S).error
-        self._late = [one for one in (*self._late, writer) if not one.ended]
+        self._late = [late for late in (*self._late, writer) if not late.ended]
         self._last = writer if writer in self._late else None
         return writer.path if writer.ended and writer.opened else None
 
     def finish(self) -> None:
         """Close the run's file, and wait for every disk as long as a writer waits: for the server's own end."""
         self.stop()
-        for one in self._late:
-            one.close()
+        for late in self._late:
+            late.close()
 
     def _row(self, row: Row, t_mono_ns: int) -> None:
         if self._writer is not None:

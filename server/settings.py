@@ -157,7 +157,7 @@ class OpcUaSettings(Strict):
     enabled: bool = False
     host: str = "127.0.0.1"
     port: Port = 4840
-    without_keys: bool = False  # whoever reaches the port may read joints, faults and the running job
+    without_keys: bool = False  # every client that reaches the port may read joints, faults and the running job
 
 
 class FoxgloveSettings(Strict):

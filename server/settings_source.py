@@ -64,7 +64,7 @@ def eye_size_px(camera: CameraSettings, machine: Machine) -> tuple[int, int]:
 def machine_text_with(text: str, camera: StereoCamera) -> str:
     """A machine file's text with this camera in place of its own: recordings must say what their pictures were.
 
-    The mount stays. Whoever reads the text gets `camera` back to the last bit.
+    The mount stays. Parsing the text gives `camera` back to the last bit.
     """
     values = {
         "width_px": camera.width_px,

@@ -1,4 +1,4 @@
-"""Loops that must go on while the server runs: one that ends is logged, told as a fault, and started again."""
+"""Loops that must go on while the server runs: one that ends is logged, reported as a fault, and started again."""
 
 import asyncio
 import logging
@@ -8,7 +8,7 @@ from recording.clock import mono_s
 
 log = logging.getLogger(__name__)
 FIRST_S, MAX_S = 0.1, 2.0  # back-off: a defect at every start must not fill the log, nor leave a gap of minutes
-WELL_S = 10.0  # without another failure it is told no more
+WELL_S = 10.0  # after so long without another failure it is no longer reported
 
 Loop = Callable[[], Awaitable[None]]
 

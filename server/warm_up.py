@@ -27,7 +27,7 @@ from server.motion.trajectory import sample
 
 
 async def warmed_up(machine: Machine, chain: Chain) -> None:
-    """`warm_up` beside the event loop. Cancelled, it returns immediately: nothing can interrupt a compiler, so its
+    """`warm_up` outside the event loop. Cancelled, it returns immediately: nothing can interrupt a compiler, so its
     thread is left behind, and `leave` ends the process with it.
     """
     loop = asyncio.get_running_loop()

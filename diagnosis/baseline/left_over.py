@@ -117,7 +117,7 @@ def _plain(cells: list[Cell], where: Remainder) -> Remainder:
     by_axis = np.sqrt(common_excess(np.array(found), np.array(noise)))
     left = float(np.sqrt(np.mean(by_axis**2)))
     swing_rad = float(np.sqrt(common_excess(np.array(swings), np.zeros((len(swings), 1)))[0]))
-    return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis), swing_rad=swing_rad)
+    return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis), oscillation_rad=swing_rad)
 
 
 def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:

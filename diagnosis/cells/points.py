@@ -82,7 +82,7 @@ def _cell(
     record = nominal.remainder("structure", on="tracker" if paths else "static")
     found = point_scatter(rough, base, candidates, repeats, record is not None)
     sigma = np.hypot(np.maximum(found.own, SIGMA_MIN_M), axes_of(record, 3))
-    swing_rad = record.swing_rad if record is not None else 0.0
+    swing_rad = record.oscillation_rad if record is not None else 0.0
     reach_m = rough.reach_m(base)
     noise = replace(rough.noise, own=sigma, swing_rad=swing_rad, reach_m=reach_m, common_m=found.common_m)
     rows = rows_of(m, 3)

@@ -1,4 +1,4 @@
-"""Where the URDF of a machine file lies: among the recording's files, else beside the machine file."""
+"""Where the URDF of a machine file lies: among the recording's files, else next to the machine file."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ SHOWN = 6
 
 @dataclass(frozen=True, slots=True)
 class UrdfFiles:
-    """`recorded`: the recording's attachments. `beside`: the folder of a machine file that was given; None without."""
+    """`recorded`: the recording's attachments. `folder`: the machine file's folder, if there is one."""
 
     recorded: Sequence[Attachment] = ()
-    beside: Path | None = None
+    folder: Path | None = None
 
     def text(self, file: str) -> str | None:
         """The URDF of that name, whatever folder its machine file has it in; None where there is none.
@@ -27,7 +27,7 @@ class UrdfFiles:
         for one in self.recorded:
             if one.name == name:
                 return one.data.decode("utf-8", errors="replace")
-        path = None if self.beside is None else self.beside / name
+        path = None if self.folder is None else self.folder / name
         if path is None or not path.is_file():
             return None
         try:
@@ -37,13 +37,13 @@ class UrdfFiles:
 
     def why_none(self, file: str) -> str:
         """That it is not there, where it was looked for, and which URDFs there are."""
-        places = "the recording" if self.beside is None else "the recording or beside the machine file"
+        places = "the recording" if self.folder is None else "the recording or next to the machine file"
         known = sorted({one.name for one in self.recorded if one.name.endswith(ENDING)} | self._beside())
         there = f"there is {', '.join(known[:SHOWN])}: give its name in [urdf] file" if known else "put it there"
         return f"the URDF {file!r} is not in {places}; {there}"
 
     def _beside(self) -> set[str]:
         try:
-            return set() if self.beside is None else {path.name for path in self.beside.glob(f"*{ENDING}")}
+            return set() if self.folder is None else {path.name for path in self.folder.glob(f"*{ENDING}")}
         except OSError:
             return set()

@@ -1,6 +1,6 @@
 """The lease desk: the book with this process' clock and secrets, and who wants to know when control changes.
 
-A fencing number is on disk before its holder is told it (server/api/lease.py): after a crash it is never given twice.
+A fencing number is on disk before its holder gets it (server/api/lease.py), so it is never given twice after a crash.
 """
 
 import secrets
@@ -57,11 +57,11 @@ class LeaseDesk:
     def expel(self, why: str) -> Lease | None:
         """As LeaseBook.expel."""
         ended = self.book.expel(why)
-        return None if ended is None else self._told(ended)
+        return None if ended is None else self._announced(ended)
 
     def release(self, lease_id: str) -> Lease:
         """As LeaseBook.release."""
-        return self._told(self.book.release(lease_id, self.now_s))
+        return self._announced(self.book.release(lease_id, self.now_s))
 
     def keep_alive(self, lease_id: str) -> Lease:
         """As LeaseBook.keep_alive."""
@@ -84,10 +84,10 @@ class LeaseDesk:
         return self.book.lost(fencing, self.now_s)
 
     def _given(self, lease: Lease) -> Lease:
-        self._still = _always  # until somebody vouches for the new holder
-        return self._told(lease)
+        self._still = _always  # until the new holder's admission is known
+        return self._announced(lease)
 
-    def _told(self, lease: Lease) -> Lease:
+    def _announced(self, lease: Lease) -> Lease:
         for listener in tuple(self._listeners):
             listener()
         return lease

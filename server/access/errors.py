@@ -25,7 +25,7 @@ class NoLeaseError(AccessError):
 
 
 class LeaseLostError(AccessError):
-    """The lease was good once; somebody else has control now, or nobody."""
+    """The lease was valid earlier; since then another client has taken control, or it was given up."""
 
     code = "lease_lost"
     status = 409
@@ -33,7 +33,7 @@ class LeaseLostError(AccessError):
 
 
 class LeaseStaleError(AccessError):
-    """The lease was not kept alive; its holder may revive it as long as nobody else has acquired."""
+    """The lease was not kept alive; its holder may revive it until another client acquires it."""
 
     code = "lease_stale"
     status = 409
@@ -41,7 +41,7 @@ class LeaseStaleError(AccessError):
 
 
 class LeaseHeldError(AccessError):
-    """Somebody else holds the lease."""
+    """Another client holds the lease."""
 
     code = "lease_held"
     status = 409

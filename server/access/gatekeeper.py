@@ -122,14 +122,14 @@ class Gatekeeper:
         if self.open:
             return self._role(Caller("local", Role.OPERATOR, request.address), roles, request)
         if roles == ANYBODY and not (request.bearer or request.cookie):
-            return Caller("nobody", "", request.address)
+            return Caller("anonymous", "", request.address)
         caller = self._known(request, now_s, required=roles != ANYBODY)
         return self._role(caller, roles, request)
 
     def admits_still(self, request: Credentials, now_s: float) -> bool:
         """Whether a connection that was admitted may go on: its key is in force, its session lives, its role may.
 
-        A key that has been revoked since is no guess: nothing is counted for the lock-out.
+        A key that was revoked in the meantime is not a guess: it does not count towards the lock-out.
         """
         roles = _needed(request)
         if self.open or roles == ANYBODY:
@@ -150,7 +150,7 @@ class Gatekeeper:
                 raise
             if not isinstance(error, AccessError):
                 log.exception("the caller of %s is unknown", request.path)
-            return Caller("nobody", "", request.address)
+            return Caller("anonymous", "", request.address)
 
     def _presented(self, request: Credentials, now_s: float) -> ApiKey:
         if request.bearer:
@@ -165,7 +165,7 @@ class Gatekeeper:
         return self.keys.in_force(session.key_sha256, now_s) if session is not None else None
 
     def _none_in_force(self) -> str:
-        """Told to whoever asks: the reason itself names a file, and stands in log, faults and /readyz."""
+        """The text for the caller; the reason itself names a file, so it is only in the log, the faults and /readyz."""
         return "the server cannot read its key file; until it can, no key is accepted" if self.keys.problem else ""
 
     def _by_key(self, secret: str, address: str, now_s: float) -> ApiKey:

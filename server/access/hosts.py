@@ -1,4 +1,4 @@
-"""Host and Origin: what a browser was told to reach, and which page told it. Pure."""
+"""Checks of the Host and Origin headers: which name the browser called, and which page sent the request. Pure."""
 
 import ipaddress
 from functools import lru_cache

@@ -87,7 +87,7 @@ def without_key(keys: tuple[ApiKey, ...], name: str, t_unix_s: float) -> tuple[A
 def read_keys(path: Path) -> tuple[ApiKey, ...]:
     """The keys of a file; none when it does not exist.
 
-    Raises: KeysError: it cannot be read or is no key file.
+    Raises: KeysError: it cannot be read or is not a key file.
     """
     try:
         rows = json.loads(read_text(path))["keys"]
@@ -121,7 +121,7 @@ def write_private(path: Path, text: str) -> None:
 
 
 def first_key(path: Path, role: Role, secret_path: Path) -> bool:
-    """Make one key if the file holds none in force, and leave the secret beside; whether one was made."""
+    """Make one key if the file holds none in force, and write its secret to `secret_path`; whether one was made."""
     keys = read_keys(path)
     if any(key.revoked_unix_s is None for key in keys):
         return False
@@ -172,7 +172,7 @@ class KeyRing:
             log.error(self._problem or f"key file {self._path} is read again")
 
     def _read(self, path: Path) -> None:
-        """Raises: KeysError: it cannot be read or is no key file."""
+        """Raises: KeysError: it cannot be read or is not a key file."""
         try:
             state = path.stat()
             stamp = (state.st_mtime_ns, state.st_ctime_ns, state.st_ino)

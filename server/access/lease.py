@@ -1,7 +1,7 @@
-"""The lease of control: one holder, a fencing number that only grows, stale before lost. Pure; time is an argument.
+"""Exclusive control lease with a monotonic fencing token. Pure: the caller passes the time.
 
 `free -> held -> stale -> held` by its holder's keep-alive, `-> held by another` by acquire (free, stale or offered) or
-by a person's take. Every new holder gets a higher fencing number, so an older holder's command can be told for ever.
+by a person's take. Every new holder gets a higher fencing number, so an older holder's command is always recognised.
 """
 
 import hmac
@@ -12,9 +12,9 @@ from enum import StrEnum
 
 from server.access.errors import LeaseHeldError, LeaseLostError, LeaseStaleError, NoLeaseError, TakeRefusedError
 
-ASKED_MAX = 8  # wishes for a hand-over that the holder sees; the oldest go first
+ASKED_MAX = 8  # pending hand-over requests that the holder sees; the oldest are dropped first
 OFFER_S = 30.0  # so long may the one that was granted control take to acquire it
-REMEMBERED = 64  # ended leases whose holders are told what happened
+REMEMBERED = 64  # ended leases whose holders still get the reason
 
 
 class LeaseKind(StrEnum):
@@ -26,7 +26,7 @@ class LeaseKind(StrEnum):
 
     @property
     def person(self) -> bool:
-        """Whether somebody is there who sees the machine."""
+        """Whether the holder is a person who sees the machine."""
         return self is not LeaseKind.FLEET
 
 
@@ -81,7 +81,7 @@ class LeaseBook:
         )
 
     def take(self, owner: str, kind: LeaseKind, ttl_s: float, reason: str, lease_id: str, now_s: float) -> Lease:
-        """Control for a person, whoever has it.
+        """Control for a person, also while another client holds it.
 
         Raises: TakeRefusedError: a fleet's program may not; an operator's control is never a fleet's to take.
         """
@@ -92,13 +92,13 @@ class LeaseBook:
         return self._give(owner, kind, ttl_s, lease_id, now_s, f"{owner} took it: {reason}")
 
     def release(self, lease_id: str, now_s: float) -> Lease:
-        """Nobody has control; the lease that ended. Raises as `known`."""
+        """End the lease, so that no client has control; returns the lease that ended. Raises as `known`."""
         held = self.known(lease_id, now_s)
         self._end(held, f"{held.owner} released it")
         return held
 
     def expel(self, why: str) -> Lease | None:
-        """Nobody has control, because the holder may not have it any more; the lease that ended, if there was one."""
+        """End the lease of a holder who may not have it any more; returns it, None if there was none."""
         held = self.held
         if held is not None:
             self._end(held, why)
@@ -129,7 +129,7 @@ class LeaseBook:
         return self.held
 
     def ask(self, owner: str) -> Lease | None:
-        """A wish that the holder sees; None when nobody has control."""
+        """Note a request for control that the holder sees; None when no client has control."""
         if self.held is None:
             return None
         others = tuple(name for name in self.held.asked_by if name != owner)
@@ -150,7 +150,7 @@ class LeaseBook:
             raise LeaseLostError(
                 f"fencing number {fencing} is not this lease's ({held.fencing})", self.references(now_s)
             )
-        why = next((told for ended, told in reversed(self._ended) if _same(ended, lease_id)), "")
+        why = next((reason for ended, reason in reversed(self._ended) if _same(ended, lease_id)), "")
         if why or (fencing is not None and 0 < fencing <= self.fencing):
             raise LeaseLostError(
                 f"control was lost: {why or 'it has ended'}; {self._now(now_s)}", self.references(now_s)

@@ -18,7 +18,7 @@ class Role(StrEnum):
 class Caller:
     """Who sends a request: the key's name, its role, and from where.
 
-    `by_key`: a key, or the session it opened, says so; else it is whoever is at this computer.
+    `by_key`: identified by a key or by a session that a key opened; otherwise any user of this computer.
     """
 
     name: str = "local"
@@ -40,7 +40,7 @@ COMMANDS = ("/v1/jobs", "/v1/lease", "/v1/disarm", "/v1/reset", "/v1/target")
 
 
 def needed(method: str, path: str) -> frozenset[Role]:
-    """The roles of which one is needed; empty: nobody is asked."""
+    """The roles of which one is needed; empty: the route is open to everyone."""
     if (method.replace("HEAD", "GET"), path) in OPEN:
         return ANYBODY
     if _under(path, "/v1/audit"):
@@ -52,7 +52,7 @@ def needed(method: str, path: str) -> frozenset[Role]:
     if method in SAFE_METHODS or (method == "DELETE" and path == "/v1/session"):
         return EVERY_ROLE
     if path.startswith("/v1/jobs/") and path.endswith("/cancel"):
-        return EVERY_ROLE  # a stop of one job: as STOP, anybody who is known
+        return EVERY_ROLE  # a stop of one job: as STOP, every known caller may
     return COMMANDERS if any(_under(path, command) for command in COMMANDS) else PERSONS
 
 

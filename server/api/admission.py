@@ -66,7 +66,7 @@ async def socket_while(still: StillAdmitted, app: ASGIApp, scope: Scope, receive
         await send(message)
 
     async def watch() -> None:
-        while still():  # noqa: ASYNC110 a key file tells nobody that it changed
+        while still():  # noqa: ASYNC110 a changed key file sends no notification
             await asyncio.sleep(CHECK_S)
         over.set()
         await send(CLOSE)

@@ -82,7 +82,7 @@ class Served:
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """What has to run beside the requests."""
+    """What runs alongside the requests."""
 
     served: Served
     feed: EventFeed
@@ -109,7 +109,7 @@ def application(app: FastAPI, served: Served) -> Running:
     service, keys = served.service, served.gatekeeper.keys
 
     def keys_problem() -> str:
-        keys.refresh(mono_s())  # also while nobody comes with a key, /readyz tells what is so now
+        keys.refresh(mono_s())  # /readyz reports the present state also while no client presents a key
         return keys.problem
 
     service.inner_faults.watch(KEYS_UNREADABLE, keys_problem)

@@ -8,7 +8,7 @@ from server.api.views import CalibrationView
 from server.calibration.calibration_life import LocalCalibration, Validity, ValidityStatus, observability_text
 from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
-from server.link.contracts import oil_told_c
+from server.link.contracts import measured_oil_c
 
 NOW_UNKNOWN = Validity(ValidityStatus.VALID, "the machine's position is unknown: no state received from the PLC")
 
@@ -39,13 +39,13 @@ def calibration_view(cell: Cell, ctx: PlanContext, t_mono_ns: int) -> Calibratio
 
 
 def validity_now(cell: Cell, ctx: PlanContext, life: LocalCalibration, t_mono_ns: int) -> Validity:
-    """Whether it holds with the machine as the PLC last told."""
+    """Whether it holds with the machine as the PLC last reported it."""
     latest, t_unix_s = cell.link.latest, cell.knowledge.unix_s(t_mono_ns)
     if latest is None:
         found = life.valid_at(t_unix_s, life.made.q, life.made.T_base_tcp)
         return NOW_UNKNOWN if found.ok else found
     q = np.array(latest.q_rad)
-    return life.valid_at(t_unix_s, q, ctx.tcp(q), oil_told_c(latest))
+    return life.valid_at(t_unix_s, q, ctx.tcp(q), measured_oil_c(latest))
 
 
 def _distance_mm(cell: Cell, ctx: PlanContext, life: LocalCalibration) -> float | None:

@@ -34,7 +34,7 @@ class PathDiagnosis(Strict):
 
 
 class RunsDiagnosis(Strict):
-    """Of several recorded runs of one machine together: the later ones were made to tell what the first could not."""
+    """Of several recorded runs of one machine together; later runs resolve what the first could not."""
 
     run_ids: Annotated[list[Annotated[str, Field(pattern=RUN_ID)]], Field(min_length=2, max_length=RUNS_MAX)]
 
@@ -62,7 +62,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
         """Start `longreach diagnose` in a process of its own at low priority; 409 while another one runs."""
         found, missing = await asyncio.to_thread(_recordings, folder, body)
         if missing:
-            detail = f"no recording {', '.join(repr(one[:64]) for one in missing)} in the folder"
+            detail = f"no recording {', '.join(repr(name[:64]) for name in missing)} in the folder"
             return problem(404, "Unknown recording", detail, "unknown_run", "see GET /v1/runs")
         one = diagnoses.start(*found)
         headers = {"Location": f"/v1/diagnoses/{one.diagnosis_id}"}
@@ -71,7 +71,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
     @router.get("", response_model=list[DiagnosisView])
     async def list_diagnoses() -> list[DiagnosisView]:
         """The diagnoses since the server started, newest first."""
-        return [_view(one) for one in reversed(diagnoses.all)]
+        return [_view(diagnosis) for diagnosis in reversed(diagnoses.all)]
 
     @router.get("/{diagnosis_id}", response_model=DiagnosisView, responses=UNKNOWN)
     async def read_diagnosis(diagnosis_id: Id) -> DiagnosisView | JSONResponse:
@@ -116,7 +116,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
 def _recordings(
     folder: Path, body: RunDiagnosis | PathDiagnosis | RunsDiagnosis
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
-    """What is to be diagnosed, and what was asked for and is no recording, such as the server's own database."""
+    """The recordings to diagnose, and the requested names that are not recordings (such as the server's database)."""
     if isinstance(body, PathDiagnosis):
         found = inside(folder, body.path)
         if found is not None and (found.suffix == ".mcap" or (found / "run.toml").is_file()):

@@ -12,7 +12,7 @@ KEEP_ALIVE_S = 10.0
 
 
 class EventLog:
-    """Belongs to the event loop. Ids are `<life>-<number>`: a reader of another life is told that there is a gap."""
+    """Belongs to the event loop. Ids are `<life>-<number>`: a reader of another life is notified of the gap."""
 
     def __init__(self, life: str) -> None:
         self.life, self.number = life, 0
@@ -24,8 +24,8 @@ class EventLog:
     def add(self, kind: str, data: dict[str, Any]) -> None:
         """One event for everybody, now and later."""
         self.number += 1
-        told = json.dumps({"t_unix_s": round(time.time(), 3), **data})
-        self._kept.append((self.number, f"id: {self.life}-{self.number}\nevent: {kind}\ndata: {told}\n\n"))
+        text = json.dumps({"t_unix_s": round(time.time(), 3), **data})
+        self._kept.append((self.number, f"id: {self.life}-{self.number}\nevent: {kind}\ndata: {text}\n\n"))
         self._wake()
 
     def show(self, state_json: str) -> None:

@@ -47,7 +47,7 @@ def events_router(log: EventLog) -> APIRouter:
 
 
 class EventFeed:
-    """Puts into the log what the engine, the lease desk and a look five times a second tell."""
+    """Logs the events of the engine and of control; five times a second it also compares link and faults."""
 
     def __init__(self, service: JobService, log: EventLog, cache: StateCache) -> None:
         self._service, self._log, self._cache = service, log, cache
@@ -56,8 +56,8 @@ class EventFeed:
         service.engine.leases.on_change(self._control)
 
     def _job(self, job: Job, event: JobEvent) -> None:
-        told = {"job_id": job.job_id, "kind": job.kind, "owner": job.owner, "state": job.state.value}
-        self._log.add("job", told | {"name": event.name, "number": event.number, "text": event.text})
+        payload = {"job_id": job.job_id, "kind": job.kind, "owner": job.owner, "state": job.state.value}
+        self._log.add("job", payload | {"name": event.name, "number": event.number, "text": event.text})
 
     def _control(self) -> None:
         self._log.add("control", control_view(self._service.engine.leases).model_dump(mode="json"))
@@ -73,8 +73,8 @@ class EventFeed:
             tick += 1
             await asyncio.sleep(WATCH_S)
 
-    def _changed(self, kind: str, told: Callable[[], dict[str, Any]]) -> None:
-        now = told()
+    def _changed(self, kind: str, read: Callable[[], dict[str, Any]]) -> None:
+        now = read()
         if self._seen.get(kind) != now:
             self._seen[kind] = now
             self._log.add(kind, now)

@@ -1,4 +1,4 @@
-"""What is wrong with the machine now: one constant id per cause. A refused request is no fault."""
+"""What is wrong with the machine now: one constant id per cause. A refused request is not a fault."""
 
 from typing import Literal
 
@@ -57,14 +57,18 @@ def _inner(service: JobService) -> list[FaultView]:
         KEYS_UNREADABLE: "make the file readable to the server's user, or write it again with `longreach keys`",
         PART_FAILED: "see the server's log and report it; restart the server if it goes on",
     }
-    told = service.inner_faults.told
-    return [FaultView(fault_id=one, level="URGENT", text=told[one], hint=hints[one]) for one in hints if one in told]
+    active = service.inner_faults.active
+    return [
+        FaultView(fault_id=fault_id, level="URGENT", text=active[fault_id], hint=hint)
+        for fault_id, hint in hints.items()
+        if fault_id in active
+    ]
 
 
 def _store(service: JobService) -> list[FaultView]:
-    told = service.store_problem
+    problem = service.store_problem
     hint = "free space, or make the folder writable; a damaged database is moved away by hand"
-    return [FaultView(fault_id="store", level="URGENT", text=told, hint=hint)] if told else []
+    return [FaultView(fault_id="store", level="URGENT", text=problem, hint=hint)] if problem else []
 
 
 def _camera(service: JobService) -> list[FaultView]:

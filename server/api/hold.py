@@ -93,9 +93,9 @@ async def _serve(socket: WebSocket, service: JobService, memory: PanelMemory) ->
         require_commissioned(mode_of(cell.settings.mode, cell.link.latest), press.press, cell.not_commissioned)
         job = await service.start(press.press, lease, Command(caller_of(socket), request_id_of(socket)))
     except (ServerError, LinkError) as error:
-        return await _tell(socket, refused=str(error), code=getattr(error, "code", "link"))
+        return await _send(socket, refused=str(error), code=getattr(error, "code", "link"))
     except (ValidationError, TimeoutError) as error:
-        return await _tell(socket, refused=f"not a valid hold request: {error}"[:300], code="invalid_request")
+        return await _send(socket, refused=f"not a valid hold request: {error}"[:300], code="invalid_request")
     bond = press.press.plan_hash if isinstance(press.press, ExecuteRequest) else job.job_id
     held = HoldToRun(bond, lambda: secrets.randbits(32), mono_ns())
     memory.held_by = lease.owner
@@ -113,7 +113,7 @@ async def _hold(
     hearing = asyncio.create_task(_hear(socket, service, held, changed))
     try:
         await service.engine.hold_until(held.dead_ns)
-        await _tell(socket, held=job.job_id, bond=bond)
+        await _send(socket, held=job.job_id, bond=bond)
         await _ask_until_over(socket, job, held, changed)
     finally:  # whatever ended it, a socket that broke or the server's own end: nothing may go on moving
         hearing.cancel()
@@ -121,7 +121,7 @@ async def _hold(
             await _stop(service, memory, held.ended or "the page is disconnected")
         await asyncio.gather(hearing, return_exceptions=True)
         await service.engine.hold_until(None)
-    await _tell(socket, ended=job.state.value, reason=job.reason)
+    await _send(socket, ended=job.state.value, reason=job.reason)
 
 
 async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed: asyncio.Event) -> None:
@@ -131,7 +131,7 @@ async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed:
             return
         if challenge is not None:
             try:
-                await _tell(socket, challenge={"seq": challenge.seq, "nonce": challenge.nonce})
+                await _send(socket, challenge={"seq": challenge.seq, "nonce": challenge.nonce})
             except (WebSocketDisconnect, RuntimeError):
                 return held.release("the page's socket closed")
         wait_s = min(TICK_S, max(0.0, (held.next_ns - mono_ns()) * 1e-9))
@@ -173,5 +173,5 @@ async def _stop(service: JobService, memory: PanelMemory, why: str) -> None:
         log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
 
 
-async def _tell(socket: WebSocket, **message: Any) -> None:
+async def _send(socket: WebSocket, **message: Any) -> None:
     await socket.send_text(json.dumps(message))

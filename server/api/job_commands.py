@@ -1,4 +1,4 @@
-"""Starting a job for somebody: key first, then control, then the job, its audit and its answer in one transaction."""
+"""Starts a job for a caller: key first, then control, then the job, its audit and its answer in one transaction."""
 
 import asyncio
 import json
@@ -26,7 +26,7 @@ ACCEPTED = 202
 
 # Which presses of STOP get a line of the audit: all that stop something, and one in ten seconds of those that do not.
 #
-# A stop itself is never folded. Anybody may send one, without a key and as often as he likes: a line for each would
+# A stop itself is never folded. Every caller may send one, without a key and at any rate: a line for each would
 # fill the disk, and the queue that jobs and control need.
 
 EVERY_S = 10.0
@@ -61,7 +61,7 @@ class ExpiredError(AccessError):
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """What a request carried beside its body."""
+    """What a request carried in addition to its body."""
 
     caller: Caller
     request_id: str
@@ -126,7 +126,7 @@ class JobCommands:
         return kept[0] if kept else answer_of(job, body_hash)
 
     def cancel(self, job: Job, caller: Caller, request_id: str) -> None:
-        """Begin to stop a job; returns at once, the job is `stopping` then."""
+        """Begin to stop a job; returns immediately, the job is `stopping` then."""
         self._audited(caller, request_id, "job.cancel", job.job_id)
         stopping = asyncio.ensure_future(self._service.engine.stop(f"cancelled by {caller.name}", job))
         self._stopping.add(stopping)

@@ -54,7 +54,7 @@ class GrantRequest(Strict):
 
 
 def lease_router(desk: LeaseDesk, keeper: Keeper | None = None) -> APIRouter:
-    """Routes under /v1/lease. With a keeper, a new holder is on disk before they are told."""
+    """Routes under /v1/lease. With a keeper, a new holder is on disk before the answer is sent."""
     router = APIRouter(prefix="/v1/lease", tags=["lease"])
     log = ControlLog(desk, keeper)
 

@@ -1,4 +1,4 @@
-"""Control and the audit: a new holder is on disk, fencing number and line together, before they are told."""
+"""Control and the audit: fencing number and audit line are on disk together before the new holder gets an answer."""
 
 import time
 
@@ -21,7 +21,7 @@ KINDS_OF_ROLE = {
     Role.ENGINEER: ("operator", "engineer"),
     Role.ADMIN: ("operator", "engineer"),
 }
-WITHOUT_KEY = ("operator", "fleet")  # whoever is at this computer: a person, or a program of theirs
+WITHOUT_KEY = ("operator", "fleet")  # for users of this computer: a person, or one of their programs
 
 
 class ControlLog:
@@ -45,7 +45,7 @@ class ControlLog:
     async def given(self, request: Request, lease: Lease, action: str, detail: str = "") -> JSONResponse:
         """201 with the lease, once it is on disk.
 
-        Raises: StoreError: it is not; nobody has control then.
+        Raises: StoreError: it is not; the lease is withdrawn then.
         """
         self._desk.vouch(admission_of(request))
         if self._keeper is not None:
@@ -66,7 +66,7 @@ class ControlLog:
         try:
             self._desk.release(lease.lease_id)
         except AccessError:
-            return  # it is somebody else's by now
+            return  # another client holds it by now
 
     def _entry(self, request: Request, lease: Lease, action: str, detail: str) -> AuditEntry:
         who = caller_of(request)

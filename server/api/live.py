@@ -17,7 +17,7 @@ UNDER_WAY_MAX = 2
 
 
 class LiveFeed:
-    """The newest state as text. Runs as one task; alarms are latched here also while nobody looks."""
+    """The newest state as text. Runs as one task; alarms are latched here also while no page is open."""
 
     def __init__(self, memory: PanelMemory) -> None:
         self._memory = memory
@@ -49,7 +49,9 @@ class LiveFeed:
 
 
 def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
-    """Route /v1/live: text frames hold LiveView JSON; the page says {"seen": true} for each; {"scrub": 0..1} is a wish.
+    """Route /v1/live: text frames hold LiveView JSON; the page answers each with {"seen": true}.
+
+    {"scrub": 0..1} requests a place on the previewed path in the 3D view.
 
     Two states may be under way: a page that is slow misses some, and never shows what has waited in a queue for it.
     """
@@ -61,7 +63,7 @@ def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
             return
         memory.viewers += 1
         room = asyncio.Semaphore(UNDER_WAY_MAX)
-        tasks = [asyncio.create_task(_tell(socket, feed, room)), asyncio.create_task(_hear(socket, memory, room))]
+        tasks = [asyncio.create_task(_send(socket, feed, room)), asyncio.create_task(_hear(socket, memory, room))]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -73,14 +75,14 @@ def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
     return router
 
 
-async def _tell(socket: WebSocket, feed: LiveFeed, room: asyncio.Semaphore) -> None:
+async def _send(socket: WebSocket, feed: LiveFeed, room: asyncio.Semaphore) -> None:
     while True:
         await room.acquire()
         await socket.send_text(await feed.next())
 
 
 async def _hear(socket: WebSocket, memory: PanelMemory, room: asyncio.Semaphore) -> None:
-    """What was seen, and wishes about the view only; what is not understood is passed over."""
+    """Acknowledgements and requests about the view only; unknown messages are ignored."""
     while True:
         with contextlib.suppress(ValueError, TypeError, AttributeError):
             said = json.loads(await socket.receive_text())

@@ -135,12 +135,15 @@ def _versions(service: JobService) -> VersionsView:
     return VersionsView(
         in_use="" if used is None else used.version_id,
         problem=service.versions.problem,
-        versions=[_view(one) for one in service.versions.all()],
+        versions=[_view(version) for version in service.versions.all()],
         compared=[
             ComparedView(
-                number=one.number, nominal_mm=one.nominal_mm, in_use_mm=one.in_use_mm, version_id=one.version_id
+                number=comparison.number,
+                nominal_mm=comparison.nominal_mm,
+                in_use_mm=comparison.in_use_mm,
+                version_id=comparison.version_id,
             )
-            for one in service.cell.knowledge.compared
+            for comparison in service.cell.knowledge.compared
         ],
     )
 
@@ -156,7 +159,7 @@ def _view(version: MachineVersion) -> VersionView:
         sentence=version.sentence,
         miss_mm=version.miss_mm,
         left_mm=version.left_mm,
-        effects=[_effect(one) for one in version.effects],
+        effects=[_effect(effect) for effect in version.effects],
     )
 
 

@@ -49,7 +49,7 @@ _CONTROL = {
 _HELD = ("PUT /v1/lease/{lease_id}", "DELETE /v1/lease/{lease_id}", "POST /v1/lease/{lease_id}/grant")
 _JOB = ("GET /v1/jobs/{job_id}", "GET /v1/jobs/{job_id}/events", "POST /v1/jobs/{job_id}/cancel")
 _DIAGNOSIS = ("GET /v1/diagnoses/{diagnosis_id}", "DELETE /v1/diagnoses/{diagnosis_id}")
-PANEL_FILES = {  # what the panel's own routes answer, beside the guard: media type, refusals
+PANEL_FILES = {  # answers of the panel's own routes, in addition to the guard's: media type, refusals
     "/v1/panel/recordings/{name}/file": ("application/octet-stream", ("404",)),
     "/v1/panel/recordings/{name}/replay": ("application/json", ("404", "409")),
     "/v1/panel/recordings/{name}/pictures/{start}-{end}": ("image/jpeg", ("404",)),
@@ -72,7 +72,7 @@ def completed(document: dict[str, Any]) -> dict[str, Any]:
     }
     for name in ("HTTPValidationError", "ValidationError"):
         document["components"]["schemas"].pop(name, None)
-    _tell_files(document["paths"])
+    _describe_files(document["paths"])
     _name(document["paths"])
     with_examples(document)
     _link(document["paths"])
@@ -90,7 +90,7 @@ def _name(paths: dict[str, Any]) -> None:
             operation["operationId"] = operation["operationId"].removesuffix(made_longer)
 
 
-def _tell_files(paths: dict[str, Any]) -> None:
+def _describe_files(paths: dict[str, Any]) -> None:
     """Answers that are files or not a model of ours, and how they are refused; without a panel there are none."""
     for path, (media_type, refusals) in PANEL_FILES.items():
         if path in paths:
@@ -116,7 +116,7 @@ def _link(paths: dict[str, Any]) -> None:
                 continue
             label = f"{method.lower()}{to.replace('/', '_').replace('{', '').replace('}', '')}"
             there = paths[to][method.lower()]
-            taken = {one["name"].lower() for one in there.get("parameters", ())}
+            taken = {parameter["name"].lower() for parameter in there.get("parameters", ())}
             given = {name: value for name, value in source.items() if name.split(".")[-1] in taken}
             links[label] = {"operationId": there["operationId"], "parameters": given}
         paths[path]["post"]["responses"][status]["links"] = links
@@ -128,8 +128,8 @@ def _complete(operation: dict[str, Any], method: str, path: str) -> None:
         if status not in responses or "HTTPValidationError" in str(responses[status]):
             responses[status] = {"description": text}
     for status, response in responses.items():
-        told = str(response.get("content", ""))
-        if status >= "400" and (not told or "schemas/Problem" in told):
+        described = str(response.get("content", ""))
+        if status >= "400" and (not described or "schemas/Problem" in described):
             response["content"] = PROBLEM
     roles = needed(method, path)
     if roles != ANYBODY:

@@ -33,7 +33,7 @@ StopPanel = Callable[[], Awaitable[None]]
 
 
 class _Static(StaticFiles):
-    """Our scripts and styles: always asked for anew, so that page and server are of one version."""
+    """Our scripts and styles: never served from a cache, so that page and server are of one version."""
 
     def file_response(self, *args, **kwargs):  # starlette's own signature
         response = super().file_response(*args, **kwargs)

@@ -10,7 +10,7 @@ from server.disk_space import shortage
 
 LOSS_MAX_PCT = 5.0
 UNFIT_AFTER_S = 0.5
-STARTING_S = 90.0  # what has never been heard is no alarm while everything starts; on a new machine it compiles
+STARTING_S = 90.0  # silence is not an alarm while everything starts; on a new machine the start compiles
 STORE_FAILED = "store_failed"
 FAULT_CODES: tuple[tuple[FaultBit, str], ...] = (
     (FaultBit.ESTOP, "plc_estop"),
@@ -63,12 +63,12 @@ class AlarmBook:
         return frozenset(code for code, alarm in self._alarms.items() if alarm.ended_unix_s is None)
 
     def update(self, active: Mapping[str, str], t_unix_s: float, unknown: frozenset[str] = frozenset()) -> None:
-        """`active`: the alarms whose cause is there now, with their details; `unknown`: those of which nobody can tell,
-        they stay as they are.
+        """`active`: the alarms whose cause is there now, with their details; `unknown`: those whose cause cannot be
+        checked now, they stay as they are.
         """
         for code, detail in active.items():
             known = self._alarms.get(code)
-            if known is None or known.ended_unix_s is not None:  # it came back: a new one, to be acknowledged anew
+            if known is None or known.ended_unix_s is not None:  # it came back: a new one, to be acknowledged again
                 self._alarms[code] = Alarm(code, detail, t_unix_s)
             else:
                 self._alarms[code] = replace(known, detail=detail)
@@ -114,7 +114,7 @@ class Surroundings:
 
 
 def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
-    """Alarms whose cause is there now: code -> what is to be told beside the catalogue's text."""
+    """Alarms whose cause is there now: code -> what to show in addition to the catalogue's text."""
     return (
         _plc(state, around)
         | ({"plc_contested": around.other_pc} if around.other_pc else {})
@@ -131,7 +131,7 @@ def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
 
 
 def unknown_alarms(state: StateView) -> frozenset[str]:
-    """Of which nobody knows now whether their cause is there: a PLC that is silent tells none of its faults."""
+    """Alarms whose cause cannot be checked now: a silent PLC reports none of its faults."""
     return frozenset(code for _, code in FAULT_CODES) if state.link.phase == "offline" else frozenset()
 
 

@@ -41,9 +41,9 @@ def loss_pct(before: tuple[int, int], health: LinkHealth) -> float:
 
 
 def safety_view(health: LinkHealth, latest: PlcSample | None, faults: list[str]) -> SafetyView:
-    """E-stop and enable as the PLC's states tell them."""
+    """E-stop and enable as the PLC's states report them."""
     if latest is None or health.phase is LinkPhase.OFFLINE:
-        return SafetyView(estop="not told", enable="not told", faults=[])
+        return SafetyView(estop="not reported", enable="not reported", faults=[])
     armed = health.phase in (LinkPhase.ARMED, LinkPhase.RUNNING, LinkPhase.STOPPING)
     lost = bool(latest.fault_bits & FaultBit.LOCAL_ENABLE_LOST)
     return SafetyView(

@@ -38,7 +38,7 @@ LOSS_WINDOW = 10  # seconds, one entry each
 
 @dataclass(slots=True)
 class PanelMemory:
-    """Mutable on purpose; one for all viewers. `scene` is filled by whoever runs the 3D view."""
+    """Mutable on purpose; one for all viewers. `scene` is filled by the process that runs the 3D view."""
 
     service: JobService
     book: AlarmBook = field(default_factory=AlarmBook)
@@ -78,7 +78,7 @@ class PanelMemory:
         service = self.service
         cell, goal = service.cell, service.context.settings.position
         alarms = [_alarm_view(alarm) for alarm in self.book.alarms]
-        faults = [one.title for one in alarms if one.code.startswith("plc_") and one.ended_unix_s is None]
+        faults = [alarm.title for alarm in alarms if alarm.code.startswith("plc_") and alarm.ended_unix_s is None]
         return PanelView(
             unix_s=round(time.time(), 3),
             mono_ms=round(mono_ns() * 1e-6, 1),
@@ -119,7 +119,7 @@ class PanelMemory:
             set_mode=self.service.cell.settings.mode,
             store_problem=self.service.store_problem,
             other_pc=self.service.cell.link.health.other_pc,
-            inner_faults=self.service.inner_faults.told,
+            inner_faults=self.service.inner_faults.active,
         )
 
     def _refresh(self, now_s: float) -> None:

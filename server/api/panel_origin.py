@@ -11,7 +11,7 @@ def same_origin(socket: WebSocket) -> bool:
 
 
 async def accepted(socket: WebSocket) -> bool:
-    """Open a socket for whoever may; it is closed for anybody else."""
+    """Open a socket for an allowed origin; it is closed for any other."""
     if not same_origin(socket):
         await socket.close(code=4403, reason="foreign origin")
         return False

@@ -34,7 +34,7 @@ class _Opened:
 
     name: str = ""
     version: tuple[int, int] = (0, 0)  # size and time of change: the run that is being recorded grows
-    told: bytes = b""
+    replay: bytes = b""
     pictures: bytes = b""
 
 
@@ -77,8 +77,8 @@ def recordings_router(service: JobService) -> APIRouter:
                     return problem(409, "Not readable", error or f"reading ended with code {code}", "unreadable")
                 (size,) = struct.unpack_from("<I", out)
                 opened.name, opened.version = name, version
-                opened.told, opened.pictures = out[4 : 4 + size], out[4 + size :]
-        return Response(opened.told, media_type="application/json")
+                opened.replay, opened.pictures = out[4 : 4 + size], out[4 + size :]
+        return Response(opened.replay, media_type="application/json")
 
     @router.get("/{name}/pictures/{start}-{end}", response_model=None)
     async def recording_picture(name: str, start: int, end: int) -> Response:

@@ -58,13 +58,13 @@ def replay_of(path: Path) -> tuple[dict[str, Any], list[bytes]]:
     if t_zero_ns is None:
         raise RecordingError(f"recording {path.name} holds nothing that could be replayed")
     ends = np.cumsum([0, *(len(data) for _, data in pictures)]).tolist()
-    told = {
+    replay = {
         "joints": joints,
         "looks": looks,
         "lines": lines,
         "pictures": [[t_s, start, end] for (t_s, _), start, end in zip(pictures, ends[:-1], ends[1:], strict=True)],
     }
-    return told, [data for _, data in pictures]
+    return replay, [data for _, data in pictures]
 
 
 def _messages(path: Path) -> Iterator[tuple[str, Message]]:
@@ -92,11 +92,11 @@ def main() -> None:
     """Entry point of the process; an unreadable file ends it with code 2 and the reason on stderr."""
     os.nice(10)
     try:
-        told, pictures = replay_of(Path(sys.argv[1]))
+        replay, pictures = replay_of(Path(sys.argv[1]))
     except RecordingError as error:
         sys.stderr.write(str(error))
         raise SystemExit(2) from error
-    text = json.dumps(told, allow_nan=False).encode()
+    text = json.dumps(replay, allow_nan=False).encode()
     sys.stdout.buffer.write(struct.pack("<I", len(text)) + text + b"".join(pictures))
 
 

@@ -1,4 +1,4 @@
-"""What the page asks of the server beside jobs and lease: goal, accept, acknowledge, settings, help."""
+"""Requests of the page other than jobs and lease: goal, accept, acknowledge, settings, help."""
 
 import html
 from dataclasses import replace
@@ -28,7 +28,7 @@ PAGE_CSP = "default-src 'none'; style-src 'self'; frame-ancestors 'none'; base-u
 
 
 def set_goal(service: JobService, stand_off_mm: float, offset_x_mm: float, offset_y_mm: float) -> None:
-    """From now on plan to there. The last look is judged anew; the previewed plan, made for the old goal, is dropped.
+    """Plan to this goal from now on. The last look is judged again; the previewed plan for the old goal is dropped.
 
     Raises: BusyError: a job is running and keeps the goal it began with.
     """
@@ -107,8 +107,8 @@ def setting_rows(settings: dict[str, Any], prefix: str = "") -> list[SettingRow]
         if isinstance(value, dict):
             rows += setting_rows(value, f"{prefix}{name}.")
             continue
-        told = "not set" if value is None else str(value)
-        rows.append(SettingRow(name=prefix + name, value=told, unit=unit_of(name)))
+        text = "not set" if value is None else str(value)
+        rows.append(SettingRow(name=prefix + name, value=text, unit=unit_of(name)))
     return rows
 
 

@@ -44,10 +44,10 @@ class HistoryView(View):
 
 
 class SafetyView(View):
-    """What the PLC tells of the hardware: it is shown, never commanded, here."""
+    """What the PLC reports of the hardware: it is shown, never commanded, here."""
 
-    estop: Literal["not pressed", "PRESSED", "not told"]
-    enable: Literal["given", "LOST", "needed to arm", "not told"]
+    estop: Literal["not pressed", "PRESSED", "not reported"]
+    enable: Literal["given", "LOST", "needed to arm", "not reported"]
     faults: list[str]
 
 

@@ -54,7 +54,7 @@ def title_of(error: ServerError) -> str:
 
 
 def install_problem_handlers(app: FastAPI) -> None:
-    """Make every error a problem; a defect is 500, logged, and tells nothing of the inside."""
+    """Make every error a problem; a defect is 500, logged, and shows nothing of the inside."""
 
     @app.exception_handler(ServerError)
     async def server_error(_request: Request, error: ServerError) -> JSONResponse:
@@ -82,11 +82,11 @@ def install_problem_handlers(app: FastAPI) -> None:
         if first["type"] == "json_invalid":
             return problem(400, "Unreadable body", f"{where}: {first['msg']}", HTTP_CODES[400], HINTS[400])
         hint = "see /v1/openapi.json for the request's fields"
-        told = first["msg"]
+        detail = first["msg"]
         if first["type"] == "union_tag_invalid":  # pydantic's words hold what was sent; nothing that was sent is echoed
-            told = f"'kind' must be one of {first['ctx']['expected_tags']}"
-        told += _number_sent(first.get("input"))
-        return problem(422, "Invalid request", f"{where}: {told}"[:500], "invalid_request", hint)
+            detail = f"'kind' must be one of {first['ctx']['expected_tags']}"
+        detail += _number_sent(first.get("input"))
+        return problem(422, "Invalid request", f"{where}: {detail}"[:500], "invalid_request", hint)
 
     @app.exception_handler(Exception)
     async def defect(request: Request, error: Exception) -> JSONResponse:
@@ -104,7 +104,7 @@ def _number_sent(value: object) -> str:
 def _methods_of(app: FastAPI, path: str) -> set[str]:
     """All methods of a path, as our document has them; starlette's own Allow names those of one route only.
 
-    A path that is written out in the document is itself: /v1/lease/ask is no lease of the name `ask`.
+    A path that is written out in the document is itself: /v1/lease/ask is not a lease with the name `ask`.
     """
     found: set[str] = set()
     paths = app.openapi().get("paths", {})

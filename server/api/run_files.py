@@ -11,7 +11,7 @@ _RUN_ID = re.compile(RUN_ID)
 
 
 class GrowingFile(FileResponse):
-    """A file that may be written to while it is sent: as many bytes as there were when it was asked for."""
+    """A file that may be written to while it is sent: as many bytes as there were at the time of the request."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One answer, not longer than its Content-Length says."""

@@ -66,9 +66,9 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
             reasons.append(f"the database cannot be written: {service.store_problem}")
         if service.disk.problem:
             reasons.append(f"the disk is nearly full: {service.disk.problem}: move old recordings away")
-        reasons += service.inner_faults.told.values()
-        told = ReadyView(ready=not reasons, reasons=reasons)
-        return JSONResponse(told.model_dump(), status_code=503 if reasons else 200)
+        reasons += service.inner_faults.active.values()
+        ready = ReadyView(ready=not reasons, reasons=reasons)
+        return JSONResponse(ready.model_dump(), status_code=503 if reasons else 200)
 
     return router
 

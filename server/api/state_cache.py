@@ -48,7 +48,7 @@ class StraightState:
 
 
 def straight_route(states: StateCache) -> Route:
-    """To stand before the documented route of the same path, which tells the document what this one answers."""
+    """To stand before the documented route of the same path, which describes this one's answers in the document."""
     route = Route("/v1/state", StraightState(states), include_in_schema=False)
     route.methods = {"GET"}  # Starlette adds HEAD, which the document does not have
     return route

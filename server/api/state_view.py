@@ -26,7 +26,7 @@ from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
 from server.jobs.engine import Job, JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
-from server.jobs.plans.assurance import fits, told
+from server.jobs.plans.assurance import accuracy_text, fits
 from server.jobs.plans.looking import error_in_mm
 from server.jobs.plans.returning import why_no_park
 from server.jobs.plans.seeing import common_of, corrected_poses
@@ -96,7 +96,7 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext, store_problem: s
 
 def _compensation(ctx: PlanContext) -> CompensationView:
     known = ctx.compensation
-    return CompensationView() if known is None else CompensationView(active=True, effects=list(known.sorted.told()))
+    return CompensationView() if known is None else CompensationView(active=True, effects=list(known.sorted.lines()))
 
 
 def steps(cell: Cell, engine: JobEngine, store_problem: str = "") -> dict[str, str]:
@@ -252,7 +252,7 @@ def _caution(previewed: PreviewedPlan, ctx: PlanContext | None) -> str:
     """What the operator should know before Execute: an error that will not be known well enough."""
     if ctx is None or fits(ctx, previewed.predicted_sigma_mm):
         return ""
-    return f"{told(ctx, previewed.predicted_sigma_mm)}; {previewed.largest_source}"
+    return f"{accuracy_text(ctx, previewed.predicted_sigma_mm)}; {previewed.largest_source}"
 
 
 def move_view(move: MoveRecord) -> MoveView:

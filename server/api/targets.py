@@ -132,7 +132,8 @@ def target_router(service: JobService) -> APIRouter:
     @router.get("/image", response_model=None, response_class=Response, responses=IMAGE)
     async def read_target_image() -> Response:
         """The newest image; the header Longreach-Image holds its number, Longreach-Scale its size over the eye's."""
-        shown = next((one for one in reversed(cell.vision.reports_since(0)) if one.preview_jpeg is not None), None)
+        reports = reversed(cell.vision.reports_since(0))
+        shown = next((report for report in reports if report.preview_jpeg is not None), None)
         if shown is None or shown.preview_jpeg is None:
             return problem(404, "No image", "no image has come yet; check the camera", "no_image")
         scale = shown.preview_width_px / cell.machine.camera.width_px

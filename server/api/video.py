@@ -32,7 +32,7 @@ class VideoHub:
         service.cell.vision.on_report(self._take)
 
     def _take(self, report: FrameReport) -> None:
-        """Packed once, whoever looks; nobody looks: nothing is packed."""
+        """Packed once for all viewers; without viewers nothing is packed."""
         if report.preview_jpeg is None or self.viewers == 0:
             return
         age_ms = (mono_ns() - report.t_receive_mono_ns) * 1e-6

@@ -54,7 +54,7 @@ def overlay_of(cell: Cell, ctx: PlanContext, report: FrameReport, age_ms: float)
     """The header of this pair's picture."""
     camera, seen = cell.machine.camera, report.observation
     targets = (cell.machine.markers_on("tool"), cell.machine.boards_on("tool"))
-    tool_ids = {one.marker_id for one in targets[0]} | {one.first_id for one in targets[1]}
+    tool_ids = {marker.marker_id for marker in targets[0]} | {board.first_id for board in targets[1]}
     return FrameOverlay(
         number=report.sequence,
         age_ms=round(age_ms, 1),

@@ -18,7 +18,7 @@ class Strict(BaseModel):
 
 
 class ControlView(View):
-    """Who has control of the machine; without an owner nobody has."""
+    """Who has control of the machine; without an owner no client has."""
 
     owner: str | None = None
     kind: Literal["operator", "fleet", "engineer"] | None = None

@@ -28,7 +28,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 
 
 class CalibrationFileError(ValueError):
-    """A file that is no calibration of this format version; the text says what is wrong and what to do."""
+    """Not a calibration file of this format version; the text says what is wrong and what to do."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -87,7 +87,7 @@ class LocalCalibration:
 
     `R_tcp_cam` (3, 3) with `covariance` (3, 3) [rad^2] (left perturbation, TCP axes); `p_tcp_cam_m` (3,) of the machine
     file; `observability` smallest over largest information of the path, 0..1; `slip` why it is void until a
-    person has looked, `shift` why it is until it is made anew; or empty.
+    person has looked, `shift` why it is until it is made again; or empty.
     """
 
     machine_id: str

@@ -1,4 +1,4 @@
-"""Rotation, scale and clock offset together, from all chords at once; the noise levels come from the data itself."""
+"""Rotation, scale and clock offset together, from all chords jointly; the noise levels come from the data itself."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

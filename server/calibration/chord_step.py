@@ -10,7 +10,7 @@ from server.calibration.contracts import Array
 
 #: Drift variance over one metre to jitter variance: from "no drift" to "no jitter", three values in two decades.
 _RATIOS = 10.0 ** np.linspace(-3.0, 6.0, 14)
-#: Sizes of a linear non-rigid part (strain, one entry), the first is none; none is as likely as all others together,
+#: Sizes of a linear non-rigid part (strain, one entry). The first is negligible, and as likely as all others together,
 #: which share by Student's t (3 degrees of freedom, scale 0.5 %: lengths, zeros and sag of such a crane).
 _STRAINS = np.array([1e-4, 0.005, 0.01, 0.02, 0.04, 0.08])
 _STRAIN_SHARES = _STRAINS * (1.0 + _STRAINS**2 / (3.0 * 0.005**2)) ** -2
@@ -25,7 +25,7 @@ _EPSILON = np.array(
 )
 
 
-# Chords of every length at once, each weighted as the odometry's drift and jitter ask: generalised least squares.
+# Chords of every length together, each weighted by the odometry's drift and jitter: generalised least squares.
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,7 +45,7 @@ def solve_ax_yb(
     Args:    As: base from hand, Bs: target from camera (n, 4, 4) [m]; unknown_scale: B's lengths have an unknown factor
              (one camera without a known length); rng: for the triples, seed 0 if None. camera_covariances (n, 6, 6): of
              the target in the camera, as `ObjectPose.covariance`: far and frontal poses count for less.
-    Returns: the estimate; no X when the poses cannot tell it.
+    Returns: the estimate; no X when the poses do not determine it.
     Raises:  CalibrationInputError: shapes.
     Source:  Park, Martin 1994; Zhuang, Roth, Sudhakar 1994 (A X = Y B).
     """

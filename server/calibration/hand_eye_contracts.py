@@ -33,7 +33,7 @@ class HandEyeEstimate:
 
     `covariance` (12, 12): of X and Y, each rotation vector [rad] (left perturbation) then translation [m]; (6, 6) of X
     alone when only motions were given (Y is None then). `time_offset_s`: add to the camera's time to get the hand's.
-    `scale`: length as the camera tells it over the true one. `axis_spread_rad`: see the settings.
+    `scale`: length as the camera measures it over the true one. `axis_spread_rad`: see the settings.
     """
 
     status: CalibrationStatus

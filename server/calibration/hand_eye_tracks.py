@@ -1,4 +1,4 @@
-"""Hand-eye calibration of two streams with clocks of their own: the offset is searched within a bound, and told."""
+"""Hand-eye calibration of two streams with separate clocks: the offset is searched within a bound, and reported."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def estimate_hand_eye(
              repeated motion a far peak can be the higher one.
     Args:    t_hand_s (m,), Ts_base_hand (m, 4, 4); t_cam_s (n,), Ts_cam_target (n, 4, 4): target in the camera;
              camera_covariances (n, 6, 6) of these, as in `solve_ax_yb`.
-    Returns: the estimate with `time_offset_s` and its sigma; no pose when streams cannot tell.
+    Returns: the estimate with `time_offset_s` and its sigma; no pose when the streams do not determine it.
     Raises:  CalibrationInputError: shapes.
     Source:  Furrer et al. 2017 (angles for the offset); Park, Martin 1994.
     """
@@ -57,8 +57,8 @@ def estimate_hand_eye(
     if found.X is not None and abs(found.time_offset_s) >= settings.offset_bound_s:
         text = f"time offset {1e3 * found.time_offset_s:.0f} ms, bound {1e3 * settings.offset_bound_s:.0f} ms"
         return refused(CalibrationStatus.POOR_FIT, f"{text}; check the clocks", found.n_used, found.axis_spread_rad)
-    told = f"time offset {1e3 * found.time_offset_s:.1f} ms, sigma {1e3 * found.time_offset_sigma_s:.1f} ms"
-    return found if found.X is None else replace(found, reason=told)
+    text = f"time offset {1e3 * found.time_offset_s:.1f} ms, sigma {1e3 * found.time_offset_sigma_s:.1f} ms"
+    return found if found.X is None else replace(found, reason=text)
 
 
 class HandPoses:
@@ -98,7 +98,7 @@ def _coarse_offset(hand: HandPoses, t_cam: Array, Ts_cam: Array, settings: HandE
     seen = _angles(Ts_cam, first, last, swapped=True)
     steps = round(settings.offset_bound_s / settings.offset_grid_s)
     grid = np.arange(-steps, steps + 1) * settings.offset_grid_s
-    costs = [float(np.mean(np.abs(_angles(hand.at(t_cam + one), first, last) - seen))) for one in grid]
+    costs = [float(np.mean(np.abs(_angles(hand.at(t_cam + offset_s), first, last) - seen))) for offset_s in grid]
     return float(grid[int(np.argmin(costs))])
 
 

@@ -79,7 +79,7 @@ class JointEstimate:
     path_length_m: float
     observability: float  # share of the prior's rotation variance of the mount that the data took away, 0..1
     noise: NoiseModel = field(default_factory=NoiseModel)  # that was taken for granted
-    layout_covariance: Array | None = None  # (6, 6) of the OOI as its markers tell it, OOI axes; no data lessen it
+    layout_covariance: Array | None = None  # (6, 6) of the OOI by its markers' layout, OOI axes; no data lessen it
 
 
 @dataclass(slots=True)
@@ -224,7 +224,7 @@ def _scatter_renewed(problem: _Problem, state: JointState) -> bool:
     """Each run's scatter as its residuals show it; whether any changed enough to fit again.
 
     Model:   variance component: sigma^2 times the mean square of the run's whitened positions, which is 1 if the sigma
-             was right; correlation of neighbours from the residuals themselves. How much the boom swings on the way is
+             was right; correlation of neighbours from the residuals themselves. How much the boom sways on the way is
              not known before, and decides what the path is worth.
     """
     low, high = problem.noise.sigma_position_range_m
@@ -269,7 +269,7 @@ def _normal_equations(problem: _Problem, state: JointState, gone: Array) -> tupl
     """J^T W J and J^T W r, the prior included; the samples' weights are renewed on the way."""
     runs, looks = _residuals(problem, state)
     steps = state_steps(problem.model)
-    shifted = [_residuals(problem, state.moved(one)) for one in np.diag(steps)]
+    shifted = [_residuals(problem, state.moved(step)) for step in np.diag(steps)]
     information, gradient = np.diag(problem.sigma**-2.0), gone / problem.sigma**2
     for i, (_, _, W) in enumerate(problem.runs):
         position, turn = runs[i]

@@ -56,7 +56,7 @@ def joints_for_goal(
     """Where to go.
 
     Model:   T_ooi_tool(q; x) of the estimate equals T_ooi_goal; solved by correcting the nominal pose by what the
-             model still lacks and taking its closed-form inverse, which converges by the ratio of the errors (a few
+             model still leaves and taking its closed-form inverse, which converges by the ratio of the errors (a few
              per cent a round).
     Args:    q_now: encoders (n,) [rad]. T_ooi_goal: wanted pose of the tool (4, 4). side: of its play from which each
              joint will come there (n,).
@@ -69,10 +69,10 @@ def joints_for_goal(
     q = q_now
     T_nominal = tcp_pose(chain, q_now)
     for _ in range(ROUNDS_MAX):
-        lacking, turn = _lacking(model, state, q, T_ooi_goal, side)
-        if np.linalg.norm(lacking) < CLOSE_M and np.linalg.norm(turn) < CLOSE_RAD:
+        shift, turn = _remaining(model, state, q, T_ooi_goal, side)
+        if np.linalg.norm(shift) < CLOSE_M and np.linalg.norm(turn) < CLOSE_RAD:
             break
-        T_nominal = _corrected(T_nominal, lacking, turn, state)
+        T_nominal = _corrected(T_nominal, shift, turn, state)
         found = inverse_nearest(chain, T_nominal, q)
         if found.q is None:
             return JointGoal(None, found.reason, T_nominal, None)
@@ -83,7 +83,7 @@ def joints_for_goal(
     return JointGoal(q, "", tcp_pose(chain, q), covariance, found)
 
 
-def _lacking(
+def _remaining(
     model: ErrorModel, state: JointState, q: Array, T_ooi_goal: Array, side: Array | None
 ) -> tuple[Array, Array]:
     """Goal minus tool in base axes: position of the tool marker [m], rotation vector [rad]."""
@@ -93,12 +93,12 @@ def _lacking(
     return R @ (T_ooi_goal[:3, 3] - T_ooi_tool[:3, 3]), R @ turn
 
 
-def _corrected(T_base_tcp: Array, lacking: Array, turn: Array, state: JointState) -> Array:
+def _corrected(T_base_tcp: Array, shift: Array, turn: Array, state: JointState) -> Array:
     """The nominal TCP pose, turned about the tool marker and shifted."""
     lever = T_base_tcp[:3, :3] @ state.T_tcp_tool[:3, 3]
     T = np.eye(4)
     T[:3, :3] = rotation_from_rotvec(turn) @ T_base_tcp[:3, :3]
-    T[:3, 3] = T_base_tcp[:3, 3] + lever + lacking - T[:3, :3] @ state.T_tcp_tool[:3, 3]
+    T[:3, 3] = T_base_tcp[:3, 3] + lever + shift - T[:3, :3] @ state.T_tcp_tool[:3, 3]
     return T
 
 
@@ -115,8 +115,8 @@ def goal_covariance(
     here = tool_in_ooi(model, state, q, side)
     steps = state_steps(model)
     columns = [
-        _change(tool_in_ooi(model, state.moved(one), q, side), here) / h
-        for one, h in zip(np.diag(steps), steps, strict=True)
+        _change(tool_in_ooi(model, state.moved(step), q, side), here) / h
+        for step, h in zip(np.diag(steps), steps, strict=True)
     ]
     J = np.column_stack(columns)
     step = 1e-5

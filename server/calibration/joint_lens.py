@@ -112,7 +112,7 @@ def layout_in_camera(machine: Machine, T_cam_ooi: Array, prior: LensPrior) -> Ar
 
 
 def layout_covariance(machine: Machine, T_cam_ooi: Array, prior: LensPrior) -> Array:
-    """Covariance (6, 6) of the OOI's pose as its markers tell it, from where they hang and how they are printed.
+    """Covariance (6, 6) of the OOI's pose by its markers, from where they hang and how they are printed.
 
     OOI axes: rotation vector [rad], then position [m]. No look at the same markers takes any of it away.
     """
@@ -152,10 +152,10 @@ def odometry_sensitivity(camera: StereoCamera, T_cam_ooi: Array) -> Array:
         pixels = both_pixels((camera, camera), seen).reshape(-1, 4)
         rows = _in_image(camera, pixels[:, :2]) & _in_image(camera, pixels[:, 2:])
         J = _point_jacobian(camera, seen[rows])
-        lacking = (J @ off[rows] - _lens_changes(camera, seen[rows])).reshape(-1, N_LENS)
+        unexplained = (J @ off[rows] - _lens_changes(camera, seen[rows])).reshape(-1, N_LENS)
         turn = np.array([skew(-point) for point in seen[rows]])
         J_camera = np.concatenate([J @ -turn, J], axis=2).reshape(-1, 6)
-        solved = np.linalg.lstsq(J_camera, lacking, rcond=None)[0]
+        solved = np.linalg.lstsq(J_camera, unexplained, rcond=None)[0]
         found[:, :, axis] = solved[3:].T / WAY_M
     return found
 
@@ -215,7 +215,7 @@ def _lens_changes(camera: StereoCamera, points_cam: Array) -> Array:
     base = both_pixels((camera, camera), points_cam)
     steps = np.diag(LENS_STEPS)
     columns = [
-        (both_pixels(eyes_off(camera, one), points_cam) - base) / h for one, h in zip(steps, LENS_STEPS, strict=True)
+        (both_pixels(eyes_off(camera, step), points_cam) - base) / h for step, h in zip(steps, LENS_STEPS, strict=True)
     ]
     return np.nan_to_num(np.stack(columns, axis=-1)).reshape(-1, 4, N_LENS)
 

@@ -1,4 +1,4 @@
-"""What the joint estimate is told: odometry runs and looks, each with the joints at the time."""
+"""Input of the joint estimate: odometry runs and looks, each with the joints at the time."""
 
 from dataclasses import dataclass, replace
 
@@ -33,7 +33,7 @@ class JointTrack:
 
 @dataclass(frozen=True, slots=True)
 class OdometryRun:
-    """One path: the camera's own trajectory and the encoders beside it."""
+    """One path: the camera's own trajectory, and the encoders during it."""
 
     camera: CameraTrack
     joints: JointTrack
@@ -59,7 +59,7 @@ class LookAt:
 class NoiseModel:
     """What the observations are worth, beyond their own covariances. Standard deviations."""
 
-    sigma_position_m: float = 4e-4  # of one odometry position: first guess, the path itself tells (swing of the boom)
+    sigma_position_m: float = 4e-4  # of one odometry position: first guess, refined by the path (sway of the boom)
     sigma_position_range_m: tuple[float, float] = (1e-4, 1.2e-3)  # what it is believed within
     sigma_turn_rad: float = float(np.deg2rad(0.04))  # of one odometry rotation
     sigma_affine_frac: float = 0.0005  # smooth distortion of the odometry's space beyond the lens unknowns'
@@ -97,7 +97,7 @@ def thinned(run: OdometryRun, noise: NoiseModel) -> RunSamples:
 class Scatter:
     """How a run's positions scatter: one sigma [m], and the correlation of neighbouring samples (-1 to 1).
 
-    A boom that swings faster than it is sampled gives a negative one, slow bends of the odometry a positive one.
+    A boom that sways faster than it is sampled gives a negative one, slow bends of the odometry a positive one.
     """
 
     sigma_m: float

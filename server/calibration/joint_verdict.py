@@ -1,6 +1,6 @@
 """Whether the joint estimate may be believed: every look and every run by itself, not their mean.
 
-A pool hides a contradiction: two looks at an object that was moved between them are 24 numbers beside 200 of a path
+A pool hides a contradiction: two looks at an object that was moved between them are 24 numbers against 200 of a path
 that fits, and a path's scatter is what its own residuals say. So each is judged alone, and what is left over widens
 the covariance.
 """
@@ -28,9 +28,9 @@ class Fitted:
 
     look_chi2: of each look's 12 numbers. run_position, run_turn: mean square of each run's whitened positions, turns.
     run_spread: of each run's positions as they are, over the largest variance that a scatter is believed to have: above
-    1 it is no scatter but a drift or a step, which whitening by neighbours would hide.
+    1 it is not scatter but a drift or a step, which whitening by neighbours would hide.
     weights: of each run's samples. mount_chi2 (3 freedoms), mount_rad: camera's rotation against its prior.
-    seeing_chi2: odometry's scale, clock and lens against theirs: what bends to explain the rest is no explanation.
+    seeing_chi2: odometry's scale, clock and lens against theirs: a fit that bends these to explain the rest is refused.
     """
 
     look_chi2: Sequence[float]
@@ -63,7 +63,7 @@ def widened(covariance: Array, misfit: float) -> Array:
 
 def _looks(look_chi2: Sequence[float]) -> str:
     together = _bound(LOOK_FREEDOMS * len(look_chi2) - OOI_FREEDOMS)
-    cases = [(f"look {i + 1} of {len(look_chi2)}", one, _bound(LOOK_FREEDOMS)) for i, one in enumerate(look_chi2)]
+    cases = [(f"look {i + 1} of {len(look_chi2)}", chi2, _bound(LOOK_FREEDOMS)) for i, chi2 in enumerate(look_chi2)]
     for what, value, limit in [*cases, ("all looks together", float(sum(look_chi2)), together)]:
         if not value <= limit:
             return (

@@ -80,7 +80,7 @@ def line_reference(
     Model:   d_min = min d (13); x_init, x_eps: poses of centre and minimum (14); p_u = (p_eps - p_init) / |.| (15);
              p_ref = p_init + p_u (r + d_min) (16).
     Note:    eq. 16 holds only for an OOI outside of the circle: inside, the nearest point is the same but the way is r
-             - d_min. The distance measured at the centre tells both apart; without one it is assumed outside.
+             - d_min. The distance measured at the centre decides; without one it is assumed outside.
     Args:    T_base_tcp_init: the circle's centre (4, 4); points_base: TCP where each distance was measured (n, 3) [m];
              distances_m: eq. 13 at each (n,) [m], NaN where nothing was seen; radius_m: r.
     Returns: the reference; OK, or TOO_FEW, DEGENERATE with the reason and no pose.

@@ -36,7 +36,7 @@ def fit_line_moving(
     """The line fit over looks taken on the way, with the offset of the camera's clock.
 
     Model:   J(tau) = mean log(1 + |r(tau)|^2 / (2 sigma)^2) of the fit with the TCP at t + tau; grid, then a parabola.
-             At even speed on a circle an offset looks like a turn; the rests between the points tell them apart.
+             At even speed on a circle an offset looks like a turn; the rests between the points distinguish them.
     Args:    encoder: TCP over time; t_look_s: times of the looks (n,) [s]; vectors_m: (n, 2), as `fit_line`; bound_s,
              step_s: search range and grid; contrast_min: smallest relative rise of J at +-0.1 s.
     Returns: the fit at the best offset, or at 0 when J is flat or no offset gives a fit. POOR_FIT without a pose when

@@ -21,7 +21,7 @@ def orientation_reference_paper(R_base_tcp: Array, R_cam_ooi: Array, R_cam_tool:
              camera's axes are parallel to the TCP's. `orientation_reference` is the frame-consistent form.
     Args:    R_base_tcp: present TCP; R_cam_ooi, R_cam_tool: as seen; each (3, 3).
     Returns: R_base_tcp_ref, (3, 3).
-    Raises:  CalibrationInputError: an argument is no rotation.
+    Raises:  CalibrationInputError: an argument is not a rotation.
     Source:  Makinen et al. 2023, eq. 7-8.
     """
     r_O = quat_wxyz_from_rotation(require_rotation(R_cam_ooi, "R_cam_ooi"))
@@ -40,7 +40,7 @@ def orientation_reference(R_base_tcp: Array, R_tcp_tool: Array, R_cam_tool: Arra
     Args:    R_base_tcp: TCP by the encoders at the look; R_tcp_tool: nominal tool mounting; R_cam_tool,
              R_cam_ooi: as seen; each (3, 3).
     Returns: R_base_tcp_ref, (3, 3).
-    Raises:  CalibrationInputError: an argument is no rotation.
+    Raises:  CalibrationInputError: an argument is not a rotation.
     Source:  Makinen et al. 2023, eq. 7-8, with the frames made consistent.
     """
     X = require_rotation(R_tcp_tool, "R_tcp_tool")
@@ -56,7 +56,7 @@ def orientation_reference_paper_axes(
     Model:   R_BT' = R_BT N, eq. 7-8 on R_BT', then back by N^T; N = nominal R_tcp_cam. Exact for a nominal mount.
     Args:    R_base_tcp, R_tcp_cam_nominal, R_cam_ooi, R_cam_tool: each (3, 3).
     Returns: R_base_tcp_ref, (3, 3).
-    Raises:  CalibrationInputError: an argument is no rotation.
+    Raises:  CalibrationInputError: an argument is not a rotation.
     Source:  Makinen et al. 2023, eq. 7-8 and section 4.1 (camera parallel to the torsion axis).
     """
     N = require_rotation(R_tcp_cam_nominal, "R_tcp_cam_nominal")

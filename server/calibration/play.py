@@ -1,7 +1,7 @@
-"""On which side of its play a joint rests: it lags behind the way it last came, once it came far enough.
+"""Which flank of its backlash each joint rests on: -1 to 1, followed through every motion (play operator).
 
-A side that is not known is told as the middle of where it may be: 0 is "anywhere", and the share 1 - |side| of half the
-play's width, evenly, is what is left open. So a way of the whole width, and no shorter one, makes a side known.
+A side that is not known is given as the middle of its possible range: 0 is "anywhere", and the share 1 - |side| of half
+the play's width, evenly, is left open. Only a travel of the whole width makes a side known.
 """
 
 import numpy as np
@@ -15,8 +15,8 @@ def play_sides(qs: Array, widths_rad: Array, start: Array) -> Array:
     """Side of every joint along a path.
 
     Model:   two play operators, begun at both ends of where the joint may be: a side grows by 2 dq / width and stays
-             within -1 to 1; +1 after a way up, when what the encoder turns is half a width behind. Told is their mean.
-             Joints without play stay at 0.
+             within -1 to 1; +1 after a way up, when what the encoder turns is half a width behind. The side is their
+             mean. Joints without play stay at 0.
     Args:    qs: encoders (m, n) [rad] in order. widths_rad: about how wide each joint's play is (n,). start: sides
              before the first sample (n,), 0 where nothing is known.
     Returns: (m, n), -1 to 1.
@@ -31,10 +31,10 @@ def play_sides(qs: Array, widths_rad: Array, start: Array) -> Array:
 
 
 class PlayFollower:
-    """The sides as the encoders tell them, sample by sample, whoever moves the machine and however a motion ends.
+    """The sides by the encoders, sample by sample, for every motion: jobs, the local lever, and stops on the way.
 
     Args: widths_rad: about how wide each joint's play is (n,). gap_max_s: after a longer silence, or when the times
-          run backwards, nothing is known any more: what the machine did meanwhile nobody saw.
+          run backwards, nothing is known any more: the motion in between was not seen.
     """
 
     def __init__(self, widths_rad: Array, gap_max_s: float = 0.25) -> None:
@@ -58,9 +58,9 @@ class PlayFollower:
 
 
 def _bounds(side: Array, widths_rad: Array) -> Array:
-    """Least and greatest side (2, n) that a told side leaves open."""
-    told, left = np.where(widths_rad > 0.0, side, 0.0), np.where(widths_rad > 0.0, 1.0 - np.abs(side), 0.0)
-    return np.array([told - left, told + left])
+    """Least and greatest side (2, n) that a given side leaves open."""
+    middle, left = np.where(widths_rad > 0.0, side, 0.0), np.where(widths_rad > 0.0, 1.0 - np.abs(side), 0.0)
+    return np.array([middle - left, middle + left])
 
 
 def _gain(widths_rad: Array) -> Array:

@@ -93,7 +93,7 @@ def predicted_error_covariance(
     sigma_stretch_frac: float = 0.005,
     sigma_floor_m: float = 0.0007,
 ) -> Array:
-    """Covariance of the tool's position error after the move, told before it.
+    """Covariance of the tool's position error after the move, predicted before it.
 
     Model:   e = delta x d + stretch |d| + look + floor; d: step of the marker, delta: error of the camera's rotation,
              stretch: local length error of kinematics and odometry, floor: standstill, backlash, markers.

@@ -38,7 +38,7 @@ class ToolSeen:
 @dataclass(frozen=True, slots=True)
 class SlipVerdict:
     """How far the tool marker moved in the camera since the calibration; whether that is a slip, or beyond chance only
-    (`shifted`): the calibration is of another mount then, and a new one cures it.
+    (`shifted`): the calibration is of another mount then, and a new one is needed.
     """
 
     slipped: bool

@@ -12,7 +12,7 @@ from server.calibration.rotation_fit import fit_rotation
 
 @dataclass(frozen=True, slots=True)
 class TimeOffset:
-    """Camera time + `offset_s` = encoder time. Not `observable` when the path hardly tells: the offset is then 0."""
+    """Camera time + `offset_s` = encoder time. Not `observable` when the path hardly determines it: then it is 0."""
 
     offset_s: float
     observable: bool

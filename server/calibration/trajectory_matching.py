@@ -70,8 +70,8 @@ def estimate_camera_rotation(
              Replaces eq. 20's R_fm R_cfa; "camera axes = TCP axes" is never assumed.
     Args:    camera, encoder: tracks on the PC clock; T_tcp_cam_nominal: its lever arm and, for refusal, its rotation
              are used (4, 4); prior: from the tool marker, or None.
-    Returns: the estimate; a status with its reason and no rotation when streams or path cannot tell.
-    Raises:  CalibrationInputError: shapes, or a nominal or prior that is no rotation.
+    Returns: the estimate; a status with its reason and no rotation when streams or path do not determine one.
+    Raises:  CalibrationInputError: shapes, or a nominal or prior that is not a rotation.
     Source:  Makinen et al. 2023, eq. 17-22, with chords in place of the point set matching.
     """
     require_track_shape(camera.t_s, camera.Ts_vo_cam, "camera track")

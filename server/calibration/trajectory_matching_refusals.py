@@ -1,4 +1,4 @@
-"""When trajectory matching says no: streams, paths and fits that cannot tell a rotation, each with its reason."""
+"""Refusals of trajectory matching: streams, paths and fits that do not determine a rotation, each with its reason."""
 
 from dataclasses import dataclass
 
@@ -93,7 +93,7 @@ def usable_poses(Ts: Array) -> NDArray[np.bool_]:
 
 
 def path_refusal(n_cam: int, n_enc: int, points: Array, settings: MatchingSettings) -> Refusal | None:
-    """Too few poses that overlap in time, or a path (points (n, 3), by kinematics) too short to tell a rotation."""
+    """Too few poses that overlap in time, or a path (points (n, 3), by kinematics) too short for a rotation."""
     if min(n_cam, n_enc) < settings.chords_min:
         counts = f"{n_cam} camera and {n_enc} encoder poses overlap in time"
         text = f"{counts}, at least {settings.chords_min} are needed; record both streams"

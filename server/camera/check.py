@@ -72,7 +72,7 @@ def check_camera(
     rig.append(check_scale(side_ratios(machine.camera, markers, seen)))
     if all(finding.level is Level.OK for finding in rig):  # a turned eye looks like another focal length too
         rig.append(check_focal(machine, seen, tape))
-    sound = all(one.level is not Level.FAIL for one in rig)
+    sound = all(finding.level is not Level.FAIL for finding in rig)
     return [*findings, *rig, *check_markers(tally(machine, eyes, seen), sound), check_own_structure(eyes, masks)]
 
 
@@ -121,8 +121,8 @@ class Gathering:
     @property
     def missing(self) -> int:
         """Sequence numbers that never came."""
-        steps = ((one, after) for one, after in pairwise(self.times) if one[3] == after[3])
-        return sum(max(0, after[2] - one[2] - 1) for one, after in steps)
+        steps = ((before, after) for before, after in pairwise(self.times) if before[3] == after[3])
+        return sum(max(0, after[2] - before[2] - 1) for before, after in steps)
 
     def add(self, frame: StereoFrame) -> None:
         """The next pair."""

@@ -149,21 +149,21 @@ def tally(
     markers = {marker.marker_id: marker for marker in machine.markers}
     for images, observation in zip(pairs, seen, strict=True):
         for pose in (observation.tool, observation.ooi):
-            one = found[pose.on]
-            one.n_pairs += 1
-            one.n_ok += pose.status is PoseStatus.OK
-            one.statuses[pose.status] = one.statuses.get(pose.status, 0) + 1
+            counted = found[pose.on]
+            counted.n_pairs += 1
+            counted.n_ok += pose.status is PoseStatus.OK
+            counted.statuses[pose.status] = counted.statuses.get(pose.status, 0) + 1
             if pose.reason:
-                one.reasons[pose.reason] = one.reasons.get(pose.reason, 0) + 1
+                counted.reasons[pose.reason] = counted.reasons.get(pose.reason, 0) + 1
             if pose.covariance is not None:
                 variances = [
                     np.linalg.eigvalsh(part)[-1] for part in (pose.covariance[:3, :3], pose.covariance[3:, 3:])
                 ]
-                one.tilt_sigmas_deg.append(float(np.rad2deg(np.sqrt(variances[0]))))
-                one.sigmas_mm.append(1e3 * float(np.sqrt(variances[1])))
-        for name, one in found.items():
+                counted.tilt_sigmas_deg.append(float(np.rad2deg(np.sqrt(variances[0]))))
+                counted.sigmas_mm.append(1e3 * float(np.sqrt(variances[1])))
+        for name, counted in found.items():
             whole = [view for view in observation.views if _is_on(view, markers, name)]
-            one.n_both_eyes += any(
+            counted.n_both_eyes += any(
                 view.corners_left_px is not None and view.corners_right_px is not None for view in whole
             )
         for view in observation.views:
@@ -181,14 +181,14 @@ def _is_on(view: MarkerView, markers: Mapping[int, Marker], name: ObjectName) ->
 def check_markers(tallies: Mapping[ObjectName, ObjectTally], rig_is_sound: bool = True) -> list[CheckFinding]:
     """Findings `tool`, `ooi` (seen, how well known), and `tool_view`, `ooi_view` (size, contrast, tilt, place).
 
-    Args:    rig_is_sound: where it is not, poor poses are the rig's doing, and no place or light mends them.
+    Args:    rig_is_sound: where it is not, poor poses come from the rig, and no other place or light helps.
     """
     findings = []
-    for name, one in tallies.items():
-        seen = _seen(name, one)
+    for name, counted in tallies.items():
+        seen = _seen(name, counted)
         findings.append(seen if rig_is_sound or seen.level is Level.OK else replace(seen, remedy=RIG_FIRST))
-        if one.markers:
-            findings.append(_view(name, one))
+        if counted.markers:
+            findings.append(_view(name, counted))
     return findings
 
 
@@ -209,7 +209,7 @@ def _seen(name: ObjectName, one: ObjectTally) -> CheckFinding:
 
 
 def _remedy_unseen(name: ObjectName, one: ObjectTally) -> str:
-    """What to do about an object that is rarely measured: the reason's own remedy, unless the views tell more."""
+    """What to do about an object that is rarely measured: the reason's own remedy, unless the views show more."""
     aim = _aim(one)
     if aim:
         return aim

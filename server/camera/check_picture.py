@@ -32,7 +32,8 @@ def edge_blur_px(image: Image) -> float:
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SMOOTHING_PX)  # against noise
     blurred = cv2.GaussianBlur(smooth, (0, 0), REBLUR_PX)
     slope, softer = (
-        np.hypot(cv2.Sobel(one, cv2.CV_32F, 1, 0), cv2.Sobel(one, cv2.CV_32F, 0, 1)) / 8.0 for one in (smooth, blurred)
+        np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8.0
+        for grey in (smooth, blurred)
     )
     limit = max(float(np.quantile(slope, 1.0 - EDGE_SHARE)), EDGE_MIN_GREY)
     ridge = (slope >= limit) & (slope >= cv2.dilate(slope, np.ones((3, 3), np.uint8)))

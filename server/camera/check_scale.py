@@ -67,10 +67,10 @@ def check_scale(ratios: Sequence[SideRatio]) -> CheckFinding:
     if not ratios:
         remedy = "show a marker of known side to both eyes"
         return CheckFinding("scale", Level.WARN, "inconclusive: no marker visible in both eyes", remedy)
-    ids = sorted({one.marker_id for one in ratios})
-    per_marker = {i: float(np.median([one.ratio for one in ratios if one.marker_id == i])) for i in ids}
+    ids = sorted({ratio.marker_id for ratio in ratios})
+    per_marker = {i: float(np.median([ratio.ratio for ratio in ratios if ratio.marker_id == i])) for i in ids}
     off = float(np.median(list(per_marker.values()))) - 1.0
-    sigma = float(np.median([one.sigma for one in ratios])) / np.sqrt(len(ids))
+    sigma = float(np.median([ratio.sigma for ratio in ratios])) / np.sqrt(len(ids))
     figures = {"scale_off_frac": off, "scale_sigma_frac": sigma} | {
         f"marker_{i}_ratio": r for i, r in per_marker.items()
     }

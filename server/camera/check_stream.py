@@ -11,12 +11,12 @@ Integers = NDArray[np.int64]
 
 PAIRS_MIN = 5
 RATE_WARN_HZ, RATE_FAIL_HZ = 10.0, 2.0  # odometry and looks want ten pairs a second
-RATE_SHARE_WARN, RATE_SHARE_FAIL = 0.9, 0.5  # of the rate that was asked for
+RATE_SHARE_WARN, RATE_SHARE_FAIL = 0.9, 0.5  # of the requested rate
 LOSS_WARN_FRAC, LOSS_FAIL_FRAC = 0.01, 0.10
 JITTER_WARN_S, JITTER_FAIL_S = 0.05, 0.25
 LATENCY_WARN_S, LATENCY_FAIL_S = 0.15, 0.5
 DRIFT_WARN_PPM = 500.0
-DRIFT_FROM_S = 5.0  # a shorter stream cannot tell clocks apart
+DRIFT_FROM_S = 5.0  # a shorter stream does not show the drift of the clocks
 SAME_CLOCK_MAX_S = 2.0  # stamps this close behind arrival may be of this computer's own clock
 
 
@@ -24,7 +24,7 @@ SAME_CLOCK_MAX_S = 2.0  # stamps this close behind arrival may be of this comput
 class StreamTimes:
     """Every pair that came: exposure and arrival [ns], sequence and connection numbers (n,); `skipped` by ourselves.
 
-    `own_clock`: the source stamps with this computer's clock. `wanted_hz`: rate that was asked for; None: any.
+    `own_clock`: the source stamps with this computer's clock. `wanted_hz`: requested rate; None: any.
     `stored`: played from files, whose arrival says nothing of a camera.
     """
 
@@ -65,7 +65,7 @@ def _rate(times: StreamTimes) -> CheckFinding:
 
 
 def _loss(times: StreamTimes) -> CheckFinding:
-    """Missing pairs by sequence numbers and by holes in the stamps; those that we passed over are told apart."""
+    """Missing pairs by sequence numbers and by holes in the stamps, without those that we passed over ourselves."""
     missing = max(_missing_by_sequence(times), _missing_by_stamp(times))
     lost = max(0, missing - times.skipped)
     share = lost / (len(times.sequence) + missing)

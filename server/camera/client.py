@@ -49,7 +49,7 @@ KEEP_REPORTS = 600  # 40 s at 15 Hz
 FRESH_S = 0.5  # a stream without a report for longer is silent
 QUIT_S = 4.0
 RESTART_S = 1.0
-HUNG_LOOKS = 30  # so many seconds in which a process that had begun says nothing: it is ended, and begun anew
+HUNG_LOOKS = 30  # seconds in which a process that had begun says nothing: it is ended and started again
 ODOMETRY_START_S = 20.0
 MEASURE_S = 30.0  # until a target is measured
 Answer = TypeVar("Answer", TargetMeasured, MarksFound, ViewTaught)
@@ -272,7 +272,7 @@ class VisionClient:
         return self.last_map
 
     def drop_odometry(self) -> None:
-        """Switch odometry off if it is on; nobody wants its track."""
+        """Switch odometry off if it is on; its track is no longer needed."""
         track, self._track = self._track, None
         if track is None:
             return
@@ -280,7 +280,7 @@ class VisionClient:
             self._send(OdometryCommand(on=False, run=track.run))
 
     async def _wait_for_process(self) -> None:
-        """Until the vision process has said something: a picture's report, or what its source lacks."""
+        """Until the vision process has sent something: a picture's report, or what is wrong with its source."""
         try:
             async with asyncio.timeout(PROCESS_START_S):
                 await self._until(lambda: self.stream_text != STARTING)
@@ -321,8 +321,8 @@ class VisionClient:
         with out_of_the_terminals_reach(signal.SIGTERM):
             process.start()
         theirs.close()
-        with contextlib.suppress(OSError):  # it has ended at once: its reader will say so
-            ours.send(PoseSourceCommand(self._pose_source))  # as asked for, perhaps of the process before it
+        with contextlib.suppress(OSError):  # it has ended immediately: its reader will say so
+            ours.send(PoseSourceCommand(self._pose_source))  # the requested one, perhaps of the process before it
             ours.send(UseTargetCommand(self._target))
         self._process, self._pipe, self._begun = process, ours, False
         threading.Thread(target=self._read, args=(ours, process), name="vision-reports", daemon=True).start()

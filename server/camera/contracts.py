@@ -1,4 +1,4 @@
-"""What the vision process is given and what it tells: frozen data, since it crosses a process boundary."""
+"""What goes to the vision process and what it reports: frozen data, since it crosses a process boundary."""
 
 from dataclasses import dataclass
 from typing import Literal, Protocol

@@ -21,7 +21,7 @@ def blown_up(corners_px: Array, scale: float) -> Array:
 
 
 SHAFT_PX = 3000.0  # beyond the border of any image
-BOARD_CORNERS_MIN = 4  # fewer tell no rectangle
+BOARD_CORNERS_MIN = 4  # fewer do not give a rectangle
 
 
 def plate_and_shaft(corners_px: Array, scale: float) -> Array:
@@ -38,7 +38,7 @@ def plate_and_shaft(corners_px: Array, scale: float) -> Array:
 def around(corners_px: Array) -> Array:
     """The smallest rectangle (4, 2) [px] around what is seen of a board (n, 2), some NaN: top left first, clockwise.
 
-    A board's own top is not told by it: the picture's is taken.
+    The corners do not show a board's own top: the picture's is taken.
     """
     seen = corners_px[np.isfinite(corners_px).all(axis=1)].astype(np.float32)
     box = np.asarray(cv2.boxPoints(cv2.minAreaRect(seen)), dtype=float)

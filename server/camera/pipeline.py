@@ -25,7 +25,7 @@ from server.camera.smallest_offset import SmallestOffset, aged
 from server.camera.target_measuring import TargetMeasuring
 from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
 
-MAP_POINTS = 600  # told at the end of a run, for the 3D view
+MAP_POINTS = 600  # reported at the end of a run, for the 3D view
 RATE_FRAMES = 30  # the frame rate is averaged over this many pairs
 
 
@@ -41,8 +41,8 @@ class CameraClock:
     Model:   offset = min over all pairs i of (receive_i - stamp_i + drift_max * age_i).
     Bound:   for a drift within +-100 ppm the mapped exposure is never earlier than the true one plus the camera's
              smallest latency, and later by at most min over the pairs of (latency_i - smallest + 2 * 100 ppm * age_i):
-             with a pair of nearly the smallest latency every second, 0.2 ms plus what it lacks.
-    Steps:   a clock that is set forward is followed at once. A picture that comes later than the map says is either
+             with a pair of nearly the smallest latency every second, 0.2 ms plus its excess.
+    Steps:   a clock that is set forward is followed immediately. A picture that comes later than the map says is either
              of a clock that was set back, or old; taking the second for the first would make old pictures fresh. So
              the map becomes later only after stamps that fell short of the camera's usual step, by no more than they
              did, and from the 8th pair on (health forbids those pairs). What is not seen in the stamps, as a step of
@@ -113,7 +113,7 @@ class Odometry(Protocol):
 class VisionPipeline:
     """Holds what must be remembered from pair to pair; knows neither camera nor process.
 
-    Odometry runs in a thread of its own beside the markers: nearly all of both is compiled and lets go of the
+    Odometry runs in a thread alongside the markers: nearly all of both is compiled and lets go of the
     interpreter. It masks the tool where the pair before showed it, which is where it still is.
     """
 
@@ -140,7 +140,7 @@ class VisionPipeline:
         self._mask = ToolMask(tool_ids, settings.mask_scale)
         self._receive_ns: deque[int] = deque(maxlen=RATE_FRAMES)
         self._preview_ns = 0
-        self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="odometry")
+        self._odometry_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="odometry")
 
     def use_pose_source(self, name: PoseSourceName) -> None:
         """Find marker poses in this way from the next pair on."""
@@ -168,12 +168,12 @@ class VisionPipeline:
 
     def close(self) -> None:
         """End the threads."""
-        self._beside.shutdown()
+        self._odometry_thread.shutdown()
         if self._targets is not None:
             self._targets.close()
 
     def process(self, frame: StereoFrame, skipped: int) -> FrameReport:
-        """Everything this pair tells. Never raises on what the images show."""
+        """Everything this pair shows. Never raises on what the images show."""
         started_s = time.perf_counter()
         findings = self._health.before_use(frame)
         forbidden = any(finding.forbids_odometry for finding in findings)
@@ -182,7 +182,7 @@ class VisionPipeline:
         )
         if self._pictures is not None and not forbidden:
             self._pictures.add(frame.left, frame.right)
-        following = None if forbidden else self._follow_beside(frame)
+        following = None if forbidden else self._start_following(frame)
         observation = self._pose_sources[self._pose_source].observe(frame.left, frame.right, frame.t_exposure_ns)
         self._mask.update(observation.views)
         if following is None and not forbidden:
@@ -209,11 +209,11 @@ class VisionPipeline:
             preview_width_px=self._preview_width_px(frame.left),
         )
 
-    def _follow_beside(self, frame: StereoFrame) -> Future[OdometryPose | None] | None:
-        """Started at once; not for the first pair, whose markers must say first where the tool is."""
+    def _start_following(self, frame: StereoFrame) -> Future[OdometryPose | None] | None:
+        """Odometry of this pair, in its thread; not for the first pair, whose markers must first show the tool."""
         if self._odometry is None or not self._odometry_started:
             return None
-        return self._beside.submit(self._follow, frame)
+        return self._odometry_thread.submit(self._follow, frame)
 
     def _follow(self, frame: StereoFrame) -> OdometryPose | None:
         if self._odometry is None:

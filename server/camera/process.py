@@ -1,6 +1,6 @@
 """The vision process: reads the camera, newest pair first, and reports every pair it has worked on.
 
-It ends when it is told to, or when the server's end of the pipe is gone.
+It ends on a QuitCommand, or when the server's end of the pipe is gone.
 """
 
 import gc
@@ -63,7 +63,7 @@ def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline
     markers = ArucoPoseSource(machine)
     tool_ids = {marker.marker_id: 1.0 for marker in machine.markers_on("tool")}
     for board in machine.boards_on("tool"):
-        if board.kind == "charuco":  # its inner corners are seen; a grid's markers are told one by one
+        if board.kind == "charuco":  # its inner corners are seen; a grid's markers are listed one by one
             fewest = min(board.squares_x, board.squares_y)
             tool_ids[board.first_id] = fewest / max(fewest - 2, 1)
     source = TargetPoseSource(markers, machine.camera, ToolMask(tool_ids, settings.mask_scale))
@@ -113,7 +113,7 @@ def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> 
         pipeline = build_pipeline(settings, machine)
         source = open_ahead(settings.source)
     except CameraError as error:
-        _tell_and_wait(pipe, str(error))
+        _report_and_wait(pipe, str(error))
         return
     gc.collect()
     gc.freeze()  # what exists now stays; later collections are short
@@ -126,8 +126,8 @@ def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> 
         pipeline.close()
 
 
-def _tell_and_wait(pipe: Connection, text: str) -> None:
-    """A source that can never work: say so, and stay until told to quit instead of being started again and again."""
+def _report_and_wait(pipe: Connection, text: str) -> None:
+    """A source that can never work: report it and wait for a QuitCommand, so that it is not started again and again."""
     try:
         pipe.send(StreamNotice(mono_ns(), text))
         while not (pipe.poll(LIFE_S) and isinstance(pipe.recv(), QuitCommand)):
@@ -171,9 +171,9 @@ class VisionLoop:
         if mono_s() - self._life_s >= LIFE_S:
             self._life_s = mono_s()
             self._pipe.send(SignOfLife())
-        self._tell_state()  # after the pair: a stream may have ended behind it
+        self._report_state()  # after the pair: a stream may have ended behind it
 
-    def _tell_state(self) -> None:
+    def _report_state(self) -> None:
         state = self._source.state
         if state != self._state:
             self._state = state

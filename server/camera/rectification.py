@@ -110,7 +110,7 @@ class Rectifier:
         self._rig = rig
         self._maps = rectifying_maps(rig, plan)
         self._nothing_to_do = all(_is_identity(*eye) for eye in self._maps)
-        self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="rectify")
+        self._right_eye = ThreadPoolExecutor(max_workers=1, thread_name_prefix="rectify")
 
     def rectify(self, left: Image, right: Image) -> tuple[Image, Image]:
         """Both eyes (h, w), new buffers; the same pictures where they are rectified already.
@@ -126,12 +126,12 @@ class Rectifier:
                 )
         if self._nothing_to_do:
             return left, right
-        beside = self._beside.submit(_remap, right, self._maps[1])
-        return _remap(left, self._maps[0]), beside.result()
+        rectified_right = self._right_eye.submit(_remap, right, self._maps[1])
+        return _remap(left, self._maps[0]), rectified_right.result()
 
     def close(self) -> None:
         """End the second thread."""
-        self._beside.shutdown()
+        self._right_eye.shutdown()
 
 
 def _remap(image: Image, maps: EyeMaps) -> Image:

@@ -50,7 +50,7 @@ def parse_opencv(tree: Tree, file: str, size_px: tuple[int, int]) -> RigCalibrat
 
     Model:   OpenCV's stereoCalibrate: p_right = R p_left + T. T in metres or millimetres (`metres`). A field `model`
              that says fisheye or equidistant, or `fisheye: 1`, makes the lenses fisheye.
-    Args:    tree: one file, or intrinsics and extrinsics merged. size_px: used where the file tells no size.
+    Args:    tree: one file, or intrinsics and extrinsics merged. size_px: used where the file holds no size.
     Raises:  CalibrationFileError: file, field, remedy.
     Source:  OpenCV samples/cpp/stereo_calib.cpp (M1 D1 M2 D2 R T R1 R2 P1 P2 Q), OpenCV 5 calib module.
     """
@@ -65,7 +65,7 @@ def rig_of_rectification(R1: Array, P1: Array, R2: Array, P2: Array, file: str) 
     """R and t [m] between the eyes from what rectifies them: the rectified frames differ by a shift along x only.
 
     Model:   p_rect = R1 p_left; p_rect - b = R2 p_right with b = (P1[0, 3] - P2[0, 3]) / f along x.
-    Raises:  CalibrationFileError: the projections are none of one rectified pair.
+    Raises:  CalibrationFileError: the projections are not of one rectified pair.
     """
     focal = float(P1[0, 0])
     if focal <= 0.0 or abs(P2[0, 0] - focal) > 1e-6 * focal:

@@ -26,7 +26,7 @@ IN_FOLDER = (  # pairs looked for, in this order
 )
 
 
-# Any known stereo calibration: texts of files -> rig. Which format it is, the text tells. Pure.
+# Any known stereo calibration: texts of files -> rig. The text shows which format it is. Pure.
 
 __all__ = ["CalibrationFileError", "CalibrationText", "EyeCalibration", "RigCalibration", "parse_calibration"]
 
@@ -55,7 +55,7 @@ def parse_kitti(text: str, file: str, size_px: tuple[int, int]) -> RigCalibratio
     """The rig of P0 and P1 (or P2 and P3, or P_rect_0x), or of two bare lines of 12 numbers.
 
     Model:   P = K [I | t]: baseline (P_left[0, 3] - P_right[0, 3]) / f. No lens, parallel eyes.
-    Args:    size_px: of one eye; the file does not tell it.
+    Args:    size_px: of one eye; the file does not hold it.
     Raises:  CalibrationFileError: file, field, remedy.
     Source:  Geiger et al. 2013, Vision meets robotics: the KITTI dataset, section IV.
     """

@@ -14,7 +14,7 @@ FISHEYE_COUNT = 4
 SIZE_MAX_PX = 8192
 FOCAL_MIN_FRAC, FOCAL_MAX_FRAC = 0.1, 20.0  # of the image's width
 ROTATION_DEFECT_MAX = 1e-3
-TURN_MAX_DEG = 30.0  # between the eyes; more is no stereo pair that rectifies well
+TURN_MAX_DEG = 30.0  # between the eyes; a stereo pair with more does not rectify well
 BASELINE_MIN_M, BASELINE_MAX_M = 0.01, 2.5
 COEFFICIENT_MAX = 1e4
 RADIUS_MAX, RADIUS_STEPS = 6.0, 3001  # undistorted focal lengths at which a lens is asked whether it folds back
@@ -71,7 +71,7 @@ class RigCalibration:
 def eye_from_matrix(matrix: Array, distortion: Array, model: LensModel, file: str, field: str) -> EyeCalibration:
     """One eye from its camera matrix (3, 3) and coefficients.
 
-    Raises: CalibrationFileError: the matrix is none, or has skew.
+    Raises: CalibrationFileError: not a camera matrix, or one with skew.
     """
     if matrix.shape != (3, 3) or abs(matrix[2, 2] - 1.0) > 1e-6:
         raise CalibrationFileError(f"{file}: {field} is not a camera matrix with last row 0 0 1; give 3 x 3 numbers")
@@ -88,7 +88,7 @@ def eye_from_matrix(matrix: Array, distortion: Array, model: LensModel, file: st
 
 
 def metres(t: Array, file: str, field: str) -> Array:
-    """A translation between the eyes in metres, from metres or millimetres: which of the two, its length tells.
+    """A translation between the eyes in metres, from metres or millimetres: which of the two follows from its length.
 
     Raises: CalibrationFileError: it is neither (chessboard squares or centimetres, most likely).
     """

@@ -1,4 +1,4 @@
-"""The smallest (receive - stamp) so far: what a camera's clock lacks on this computer's, plus its smallest latency."""
+"""The smallest (receive - stamp) so far: offset of the camera's clock to this computer's, plus its smallest latency."""
 
 DRIFT_MAX_PPM = 100.0  # of the camera against this computer; quartz clocks keep 50 each
 

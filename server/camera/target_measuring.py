@@ -173,6 +173,5 @@ def _print(corners_px: Array | None) -> Array | None:
 
 
 def _is_masked(polygons: Sequence[Array], pixel: tuple[float, float]) -> bool:
-    return any(
-        cv2.pointPolygonTest(np.asarray(one, dtype=np.float32).reshape(-1, 1, 2), pixel, False) >= 0 for one in polygons
-    )
+    contours = [np.asarray(polygon, dtype=np.float32).reshape(-1, 1, 2) for polygon in polygons]
+    return any(cv2.pointPolygonTest(contour, pixel, False) >= 0 for contour in contours)

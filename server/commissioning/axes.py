@@ -69,8 +69,8 @@ def wrong_mounting(seen: Seen) -> str:
     best, fit = _best_permutation(seen.expected, seen.seen)
     if fit < _CLEARLY or best == ((0, 1), (1, 1), (2, 1)):
         return ""
-    told = "; ".join(f"{_AXES[i]} shows as {_signed(best, i)}" for i in range(3) if best[i] != (i, 1))
-    return _KNOWN.get(best, f"the camera's axes are exchanged: {told}")
+    exchanged = "; ".join(f"{_AXES[i]} shows as {_signed(best, i)}" for i in range(3) if best[i] != (i, 1))
+    return _KNOWN.get(best, f"the camera's axes are exchanged: {exchanged}")
 
 
 def _signed(best: _Rows, axis: int) -> str:

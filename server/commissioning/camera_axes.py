@@ -70,10 +70,10 @@ def masks_wanted(seen: Sequence[Still], masks: Masks) -> tuple[Image, Image] | N
     """
     found: list[Image] = []
     for eye, polygons in enumerate(masks):
-        told = [mask for still in seen if (mask := still[eye]) is not None]
-        if not told:
+        masked = [mask for still in seen if (mask := still[eye]) is not None]
+        if not masked:
             return None
-        found.append(np.asarray(np.minimum.reduce(told) | drawn(told[0].shape, polygons), np.uint8))
+        found.append(np.asarray(np.minimum.reduce(masked) | drawn(masked[0].shape, polygons), np.uint8))
     return found[0], found[1]
 
 
@@ -118,22 +118,22 @@ async def camera_axes(site: Site) -> StepResult:
     await require_leave(site, "the tool will now move by 80 mm to the side, up or down, and back, slowly")
     await arm(site)
     before = await fresh_pairs(site, PAIRS, "looking before the moves")
-    legs, untold, still = [], [], []
+    legs, unmeasured, still = [], [], []
     for name, axis in _LEGS:
         try:
             leg, still_here = await _leg(site, name, np.array(axis))
         except CameraError as error:
-            untold.append(f"{name}: {error}")
+            unmeasured.append(f"{name}: {error}")
         else:
             legs.append(leg)
             still.append(still_here)
-    result = judge_axes(legs, untold, disparities_px(before))
+    result = judge_axes(legs, unmeasured, disparities_px(before))
     return replace(result, notes=(*result.notes, await propose_masks(site, still, camera_of(site).masks)))
 
 
-def judge_axes(legs: Sequence[Leg], untold: Sequence[str], disparities: Sequence[float]) -> StepResult:
-    """The result for the legs driven, what could not be told, and the markers' disparities [px]."""
-    figures, missing = [], list(untold)
+def judge_axes(legs: Sequence[Leg], unmeasured: Sequence[str], disparities: Sequence[float]) -> StepResult:
+    """The result for the legs driven, those that could not be measured, and the markers' disparities [px]."""
+    figures, missing = [], list(unmeasured)
     notes: list[str] = []
     mountings: list[str] = []
     if disparities:
@@ -141,13 +141,13 @@ def judge_axes(legs: Sequence[Leg], untold: Sequence[str], disparities: Sequence
     else:
         missing.append("no marker was visible in both eyes, so whether they are exchanged is not checked")
     for by, steps in (("odometry", [leg.odometry for leg in legs]), ("OOI markers", [leg.markers for leg in legs])):
-        told = [(leg, step) for leg, step in zip(legs, steps, strict=True) if step is not None]
-        if not told:
+        measured = [(leg, step) for leg, step in zip(legs, steps, strict=True) if step is not None]
+        if not measured:
             notes.append(f"{by} measured nothing")
             continue
-        seen = Seen(by, np.array([leg.expected for leg, _ in told]), np.array([step for _, step in told]))
-        figures += axes_figures(seen, [leg.name for leg, _ in told]) + depth_figure(seen)
-        mounting = wrong_mounting(seen) if len(told) == len(_LEGS) else ""
+        seen = Seen(by, np.array([leg.expected for leg, _ in measured]), np.array([step for _, step in measured]))
+        figures += axes_figures(seen, [leg.name for leg, _ in measured]) + depth_figure(seen)
+        mounting = wrong_mounting(seen) if len(measured) == len(_LEGS) else ""
         mountings += [f"by {by}: {mounting}"] if mounting else []
     missing += [
         f"{leg.name}: neither odometry nor markers measured it" for leg in legs if leg.odometry is leg.markers is None

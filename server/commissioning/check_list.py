@@ -15,7 +15,7 @@ from server.commissioning.contracts import (
     ReportTable,
     StepResult,
     Verdict,
-    cannot_tell,
+    inconclusive,
     judged,
     skipped,
     stands,
@@ -44,7 +44,7 @@ REMEDY = "set the encoder's offset in the PLC so that it agrees with the mark, t
 
 async def encoder_zeros(site: Site) -> StepResult:
     """Ask for the angle of every joint as read at the machine; the encoder's value is shown only afterwards."""
-    site.operator.tell("put every joint on a known mark, or read its angle at the machine; leave empty what you cannot")
+    site.operator.show("put every joint on a known mark, or read its angle at the machine; leave empty what you cannot")
     seen_deg: list[float | None] = []
     for joint in site.machine.joints:
         bounds = f"{math.degrees(joint.q_min_rad):.0f} .. {math.degrees(joint.q_max_rad):.0f}"
@@ -55,7 +55,7 @@ async def encoder_zeros(site: Site) -> StepResult:
 
 
 async def _angle(site: Site, key: str, question: str) -> float | None:
-    """A number, asked again until it is one; None when nobody says."""
+    """A number, requested again until it is one; None without an answer."""
     for _ in range(3):
         answer = await site.operator.ask(key, question)
         if answer is None or not answer.strip():
@@ -66,7 +66,7 @@ async def _angle(site: Site, key: str, question: str) -> float | None:
             value = math.nan
         if math.isfinite(value):
             return value
-        site.operator.tell(f"'{answer}' is not a number; give degrees, such as 12.5")
+        site.operator.show(f"'{answer}' is not a number; give degrees, such as 12.5")
     return None
 
 
@@ -81,13 +81,13 @@ def compare_zeros(
         for name, q, seen in pairs
         if seen is not None
     ]
-    untold = [name for name, _, seen in pairs if seen is None]
+    unread = [name for name, _, seen in pairs if seen is None]
     rows = tuple((name, f"{q:+.3f}", "" if seen is None else f"{seen:+.3f}") for name, q, seen in pairs)
     table = ReportTable("angles", ("joint", "encoder deg", "read at the machine deg"), rows)
     if not figures:
         skip = skipped(NAME, "no angle was read at the machine", "read them, or give them in --answers")
         return StepResult(NAME, Verdict.SKIPPED, skip.summary, remedy=skip.remedy, tables=(table,))
-    missing = [f"not read at the machine: {', '.join(untold)}"] if untold else []
+    missing = [f"not read at the machine: {', '.join(unread)}"] if unread else []
     summary = f"all encoders within {tolerance_deg:g} deg of their marks"
     return judged(NAME, figures, summary, REMEDY, missing, tables=(table,))
 
@@ -105,11 +105,11 @@ async def limits_equal(site: Site) -> StepResult:
 
 
 def compare_limits(table: LimitTable, plc_cfg_id: int) -> StepResult:
-    """The result for our table and the PLC's hash; 0: the PLC told none."""
+    """The result for our table and the PLC's hash; 0: the PLC reported none."""
     ours = cfg_id(table)
     if plc_cfg_id == 0:
-        return cannot_tell(
-            LIMITS_NAME, "the PLC told no cfg_id (0)", "let the PLC compute it at start-up (FB_HmSelfCheck)"
+        return inconclusive(
+            LIMITS_NAME, "the PLC reported no cfg_id (0)", "let the PLC compute it at start-up (FB_HmSelfCheck)"
         )
     if plc_cfg_id == ours:
         return StepResult(LIMITS_NAME, Verdict.PASS, f"cfg_id {ours:#010x} on both ends")
@@ -171,14 +171,14 @@ STEPS = (
 async def go_through(
     site: Site, steps: Sequence[Step], earlier: Sequence[StepResult], done: Callable[[StepResult], None]
 ) -> list[StepResult]:
-    """Every step in order; `done` is told each result. The machine is disarmed after every step.
+    """Every step in order; `done` gets each result. The machine is disarmed after every step.
 
     Args:    earlier: results of a report that this run goes on from; their failures count for what comes after.
     """
     results = {result.name: result for result in earlier}
     fresh: list[StepResult] = []
     for step in steps:
-        site.operator.tell(f"step {step.number}: {step.name}")
+        site.operator.show(f"step {step.number}: {step.name}")
         started_s = mono_s()
         result = await _one(site, step, results)
         result = replace(result, duration_s=mono_s() - started_s)
@@ -199,7 +199,7 @@ async def _one(site: Site, step: Step, results: dict[str, StepResult]) -> StepRe
     except NoLeaveError as error:
         return skipped(step.name, str(error), "give permission when the area is clear, and run this step again")
     except (LinkError, CameraError, NotReadyError, ValueError) as error:
-        return cannot_tell(step.name, str(error), "remove the cause and run this step again")
+        return inconclusive(step.name, str(error), "remove the cause and run this step again")
     finally:
         await _leave_at_rest(site)
 
@@ -209,14 +209,14 @@ async def _leave_at_rest(site: Site) -> None:
     try:
         await site.link.disarm()
     except LinkError as error:
-        site.operator.tell(f"disarming failed: {error}")
+        site.operator.show(f"disarming failed: {error}")
 
 
 async def _refusal(site: Site, step: Step, results: dict[str, StepResult]) -> StepResult | None:
     """Why a step cannot begin, or None."""
     failed = [s.name for s in STEPS if s.number in step.after and _has_failed(results.get(s.name))]
     if failed:
-        return cannot_tell(step.name, f"not started, because '{failed[0]}' failed", f"fix '{failed[0]}' first")
+        return inconclusive(step.name, f"not started, because '{failed[0]}' failed", f"fix '{failed[0]}' first")
     for need in step.needs:
         refusal = await _NEEDS[need](site, step.name)
         if refusal is not None:
@@ -245,9 +245,9 @@ async def _need_plc(site: Site, name: str) -> StepResult | None:
     if phase_known:
         return None
     health, plc = site.link.health, site.settings.plc
-    told = health.error or health.last_reject or "check cable, address, port and framing"
-    why = f"no state from the PLC at {plc.host}:{plc.port}; {told}"
-    return cannot_tell(name, why, ONE_CONTROLLER)
+    problem = health.error or health.last_reject or "check cable, address, port and framing"
+    why = f"no state from the PLC at {plc.host}:{plc.port}; {problem}"
+    return inconclusive(name, why, ONE_CONTROLLER)
 
 
 async def _need_valves(site: Site, name: str) -> StepResult | None:
@@ -257,7 +257,8 @@ async def _need_valves(site: Site, name: str) -> StepResult | None:
         await wait_for(site, lambda: not site.link.health.dry_run, DRY_RUN_WAIT_S, "waiting for the end of the dry run")
     if not site.link.health.dry_run:
         return None
-    return cannot_tell(name, "the PLC is in dry run: nothing would move", "set bDryRun FALSE, then run this step again")
+    remedy = "set bDryRun FALSE, then run this step again"
+    return inconclusive(name, "the PLC is in dry run: nothing would move", remedy)
 
 
 def _need_proof(site: Site, name: str, dry_run: StepResult | None) -> StepResult | None:
@@ -267,7 +268,7 @@ def _need_proof(site: Site, name: str, dry_run: StepResult | None) -> StepResult
     if simulated or (dry_run is not None and dry_run.verdict is Verdict.PASS):
         return None
     why = "step 1 (link dry run) has not passed: it is not proven that this PLC stops by itself"
-    return cannot_tell(name, why, "run step 1 in dry run first; --resume continues its report")
+    return inconclusive(name, why, "run step 1 in dry run first; --resume continues its report")
 
 
 async def _need_leave(site: Site, name: str) -> StepResult | None:
@@ -281,10 +282,10 @@ async def _need_leave(site: Site, name: str) -> StepResult | None:
 async def _need_camera(site: Site, name: str) -> StepResult | None:
     vision = site.vision
     if vision is None:
-        return cannot_tell(name, "no camera was started", "run the steps that look with a camera in the settings")
+        return inconclusive(name, "no camera was started", "run the steps that look with a camera in the settings")
     if await wait_for(site, lambda: vision.age_s < FRESH_S, CAMERA_WAIT_S, "waiting for images"):
         return None
-    return cannot_tell(name, f"no images: {vision.stream_text or 'camera is silent'}", "check the camera's settings")
+    return inconclusive(name, f"no images: {vision.stream_text or 'camera is silent'}", "check the camera's settings")
 
 
 _NEEDS = {

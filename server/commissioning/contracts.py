@@ -14,8 +14,12 @@ class Verdict(Enum):
 
     PASS = "pass"
     FAIL = "fail"
-    SKIPPED = "skipped"  # nobody was there to answer, or to give leave
-    CANNOT_TELL = "cannot tell"  # something that the step needs was missing
+    SKIPPED = "skipped"  # no person answered, or gave permission
+    INCONCLUSIVE = "inconclusive"  # something that the step needs was missing
+
+    @classmethod
+    def _missing_(cls, value: object) -> "Verdict | None":
+        return cls.INCONCLUSIVE if value in ("cannot show", "cannot tell") else None  # old name, in earlier reports
 
 
 def _number_or_nan(value: object) -> object:
@@ -28,7 +32,7 @@ Measured = Annotated[float, BeforeValidator(_number_or_nan)]
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One measured figure with its unit and its limits; without limits it is only told."""
+    """One measured figure with its unit and its limits; without limits it is only reported."""
 
     name: str
     value: Measured
@@ -80,17 +84,17 @@ def judged(
     figures: Iterable[Figure],
     summary: str,
     remedy: str,
-    untold: Iterable[str] = (),
+    open_points: Iterable[str] = (),
     notes: Iterable[str] = (),
     tables: Iterable[ReportTable] = (),
 ) -> StepResult:
-    """A result by its figures: one outside its limits fails; without such, anything untold leaves it open.
+    """A result by its figures: one outside its limits fails; otherwise an open point makes it inconclusive.
 
     Args:    summary: what is right when nothing is wrong; remedy: for a figure outside its limits.
     """
-    all_figures, missing = tuple(figures), tuple(untold)
+    all_figures, missing = tuple(figures), tuple(open_points)
     wrong = [figure.text for figure in all_figures if not figure.ok]
-    verdict = Verdict.FAIL if wrong else Verdict.CANNOT_TELL if missing else Verdict.PASS
+    verdict = Verdict.FAIL if wrong else Verdict.INCONCLUSIVE if missing else Verdict.PASS
     found = "; ".join(wrong) if wrong else "; ".join(missing) if missing else summary
     return StepResult(
         name=name,
@@ -107,13 +111,13 @@ def judged(
     )
 
 
-def cannot_tell(name: str, why: str, remedy: str) -> StepResult:
+def inconclusive(name: str, why: str, remedy: str) -> StepResult:
     """Something that the step needs is missing."""
-    return StepResult(name, Verdict.CANNOT_TELL, why, remedy=remedy)
+    return StepResult(name, Verdict.INCONCLUSIVE, why, remedy=remedy)
 
 
 def skipped(name: str, why: str, remedy: str) -> StepResult:
-    """Nobody was there to answer or to give leave."""
+    """No person answered, or gave permission."""
     return StepResult(name, Verdict.SKIPPED, why, remedy=remedy)
 
 
@@ -123,7 +127,7 @@ def stands(earlier: StepResult, later: StepResult) -> bool:
 
 
 class Operator(Protocol):
-    """The engineer at the machine, a file of answers, or nobody."""
+    """The engineer at the machine, a file of answers, or no person at all."""
 
     async def may_move(self, machine_name: str) -> bool:
         """Whether the machine may be moved at all; asked once."""
@@ -134,10 +138,10 @@ class Operator(Protocol):
         ...
 
     async def ask(self, key: str, question: str) -> str | None:
-        """What a person saw; None when nobody is there to say."""
+        """What a person saw; None without a person to answer."""
         ...
 
-    def tell(self, text: str) -> None:
+    def show(self, text: str) -> None:
         """Show a line."""
         ...
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from machine.description import Joint
 from protocol.codes import FaultBit
-from server.commissioning.contracts import Figure, ReportTable, StepResult, cannot_tell, judged
+from server.commissioning.contracts import Figure, ReportTable, StepResult, inconclusive, judged
 from server.commissioning.moving import reading, wait
 from server.commissioning.site import Site
 from server.link.contracts import PlcSample
@@ -27,14 +27,14 @@ async def joint_ranges(site: Site) -> StepResult:
     samples = site.link.samples_since(0)
     recent = [s for s in samples if before is None or s.t_mono_ns > before.t_mono_ns]
     if len(recent) < 10:
-        return cannot_tell(NAME, f"{len(recent)} states in {WATCH_S:.0f} s", "fix the link first (step 1)")
+        return inconclusive(NAME, f"{len(recent)} states in {WATCH_S:.0f} s", "fix the link first (step 1)")
     figures = range_figures(recent, site.machine.joints)
     if not site.options.ask_for_ends:
         note = "the mechanical end stops were not checked; --ends includes them"
         return judged(NAME, figures, "all joints quiet and inside their ranges", REMEDY, notes=(note,))
-    ends, untold, table = await _ends(site)
+    ends, not_driven, table = await _ends(site)
     summary = "all joints quiet, inside their ranges, and the ranges inside the mechanical ends"
-    return judged(NAME, [*figures, *ends], summary, REMEDY, untold, tables=(table,))
+    return judged(NAME, [*figures, *ends], summary, REMEDY, not_driven, tables=(table,))
 
 
 def range_figures(samples: Sequence[PlcSample], joints: Sequence[Joint]) -> list[Figure]:
@@ -54,7 +54,7 @@ def range_figures(samples: Sequence[PlcSample], joints: Sequence[Joint]) -> list
 async def _ends(site: Site) -> tuple[list[Figure], list[str], ReportTable]:
     """Every joint by lever to both ends; the engineer says when it is there."""
     figures: list[Figure] = []
-    untold: list[str] = []
+    not_driven: list[str] = []
     rows: list[tuple[str, ...]] = []
     for index, joint in enumerate(site.machine.joints):
         for side, limit_rad in (("lower", joint.q_min_rad), ("upper", joint.q_max_rad)):
@@ -64,12 +64,12 @@ async def _ends(site: Site) -> tuple[list[Figure], list[str], ReportTable]:
                 f"{joint.name} to its {side} end by lever, then Enter (or the encoder's angle there [deg]; s: skip)",
             )
             if answer is None or answer.strip().lower() == "s":
-                untold.append(f"{joint.name}: {side} end not driven to")
+                not_driven.append(f"{joint.name}: {side} end not driven to")
                 continue
             q_deg, limit_deg = await _angle_deg(answer, site, index), math.degrees(limit_rad)
             figures.append(end_figure(joint.name, side, q_deg, limit_deg))
             rows.append((joint.name, side, f"{q_deg:.2f}", f"{limit_deg:.2f}"))
-    return figures, untold, ReportTable("mechanical ends", ("joint", "end", "encoder deg", "file deg"), tuple(rows))
+    return figures, not_driven, ReportTable("mechanical ends", ("joint", "end", "encoder deg", "file deg"), tuple(rows))
 
 
 async def _angle_deg(answer: str, site: Site, index: int) -> float:

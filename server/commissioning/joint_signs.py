@@ -32,13 +32,13 @@ REMEDY = (
 )
 STEP_MIN_RAD, STEP_MAX_RAD = math.radians(2.0), math.radians(6.0)
 TIP_M = 0.03  # a wrist turns as much as moves the tip by this, so that it can be seen
-RUNAWAY_RAD = math.radians(1.0)  # the wrong way by this much: valves to neutral at once
+RUNAWAY_RAD = math.radians(1.0)  # the wrong way by this much: valves to neutral immediately
 FOLLOWED_MIN, FOLLOWED_MAX = 0.3, 1.5  # of the step; a dead band swallows a part
 PRESSURE_MAX_PA = 50e6
 _REMARK = "the direction of the tool was not entered"
 
 
-# Which way the tool goes when a joint turns, in the words of somebody who stands behind the machine. Pure.
+# Which way the tool goes when a joint turns, as seen by a person behind the machine. Pure.
 #
 # Seen by a person at the column who looks outward along the boom: out and in along the boom's horizontal direction,
 # left and right across it, up and down. A joint that only turns the tool is identified by its turn, looking the way
@@ -125,7 +125,7 @@ class Jog:
 async def joint_signs(site: Site) -> StepResult:
     """Jog every joint by 2 to 6 deg, slowly, and ask which way the tool went."""
     figures: list[Figure] = []
-    untold: list[str] = []
+    not_jogged: list[str] = []
     rows: list[tuple[str, ...]] = []
     for index, joint in enumerate(site.machine.joints):
         try:
@@ -134,15 +134,15 @@ async def joint_signs(site: Site) -> StepResult:
         except NoLeaveError as error:
             if not figures:
                 raise
-            untold.append(f"{joint.name}: {error}")  # what was measured so far is kept
+            not_jogged.append(f"{joint.name}: {error}")  # what was measured so far is kept
             break
         except (NotReadyError, LinkError) as error:  # here, too
-            untold.append(f"{joint.name}: {error}")
+            not_jogged.append(f"{joint.name}: {error}")
             break
         figures += jog_figures(jog)
         seen, seen_figure = seen_as(jog.joint, expected, answer)
         figures += seen_figure
-        untold += [] if seen_figure else [f"{joint.name}: {seen}"]
+        not_jogged += [] if seen_figure else [f"{joint.name}: {seen}"]
         step = f"{math.degrees(jog.step_rad):+.1f}"
         rows.append(
             (joint.name, step, expected.text, seen, f"{100 * jog.followed:.0f}", f"{100 * jog.valve_frac:+.1f}")
@@ -152,13 +152,13 @@ async def joint_signs(site: Site) -> StepResult:
     headings = ("joint", "step deg", "expected", "seen", "followed %", "valve %")
     table = ReportTable("jogs", headings, tuple(rows))
     return _with_skip(
-        judged(NAME, figures, "every joint moves in the commanded direction", REMEDY, untold, tables=(table,))
+        judged(NAME, figures, "every joint moves in the commanded direction", REMEDY, not_jogged, tables=(table,))
     )
 
 
 def _with_skip(result: StepResult) -> StepResult:
-    """What was measured stands, and what nobody saw stays open: never a silent pass."""
-    if result.verdict is not Verdict.CANNOT_TELL:
+    """What was measured stands, and what was not seen stays open: never a silent pass."""
+    if result.verdict is not Verdict.INCONCLUSIVE:
         return result
     return StepResult(
         result.name,
@@ -203,7 +203,7 @@ async def _direction(site: Site, key: str, question: str) -> str | None:
         word = understood(answer)
         if word is not None:
             return word
-        site.operator.tell(f"'{answer}' is not one of the directions")
+        site.operator.show(f"'{answer}' is not one of the directions")
     return None
 
 
@@ -224,7 +224,7 @@ def jog_step(site: Site, q: Array, index: int) -> float:
 
 
 def runaway(sample: PlcSample, q_start: Array, index: int, step: float) -> str:
-    """Why the jog must end at once: the joint went the wrong way, or another joint went along; empty: all is well."""
+    """Why the jog must end now: the joint went the wrong way, or another joint moved as well; empty: all is well."""
     moved = np.array(sample.q_rad) - q_start
     backwards = -moved[index] * math.copysign(1.0, step)
     if backwards > RUNAWAY_RAD:
@@ -268,7 +268,7 @@ def jog_figures(jog: Jog) -> list[Figure]:
 
 
 def seen_as(name: str, expected: Expected, word: str | None) -> tuple[str, list[Figure]]:
-    """What was seen in words, and a figure for it; no figure when it tells nothing."""
+    """What was seen in words, and a figure for it; no figure when the answer does not give one."""
     if word is None:
         return _REMARK, []
     fits = compare(expected, word)

@@ -10,7 +10,7 @@ from machine.description import Machine
 from machine.rotations import Array
 from protocol.layout import LAYOUT_ID, VERSION_MAJOR
 from recording.clock import mono_ns
-from server.commissioning.contracts import Figure, StepResult, cannot_tell, judged
+from server.commissioning.contracts import Figure, StepResult, inconclusive, judged
 from server.commissioning.moving import (
     Guard,
     NotReadyError,
@@ -83,7 +83,7 @@ def state_figures(samples: Sequence[PlcSample], period_s: float) -> tuple[Figure
 
 
 def lost_states(samples: Sequence[PlcSample]) -> int:
-    """States missing between the first and the last sample; a new session begins to count anew."""
+    """States missing between the first and the last sample; a new session begins to count again."""
     steps = [after.seq - before.seq for before, after in pairwise(samples)]
     return sum(step - 1 for step in steps if step > 1)
 
@@ -128,7 +128,7 @@ async def link_dry_run(site: Site) -> StepResult:
             notes=notes,
         )
     if not await site.operator.confirm("a small trajectory is played with closed valves: the machine must not move"):
-        return cannot_tell(NAME, "the engineer did not confirm the dry run", "run step 1 again")
+        return inconclusive(NAME, "the engineer did not confirm the dry run", "run step 1 again")
     await arm(site)
     played, wanted = await _play(site)
     figures = [*listened, *playback_figures(played, wanted, site.machine)]
@@ -229,9 +229,9 @@ async def _silence(site: Site) -> list[Figure]:
 
 
 def closed_figures(samples: Sequence[PlcSample], q_start: Array) -> list[Figure]:
-    """Whether the valves stayed closed while nobody commanded: nothing moved, from the motion's start to the end."""
-    moved_rad = max((float(np.abs(np.array(one.q_rad) - q_start).max()) for one in samples), default=math.nan)
-    valve = max((abs(v) for one in samples for v in one.valve_frac), default=math.nan)
+    """Whether the valves stayed closed without commands: nothing moved, from the motion's start to the end."""
+    moved_rad = max((float(np.abs(np.array(sample.q_rad) - q_start).max()) for sample in samples), default=math.nan)
+    valve = max((abs(v) for sample in samples for v in sample.valve_frac), default=math.nan)
     return [
         Figure("silence: encoders moved", math.degrees(moved_rad), "deg", at_most=math.degrees(STILL_RAD)),
         Figure("silence: largest valve command", valve, "of full", at_most=0.0),

@@ -33,7 +33,7 @@ class NoLeaveError(Exception):
 
 
 class NotReadyError(Exception):
-    """The machine is not in a state in which this step could tell anything; the text says what to do."""
+    """The machine is not in a state in which this step could show anything; the text says what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ async def arm(site: Site) -> None:
     """Arm, unless it is armed; a person may have to press the enable meanwhile."""
     if site.link.health.phase in _ARMED:
         return
-    site.operator.tell("arming; press the enable at the machine if it has one")
+    site.operator.show("arming; press the enable at the machine if it has one")
     await site.link.arm(site.options.arm_timeout_s)
 
 
@@ -108,7 +108,7 @@ def gentle_plan(site: Site, q_ref: Array, q_goal: Array, duration_s: float = 3.0
 
 
 async def play(site: Site, trajectory: JointTrajectory, text: str, guard: Guard | None = None) -> Played:
-    """Run one trajectory and wait for its end. What the guard objects to disarms at once: valves to neutral.
+    """Run one trajectory and wait for its end. An objection of the guard disarms immediately: valves to neutral.
 
     Raises: LinkError: refused, or the link is gone. Cancelled: the machine is ramped down first.
     """
@@ -151,7 +151,7 @@ async def _disarm(site: Site) -> None:
     try:
         await site.link.disarm()
     except LinkError as error:
-        site.operator.tell(f"disarming failed: {error}")
+        site.operator.show(f"disarming failed: {error}")
 
 
 async def _shown(site: Site, running: "asyncio.Future[MotionEnded]", text: str, duration_s: float) -> None:

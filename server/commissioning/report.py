@@ -28,7 +28,7 @@ class Report:
     results: tuple[StepResult, ...]
     earlier: tuple[StepResult, ...]
     settings: dict[str, Any]
-    open_answers: tuple[str, ...] = ()  # given in --answers, but never asked for
+    open_answers: tuple[str, ...] = ()  # given in --answers, but never used
     complete: bool = False  # False: interrupted, or still under way
     version: int = _REPORT_VERSION
 
@@ -36,14 +36,15 @@ class Report:
     def all_results(self) -> tuple[StepResult, ...]:
         """Those of this run, and the earlier ones that it did not repeat, or failures that it left open."""
         fresh = {result.name: result for result in self.results}
-        return (*self.results, *(one for one in self.earlier if one.name not in fresh or stands(one, fresh[one.name])))
+        open_ones = (old for old in self.earlier if old.name not in fresh or stands(old, fresh[old.name]))
+        return (*self.results, *open_ones)
 
 
 _ADAPTER = TypeAdapter(Report)
 
 
 def exit_code(results: Sequence[StepResult]) -> int:
-    """0: all pass; 1: something failed; 3: something was not told."""
+    """0: all pass; 1: something failed; 3: a step was skipped or inconclusive."""
     verdicts = {result.verdict for result in results}
     if Verdict.FAIL in verdicts:
         return EXIT_FAIL
@@ -58,7 +59,7 @@ def to_json(report: Report) -> str:
 def from_json(text: str, subject: str) -> Report:
     """The report that `to_json` wrote.
 
-    Raises: SettingsError: it is none, or of another version.
+    Raises: SettingsError: it is not a report, or of another version.
     """
     try:
         report = _ADAPTER.validate_json(text)

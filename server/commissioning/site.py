@@ -25,7 +25,7 @@ class Options:
 
 @dataclass(slots=True)
 class Site:
-    """Everything a step may use. `vision` is None when no step that looks was asked for."""
+    """Everything a step may use. `vision` is None when no requested step looks."""
 
     settings: ServerSettings
     machine: Machine

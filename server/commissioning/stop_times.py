@@ -48,7 +48,7 @@ class StopCase:
 
 
 def stop_cases(joints: int, each_joint: bool) -> Iterator[StopCase]:
-    """The cases in order: the tool's straight move, then joint by joint where that was asked for."""
+    """The cases in order: the tool's straight move, then joint by joint where `each_joint` is set."""
     for joint in (None, *(range(joints) if each_joint else ())):
         for speed in SPEEDS:
             for kind in KINDS:
@@ -63,7 +63,7 @@ async def stop_times(site: Site) -> StepResult:
     home = (await rest(site)).q_ref
     figures: list[Figure] = []
     rows: list[tuple[str, ...]] = []
-    untold: list[str] = []
+    not_measured: list[str] = []
     for case in stop_cases(site.chain.n, site.options.each_joint):
         name = _name(site, case)
         try:
@@ -71,18 +71,18 @@ async def stop_times(site: Site) -> StepResult:
         except EndedByItselfError as error:
             figures.append(by_itself(name, error))
         except (NotReadyError, LinkError, ValueError) as error:  # what was measured so far is kept
-            untold.append(f"{name}: {error}")
+            not_measured.append(f"{name}: {error}")
         else:
             figures += [*rest_figures(name, case.kind, stop), *travel_figures(name, stop)]
             rows.append(_row(site, case, stop))
         try:
             await _take_home(site, home)
         except (NotReadyError, LinkError) as error:
-            untold.append(f"after '{name}' the machine could not be moved back: {error}")
+            not_measured.append(f"after '{name}' the machine could not be moved back: {error}")
             break
     table = ReportTable(f"stops; ramp at most bound + {RAMP_SLACK_MS:.0f} ms", _HEADINGS, tuple(rows))
     summary = f"every ramp within |qd|/qdd_max, every travel below {TRAVEL_MAX_MM:.0f} mm, nothing resumed"
-    return judged(NAME, figures, summary, REMEDY, untold, tables=(table,))
+    return judged(NAME, figures, summary, REMEDY, not_measured, tables=(table,))
 
 
 async def _one(site: Site, case: StopCase, name: str) -> StopFigures:

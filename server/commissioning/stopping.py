@@ -42,7 +42,7 @@ class EndedByItselfError(NotReadyError):
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """The states from the motion's start to standstill, when the stop was asked for, and a guard's objection."""
+    """The states from the motion's start to standstill, when the stop was requested, and a guard's objection."""
 
     samples: list[PlcSample]
     t_trigger_plc_ns: int

@@ -105,7 +105,7 @@ class Compensation:
     @property
     def knows_mount(self) -> bool:
         """Whether the camera's rotation was diagnosed."""
-        return any(one.name == "hand_eye_rotation" for one in self.sorted.used)
+        return any(effect.name == "hand_eye_rotation" for effect in self.sorted.used)
 
     def first_stall(self, guessed: Array) -> Array:
         """Stall (n,) [rad] before any was seen: the diagnosed dead band over the gain, the guess elsewhere."""

@@ -33,10 +33,10 @@ class Sorted:
     used: tuple[EffectEntry, ...]
     left: tuple[EffectEntry, ...]
 
-    def told(self) -> tuple[str, ...]:
+    def lines(self) -> tuple[str, ...]:
         """One line an effect, for the state and the log."""
-        lines = [f"{_place(one)}: {COMPENSATED[one.name]}" for one in self.used]
-        return tuple(lines + [f"{_place(one)}: not compensated" for one in self.left])
+        lines = [f"{_place(effect)}: {COMPENSATED[effect.name]}" for effect in self.used]
+        return tuple(lines + [f"{_place(effect)}: not compensated" for effect in self.left])
 
 
 def _place(one: EffectEntry) -> str:
@@ -45,12 +45,12 @@ def _place(one: EffectEntry) -> str:
 
 def sort_effects(entries: tuple[EffectEntry, ...]) -> Sorted:
     """Effects by whether the server can compensate them."""
-    used = tuple(one for one in entries if _compensable(one))
-    return Sorted(used, tuple(one for one in entries if not _compensable(one)))
+    used = tuple(entry for entry in entries if _compensable(entry))
+    return Sorted(used, tuple(entry for entry in entries if not _compensable(entry)))
 
 
 def _compensable(one: EffectEntry) -> bool:
-    """Of a joint whose side in its play nobody follows, a known width helps nothing."""
+    """A known width does not help where the joint's side in its play is not followed."""
     if one.name == "backlash" and one.joint is not None:
         return bool(usual_play(one.joint)[one.joint - 1] > 0.0)
     return one.name in COMPENSATED

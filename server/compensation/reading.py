@@ -77,7 +77,7 @@ def _require_same(machine: Machine, diagnosed: Machine, machine_file: Path) -> N
                     f"[compensation] machine_file {machine_file}: {name} of joint '{mine.name}' is {there}, in the "
                     f"server's machine file {here}; diagnose with the machine file that the server uses"
                 )
-    mounted = any(one.name.startswith("hand_eye_") for one in diagnosed.effects)
+    mounted = any(effect.name.startswith("hand_eye_") for effect in diagnosed.effects)
     for name in (*FRAMES, MOUNT) if mounted else FRAMES:
         here, there = getattr(machine, name), getattr(diagnosed, name)
         if not np.allclose(here, there, rtol=0.0, atol=1e-9):

@@ -58,7 +58,7 @@ class MachineVersion:
     @property
     def entries(self) -> tuple[EffectEntry, ...]:
         """The effects that are switched on."""
-        return tuple(one.entry for one in self.effects if one.on)
+        return tuple(effect.entry for effect in self.effects if effect.on)
 
 
 class MachineVersions:
@@ -72,7 +72,7 @@ class MachineVersions:
     def all(self) -> tuple[MachineVersion, ...]:
         """All that can be read, newest first."""
         found = [self._read(path) for path in self._folder.glob("version-*.json")]
-        return tuple(sorted((one for one in found if one), key=lambda one: -one.made_unix_s))
+        return tuple(sorted((version for version in found if version), key=lambda version: -version.made_unix_s))
 
     def find(self, version_id: str) -> MachineVersion | None:
         """The one of that id."""
@@ -85,8 +85,8 @@ class MachineVersions:
         """
         budget = answer.get("budget") or {}
         lines = budget.get("effects", [])
-        effects = tuple(_found(one, used) for one in lines if (used := _used(one)))
-        if not any(one.get("status") == "confirmed" for one in lines):
+        effects = tuple(_found(line, used) for line in lines if (used := _used(line)))
+        if not any(line.get("status") == "confirmed" for line in lines):
             raise CompensationError(
                 f"diagnosis {diagnosis_id} confirms no effect: there is nothing to use; identify again, or do the "
                 "experiment that it proposes"
@@ -117,7 +117,7 @@ class MachineVersions:
             count = 0 if version is None else len(version.effects)
             raise CompensationError(f"version {version_id} has {count} effects, {len(on)} switches were given")
         changed = replace(
-            version, effects=tuple(replace(one, on=is_on) for one, is_on in zip(version.effects, on, strict=True))
+            version, effects=tuple(replace(effect, on=is_on) for effect, is_on in zip(version.effects, on, strict=True))
         )
         self._write(changed)
         return changed
@@ -191,7 +191,7 @@ class MachineVersions:
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
             data.pop("format_version")
-            effects = tuple(_effect_again(one) for one in data.pop("effects"))
+            effects = tuple(_effect_again(row) for row in data.pop("effects"))
             return MachineVersion(**{**data, "recordings": tuple(data["recordings"]), "effects": effects})
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -214,7 +214,7 @@ def _found(line: dict[str, Any], used: dict[str, Any]) -> FoundEffect:
     effect = effect_named(str(line.get("name")))
     if effect is None:
         raise CompensationError(f"effect {line.get('name')!r} is not in this program's catalogue; update the program")
-    values = {name: one["value"] for name, one in used.items()}
+    values = {name: parameter["value"] for name, parameter in used.items()}
     try:
         entry = make_entry(effect, line.get("joint"), values)
     except MachineFileError as error:
@@ -227,11 +227,11 @@ def _found(line: dict[str, Any], used: dict[str, Any]) -> FoundEffect:
 def _once(effects: tuple[FoundEffect, ...]) -> tuple[FoundEffect, ...]:
     """An effect that stands in several columns of a budget, once: where it does most."""
     kept: dict[EffectEntry, FoundEffect] = {}
-    for one in effects:
-        known = kept.get(one.entry)
-        if known is None or one.tool_mm > known.tool_mm:
-            kept[one.entry] = one
-    return tuple(sorted(kept.values(), key=lambda one: -one.tool_mm))
+    for effect in effects:
+        known = kept.get(effect.entry)
+        if known is None or effect.tool_mm > known.tool_mm:
+            kept[effect.entry] = effect
+    return tuple(sorted(kept.values(), key=lambda effect: -effect.tool_mm))
 
 
 def _effect_again(data: dict[str, Any]) -> FoundEffect:

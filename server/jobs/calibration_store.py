@@ -46,7 +46,7 @@ class CalibrationStore:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             write_durably(self.path, calibration_text(SavedCalibration(life, tuple(knowledge.runs))))
             self._kept, knowledge.calibration_note = life, ""
-        except (OSError, ValueError) as error:  # a number that is none cannot be written either
+        except (OSError, ValueError) as error:  # a value that is not a finite number cannot be written either
             why = error.strerror if isinstance(error, OSError) else error
             knowledge.calibration_note = f"calibration is not saved: {self.path}: {why}"
             log.error(knowledge.calibration_note)

@@ -1,4 +1,4 @@
-"""Gap diagnoses beside the server: one process each, low priority, never in the way of motion."""
+"""Gap diagnoses alongside the server: one process each, low priority, never in the way of motion."""
 
 import asyncio
 import contextlib
@@ -68,11 +68,11 @@ class Diagnoses:
 
     def find(self, diagnosis_id: str) -> Diagnosis | None:
         """The one of that id."""
-        return next((one for one in self.all if one.diagnosis_id == diagnosis_id), None)
+        return next((diagnosis for diagnosis in self.all if diagnosis.diagnosis_id == diagnosis_id), None)
 
     def start(self, *recordings: Path) -> Diagnosis:
-        """Begin. Raises: DiagnosisBusyError naming the one that runs, or waits to."""
-        running = next((one for one in self.all if one.state in UNDER_WAY), None)
+        """Begin. Raises: DiagnosisBusyError naming the diagnosis that runs, or waits to."""
+        running = next((diagnosis for diagnosis in self.all if diagnosis.state in UNDER_WAY), None)
         if running is not None:
             raise DiagnosisBusyError(
                 f"diagnosis {running.diagnosis_id} of {running.recording} runs since {running.elapsed_s:.0f} s; wait "
@@ -83,7 +83,7 @@ class Diagnoses:
 
     def queue(self, recordings: tuple[Path, ...], job_id: str) -> Diagnosis:
         """Begin as soon as no other one runs: what an identification's job asks for."""
-        busy = any(one.state in UNDER_WAY for one in self.all)
+        busy = any(diagnosis.state in UNDER_WAY for diagnosis in self.all)
         return self._begun(Diagnosis(uuid4().hex[:12], recordings, job_id, "waiting" if busy else "running"))
 
     async def stop(self, one: Diagnosis) -> None:
@@ -96,8 +96,8 @@ class Diagnoses:
 
     async def close(self) -> None:
         """End what runs, those that wait first."""
-        for one in reversed(self.all):
-            await self.stop(one)
+        for diagnosis in reversed(self.all):
+            await self.stop(diagnosis)
 
     def result(self, one: Diagnosis) -> dict[str, Any]:
         """The whole answer. Raises: ServerError: the file is gone or no JSON."""

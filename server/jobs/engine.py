@@ -87,7 +87,7 @@ class JobEngine:
         self._performer = performer
         self.leases = leases or LeaseDesk()
         self._task: asyncio.Task[None] | None = None
-        self._told_to_stop: Job | None = None
+        self._stopping_job: Job | None = None
         self._closing = False
         self._listeners = Listeners[[Job, JobEvent]]("a job's event")
         #: Why a job that failed could not go on, where that is known better than its error says (a suspended PC).
@@ -173,15 +173,15 @@ class JobEngine:
     async def stop(self, reason: str, only: Job | None = None) -> None:
         """Stop the motion and whatever job runs; always allowed. Returns when the job has ended.
 
-        The ramp is asked for before anything else: the job may be in a step that cannot be interrupted.
+        The ramp is requested before anything else: the job may be in a step that cannot be interrupted.
         With `only`, nothing is stopped unless it is that job which runs.
         """
         job, task = self.current, self._task
         if only is not None and (job is not only or only.ended):
             return
         running = job if job is not None and not job.ended else None
-        first = running is not None and self._told_to_stop is not running  # a closed tab stops by its socket and lease
-        self._told_to_stop = running or self._told_to_stop
+        first = running is not None and self._stopping_job is not running  # a closed tab stops by its socket and lease
+        self._stopping_job = running or self._stopping_job
         if running is not None and first:
             running.state, running.reason = JobState.STOPPING, reason
         ramp = asyncio.ensure_future(self._performer.stop_motion(reason))
@@ -193,12 +193,12 @@ class JobEngine:
             await self._performer.stop_motion(reason)
 
     async def _stop_job(self, job: Job, task: asyncio.Task[None] | None, reason: str | None) -> None:
-        """Cancel the job (a reason: it is the first to ask) and wait for its end, after the ramp has been asked for."""
+        """Cancel the job (a reason: it is the first to ask) and wait for its end, after the ramp has been requested."""
         if task is not None and reason is not None:
             task.cancel()
         await asyncio.sleep(0.0)
-        if reason is not None and not job.ended:  # one that did not move has told its end already
-            self._tell(job, "stopping", 0.0, 1.0, "", reason)
+        if reason is not None and not job.ended:  # one that did not move has reported its end already
+            self._report(job, "stopping", 0.0, 1.0, "", reason)
         if task is not None:
             await asyncio.wait({task}, timeout=STOP_BOUND_S)
 
@@ -216,7 +216,7 @@ class JobEngine:
 
     async def _run(self, job: Job, plan: Plan) -> None:
         try:
-            self._tell(job, "started", 0.0, 1.0, "", f"{job.kind} started for {job.owner}")
+            self._report(job, "started", 0.0, 1.0, "", f"{job.kind} started for {job.owner}")
             job.result = await self._drive(job, plan)
             self._end(job, JobState.DONE, "")
         except asyncio.CancelledError:
@@ -254,12 +254,12 @@ class JobEngine:
             if request is None:
                 return result
             if isinstance(request, Progress):
-                self._tell(job, request.name, request.current, request.target, request.unit, request.text)
+                self._report(job, request.name, request.current, request.target, request.unit, request.text)
                 reply = None
             elif isinstance(request, Record):
                 self._performer.record(request)
                 if request.text:
-                    self._tell(job, "record", 0.0, 0.0, "", request.text)
+                    self._report(job, "record", 0.0, 0.0, "", request.text)
                 reply = None
             else:
                 reply = await self._performer.perform(request)
@@ -271,14 +271,14 @@ class JobEngine:
         stop = asyncio.ensure_future(self._performer.stop_motion(reason))
         until_s = mono_s() + STOP_BOUND_S
         while not stop.done() and (left_s := until_s - mono_s()) > 0.0:
-            with contextlib.suppress(asyncio.CancelledError):  # told to stop again: that is what is being done
+            with contextlib.suppress(asyncio.CancelledError):  # another stop: that is what is being done
                 await asyncio.wait({stop}, timeout=left_s)
         error = stop.exception() if stop.done() and not stop.cancelled() else TimeoutError("no answer in time")
         if error is not None:
             log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
 
     async def _advanced(self, plan: Plan, reply: object) -> tuple[Request | None, object]:
-        """The plan's next request, or (None, its result). Planning is heavy, so it runs beside the event loop.
+        """The plan's next request, or (None, its result). Planning is heavy, so it runs outside the event loop.
 
         A cancelled job waits for the step to finish, however often it is cancelled: a generator cannot be closed while
         it runs.
@@ -294,9 +294,9 @@ class JobEngine:
 
     def _end(self, job: Job, state: JobState, reason: str) -> None:
         job.state, job.reason, job.ended_mono_s = state, reason, mono_s()
-        self._tell(job, "ended", 1.0, 1.0, "", f"{state.value}{': ' + reason if reason else ''}")
+        self._report(job, "ended", 1.0, 1.0, "", f"{state.value}{': ' + reason if reason else ''}")
 
-    def _tell(self, job: Job, name: str, current: float, target: float, unit: str, text: str) -> None:
+    def _report(self, job: Job, name: str, current: float, target: float, unit: str, text: str) -> None:
         event = JobEvent(len(job.events) + 1, round(job.elapsed_s, 3), name, current, target, unit, text)
         job.events.append(event)
         problem = self._listeners.call(job, event)  # the machine comes to its end whatever fails there

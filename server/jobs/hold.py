@@ -1,7 +1,7 @@
 """Hold-to-run: motion goes on only while a person keeps a button down and the page proves it, challenge by challenge.
 
 Sans-IO: time comes as an argument. An answer counts from the moment its challenge was made, not from its arrival: a
-burst of answers that a stalled network let through at once renews nothing.
+burst of answers that a stalled network let through together renews nothing.
 """
 
 from collections.abc import Callable
@@ -45,7 +45,7 @@ class HoldToRun:
 
     @property
     def dead_ns(self) -> int:
-        """When whoever drives the machine stops by itself: a little after this rule does, which knows better why."""
+        """When the motion stops without this rule: a little after this rule stops it, which knows better why."""
         return self._alive_ns + SILENCE_NS + LATE_NS
 
     @property

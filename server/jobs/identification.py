@@ -54,7 +54,7 @@ class Identification:
         return f"paused{ended}: {left}; plan the rest with resume, or diagnose what is recorded"
 
     def unfinished(self, body: PlanIdentifyRequest) -> Drive | None:
-        """The drive of which the rest is to be planned; None where a new one is asked for.
+        """The drive of which the rest is to be planned; None where the request is for a new one.
 
         Raises: JobFailedError: there is none to resume.
         """

@@ -155,7 +155,7 @@ class Keeper:
     async def control(self, entry: AuditEntry) -> None:
         """A new holder of control: fencing number and audit in one transaction.
 
-        Raises: StoreError: not written; the lease must not be told.
+        Raises: StoreError: not written; the lease must not be given.
         """
 
         def rows(db: sqlite3.Connection) -> None:

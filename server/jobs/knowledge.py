@@ -66,7 +66,7 @@ class Knowledge:
     looks: list[LookAt] = field(default_factory=list)
     joint: JointEstimate | None = None
     lens: tuple[Array, Array] | None = None  # camera and prints as the last estimate found them: mean, covariance
-    side: Array | None = None  # where each joint rested in its play (n,), -1 to 1, when the encoders last told it
+    side: Array | None = None  # where each joint rested in its play (n,), -1 to 1, by the last reading of the encoders
     life: LocalCalibration | None = None  # the calibration as a thing that is kept, shown and expires
     target: AnchoredTarget | TaughtObject | None = None  # the object of interest, where it is not known by markers
     marks: tuple[AnchoredTarget, ...] = ()  # holes and rings that were found last, any of which may be the target
@@ -75,7 +75,7 @@ class Knowledge:
 
     @property
     def looked(self) -> bool:
-        """Whether anybody has looked for a wall since the server began: one is known, or the look showed none."""
+        """Whether a look for a wall was taken since the server began: one is known, or the look showed none."""
         return self.T_base_ooi is not None or self.last_look is not None
 
     def unix_s(self, t_mono_ns: int) -> float:
@@ -110,8 +110,8 @@ def plan_hash(plan: PathPlan) -> str:
 def fingerprint(motions: Iterable[tuple[str, JointTrajectory]]) -> str:
     """Of motions in their order, each with a word for what it is."""
     digest = hashlib.sha256()
-    for word, one in motions:
+    for word, motion in motions:
         digest.update(word.encode())
-        for part in (one.t_s, one.q, one.qd, one.qdd):
+        for part in (motion.t_s, motion.q, motion.qd, motion.qdd):
             digest.update(np.ascontiguousarray(part, dtype=np.float64).tobytes())
     return digest.hexdigest()[:16]

@@ -35,7 +35,7 @@ def expel_unadmitted(engine: JobEngine) -> None:
 
 
 async def stop_unguarded(engine: JobEngine) -> None:
-    """Stop the job that ran under a lease while the guard failed: nobody knows whether that lease still held.
+    """Stop the job that ran under a lease while the guard failed: it is not known whether that lease still held.
 
     Raises: LinkError: the stop was not confirmed; the PLC ramps by its own watchdog.
     """

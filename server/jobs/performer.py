@@ -34,7 +34,7 @@ from server.jobs.requests import (
 from server.jobs.steer_requests import Correct, EndMove, NextPair, StartMove, Steer, StopMove
 from server.jobs.steering import Steering
 from server.jobs.watching import StartWatching, StopWatching, sighted_of
-from server.link.contracts import LinkPhase, PlcSample, oil_told_c
+from server.link.contracts import LinkPhase, PlcSample, measured_oil_c
 from server.link.standing import stood_still
 from server.motion.contracts import JointTrajectory
 from server.vision.contracts import OdometryStatus, PairObservation
@@ -109,7 +109,7 @@ class Performer:
         self._cell.recorder.record(request.item, request.text)
 
     def heard(self, sample: PlcSample) -> None:
-        """Every PLC sample, also between jobs: where the joints rest in their play is told by all that ever moved."""
+        """Every PLC sample, also between jobs: every motion counts for where the joints rest in their play."""
         self._play.see(sample.t_plc_ns * 1e-9, np.array(sample.q_rad))
 
     async def hold_until(self, t_mono_ns: int | None) -> None:
@@ -150,7 +150,7 @@ class Performer:
             q_ref_rad=np.array(samples[-1].q_ref_rad),
             t_plc_ns=samples[-1].t_plc_ns,
             t_mono_ns=samples[-1].t_mono_ns,
-            oil_temperature_c=oil_told_c(samples[-1]),
+            oil_temperature_c=measured_oil_c(samples[-1]),
             side=self._play.side,
         )
 

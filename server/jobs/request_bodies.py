@@ -118,7 +118,7 @@ class ReturnRequest(JobRequest):
 
 
 class ParkRequest(JobRequest):
-    """Fold the machine. Refused (`no_wall`) while nobody has looked for a wall, but for `wall_free`."""
+    """Fold the machine. Refused (`no_wall`) before the first look for a wall, but for `wall_free`."""
 
     kind: Literal["park"]
     wall_free: bool = Field(default=False, description="there is no wall within reach; required before the first look")

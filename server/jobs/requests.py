@@ -24,16 +24,14 @@ class ReadMachine:
 
 @dataclass(frozen=True, slots=True)
 class MachineReading:
-    """Joints at rest or in motion, as the PLC last told."""
+    """Joints at rest or in motion, as the PLC last reported them."""
 
     q_rad: Array
     q_ref_rad: Array
     t_plc_ns: int
     t_mono_ns: int
-    oil_temperature_c: float | None = None  # None where the machine does not tell
-    side: Array | None = (
-        None  # where each joint rests in its play (n,), -1 to 1; None where nobody follows the encoders
-    )
+    oil_temperature_c: float | None = None  # None where the machine does not measure it
+    side: Array | None = None  # where each joint rests in its play (n,), -1 to 1; None where it is not followed
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +97,7 @@ class UseTarget:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Tell everybody how far the job has come. Reply: None."""
+    """Report to every client how far the job has come. Reply: None."""
 
     name: str
     current: float

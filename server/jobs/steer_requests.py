@@ -33,7 +33,7 @@ class PairSeen:
     """One pair as it came, with the encoders at its exposure and how the motion stands.
 
     `fault`: why it must not be acted upon (silent camera, old or unfit picture, no encoders for it); empty when it may.
-    `tail`: what became of the last `Correct`; taken and refused are told once.
+    `tail`: what became of the last `Correct`; taken and refused are reported once.
     """
 
     number: int
@@ -49,7 +49,7 @@ class PairSeen:
 
 @dataclass(frozen=True, slots=True)
 class Correct:
-    """Replace the running trajectory from knot `first` on. Reply: None at once; the next pairs tell what came of it."""
+    """Replace the running trajectory from knot `first` on. Reply: None immediately; later pairs report the result."""
 
     trajectory: JointTrajectory
     first: int

@@ -23,7 +23,7 @@ ENCODER_GAP_S = 0.05  # an exposure further than this from any encoder sample ca
 ENCODERS_LATE_S = 0.1  # how long a pair may wait for encoders that are still on their way
 ENCODERS_POLL_S = 0.005
 HISTORY_S = 1.0
-ENDING_S = 0.1  # a stopped motion tells its end at once
+ENDING_S = 0.1  # a stopped motion reports its end immediately
 LATENCY_PAIRS = 300  # pairs over which the smallest latency is known: 5 s at 60 a second, 20 s at 15
 FIRST_PAIR_S = 0.25  # from asking for the motion to the first pair that is judged: one step of the plan
 GRACE_S = 0.03  # the link's own stop comes after the plan's, which says why
@@ -43,7 +43,7 @@ class Steering:
         self._arrived = asyncio.Event()
 
     async def start(self, trajectory: JointTrajectory) -> None:
-        """Hand the trajectory to the link; its refusal is told by `end` or shows as an ended motion."""
+        """Hand the trajectory to the link; its refusal is reported by `end` or shows as an ended motion."""
         self._listen()
         self._tail = None
         await self._let_go_on(FIRST_PAIR_S)
@@ -77,7 +77,7 @@ class Steering:
         return self._seen(self._number, "", self._report, request)
 
     async def _encoders_come(self, request: NextPair) -> None:
-        """Encoders come by another process: the newest pair may be here first, which is no reason to end a motion."""
+        """Encoders come by another process: a pair that arrives before them must not end a motion."""
         until_s = mono_s() + min(ENCODERS_LATE_S, request.silence_max_s)
         while self._encoders_due(request) and mono_s() < until_s:  # noqa: ASYNC110 samples are no event
             await asyncio.sleep(ENCODERS_POLL_S)
@@ -154,7 +154,7 @@ class Steering:
         )
 
     def _too_old(self, report: FrameReport, silence_max_s: float) -> str:
-        """Why the pair is no longer news: it may lack what has come into view since. Empty when it is.
+        """Why the pair is too old to act on: it does not show what has come into view since. Empty when it is not.
 
         Its age counts from its exposure: a process that stalls takes an old pair for one that has just come.
         """
@@ -166,7 +166,7 @@ class Steering:
         return f"the newest pair is {1e3 * age_s:.0f} ms old (limit {limit_ms:.0f} ms); this computer is overloaded"
 
     def _tail_state(self) -> tuple[Literal["none", "pending", "taken", "refused"], str]:
-        """What became of the last correction; told once."""
+        """What became of the last correction; reported once."""
         task = self._tail
         if task is None:
             return "none", ""
@@ -181,7 +181,7 @@ class Steering:
         raise error
 
     def _t_play_s(self) -> float:
-        """Time on the running trajectory, as the PLC last told and since."""
+        """Time on the running trajectory, as the PLC last reported it, and since."""
         latest = self._cell.link.latest
         if latest is None or latest.plc_state != "RUN":
             return 0.0

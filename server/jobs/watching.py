@@ -34,7 +34,7 @@ class Sighted:
 
 
 def sighted_of(pairs: Iterable[tuple[float, PairObservation]]) -> Sighted:
-    """From (time [s], pair); pairs that lack one of both objects are left out."""
+    """From (time [s], pair); pairs without both objects are left out."""
     t, vectors, turns = [], [], []
     for t_s, pair in pairs:
         tool, ooi = pair.tool.T_cam_object, pair.ooi.T_cam_object

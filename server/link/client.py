@@ -55,7 +55,7 @@ class LinkClient:
     """Owns the link process: starts it, restarts it if it dies, ends it. All methods belong to one event loop."""
 
     def __init__(self, settings: LinkSettings, machine: Machine) -> None:
-        framing_of(settings)  # a wrong NetId is told now, not by a dead process
+        framing_of(settings)  # a wrong NetId is reported now, not by a dead process
         self._settings = settings
         self._table = limits_of(machine.joints)
         self._ring = SampleRing()
@@ -222,7 +222,7 @@ class LinkClient:
         await self.stop(reason, quick=True)
 
     async def _judge(self, knots: Sequence[KnotTuple]) -> None:
-        """The motion gate on the whole trajectory, here and beside the event loop: the link process has no time for it.
+        """The motion gate on the whole trajectory, here in a thread: the link process has no time for it.
 
         There every knot is judged again when it is sent.
         """
@@ -253,7 +253,7 @@ class LinkClient:
     async def disarm(self) -> None:
         """Leave the armed state (ramping down first if it moves); an arming that is under way ends refused.
 
-        It is always asked for: what was heard last may be old, and an ARM may be on its way. Success is what the PLC
+        It is always requested: the last state may be old, and an ARM may be on its way. Success is what the PLC
         says after that.
 
         Raises: LinkSilentError: the PLC did not answer within 3 s, or the process is gone. LinkError: still armed then.
@@ -263,7 +263,7 @@ class LinkClient:
         self._disarming += 1
         try:
             await self._request(DisarmRequest())
-            if not await self._until(self._told_unarmed_since(mono_ns()), _STOP_S):
+            if not await self._until(self._reported_unarmed_since(mono_ns()), _STOP_S):
                 raise self._why_not_disarmed()
         finally:
             self._disarming -= 1
@@ -296,13 +296,13 @@ class LinkClient:
             return wanted()
         return True
 
-    def _told_unarmed_since(self, t_asked_ns: int) -> Callable[[], bool]:
+    def _reported_unarmed_since(self, t_asked_ns: int) -> Callable[[], bool]:
         """Whether a health that came after then says that the PLC is heard and not armed."""
         other = (*_ARMED, LinkPhase.OFFLINE)
         return lambda: self._t_health_ns > t_asked_ns and self.health.phase not in other
 
     def _refuse_if_stopped(self, stops: int, disarms: int) -> None:
-        """Arming does not go on past a stop or disarm, nor begin beside a disarm; it began with these numbers."""
+        """Arming does not go on past a stop or disarm, nor begin during a disarm; it began with these numbers."""
         if self._disarming or disarms != self._disarms:
             raise LinkRefusedError(
                 "the machine was disarmed while it was being armed; arm again when the area is clear"

@@ -1,4 +1,4 @@
-"""What the link process tells the server, and what the server asks of it: plain frozen data between processes."""
+"""Reports of the link process to the server, and the server's requests to it: plain frozen data between processes."""
 
 import math
 from dataclasses import dataclass
@@ -46,10 +46,10 @@ class PlcSample:
     dry_run: bool = False
 
 
-def oil_told_c(sample: PlcSample) -> float | None:
+def measured_oil_c(sample: PlcSample) -> float | None:
     """The oil's temperature, where the machine measures it: a PLC without the sensor sends 0 or NaN."""
-    told = sample.oil_temperature_c
-    return told if math.isfinite(told) and told != 0.0 else None
+    value_c = sample.oil_temperature_c
+    return value_c if math.isfinite(value_c) and value_c != 0.0 else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,8 +85,8 @@ class LinkProcess:
         self._rejects: deque[str] = deque(maxlen=_REJECTS_KEPT)
         self._silent_until_ns = 0
         self._other_pc, self._other_pc_ns = "", 0
-        self._unread, self._unread_ns = "", 0  # what came from the PLC and is no state for us
-        self._asked: ArmRequest | ResetRequest | None = None  # a wish that has neither come true nor lapsed
+        self._unread, self._unread_ns = "", 0  # datagrams from the PLC that cannot be read as states
+        self._asked: ArmRequest | ResetRequest | None = None  # a request that is neither fulfilled nor lapsed
         self._asked_until_ns = 0
         self._hold, self._sight = Deadline(_HOLD_LOST), Deadline(_SIGHT_LOST)
         self._next_health_ns = self._next_resolve_ns = 0
@@ -108,7 +108,7 @@ class LinkProcess:
             while give_up_ns is None or (self._link.busy and mono_ns() < give_up_ns):
                 wait_s = max(0, deadline_ns - mono_ns()) / 1e9
                 ready = selector.select(wait_s)
-                if self._suspend.resumed():  # before anything that was asked for, or sent by the PLC, before it
+                if self._suspend.resumed():  # before any request or datagram from before the suspend
                     self.leave(SUSPENDED)
                 for key, _ in ready:
                     if self._leaving:
@@ -127,7 +127,7 @@ class LinkProcess:
 
     def _ask_for_nothing_but_a_stop(self, reason: str) -> None:
         self._asked = None
-        self._link.cancel_wish()
+        self._link.cancel_request()
         if self._phase in (ClientPhase.RUNNING, ClientPhase.STOPPING, ClientPhase.ARMED) or self._link.busy:
             self._link.request_stop(reason)
 
@@ -149,7 +149,7 @@ class LinkProcess:
         self._watch_parent()
         if self._asked is not None and now_ns > self._asked_until_ns:
             self._asked = None
-            self._link.cancel_wish()
+            self._link.cancel_request()
         self._watch_deadlines(now_ns)
         self._handle(self._link.poll(now_ns), now_ns)
         self._find_plc(now_ns)
@@ -204,7 +204,7 @@ class LinkProcess:
                 self._start(request)
             case StopRequest(reason=reason, quick=quick):
                 self._asked = None
-                self._link.cancel_wish()  # a disarm goes on: it stops, too
+                self._link.cancel_request()  # a disarm goes on: it stops, too
                 self._link.request_stop(reason, quick)
             case CorrectRequest():
                 self._correct(request)
@@ -219,7 +219,7 @@ class LinkProcess:
                 self._link.request_disarm()
 
     def _ask(self) -> None:
-        """Tell the link what is wished for."""
+        """Hand the pending request to the link."""
         match self._asked:
             case ArmRequest():
                 self._link.request_arm()
@@ -265,7 +265,7 @@ class LinkProcess:
                     self._outbox.add_sample(sample_of(state, t_received_ns, len(self._table.axes)))
                     self._note_buffer(state)
                     self._note_other_pc(t_received_ns)
-                    self._note_wish(state)
+                    self._note_fulfilled(state)
                 case TrajectoryEnded(traj_id=traj_id, reached=reached, reason=reason, t_plc_ns=t_plc_ns):
                     self._report_health(t_mono_ns)
                     self._outbox.report(MotionEnded(traj_id, reached, reason, t_plc_ns))
@@ -297,14 +297,14 @@ class LinkProcess:
         if not self._link.linked and self._link.other_pc:
             self._other_pc, self._other_pc_ns = self._link.other_pc, t_received_ns
 
-    def _note_wish(self, state: State) -> None:
-        """A wish that has come true is not repeated in the next session."""
+    def _note_fulfilled(self, state: State) -> None:
+        """A request that is fulfilled is not repeated in the next session."""
         armed = self._link.linked and state.plc_state in ARMED_STATES
         done = armed if isinstance(self._asked, ArmRequest) else state.plc_state is not PlcState.FAULT
         self._asked = None if done else self._asked
 
     def _renew(self) -> None:
-        """A closed link is replaced; a wish to arm or to reset that has not lapsed goes on."""
+        """A closed link is replaced; a request to arm or to reset that has not lapsed goes on."""
         counters = self._link.counters
         self._past_sent += counters.sent
         self._past_received += counters.received

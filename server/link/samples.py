@@ -58,7 +58,7 @@ class SampleRing:
         return self._samples[-1] if self._samples else None
 
     def extend(self, samples: Iterable[PlcSample]) -> None:
-        """Keep new samples and tell everybody."""
+        """Keep new samples and call the listeners."""
         for sample in samples:
             self._samples.append(sample)
             self.listeners.call(sample)

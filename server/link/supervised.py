@@ -104,5 +104,5 @@ def _read(
     except (EOFError, OSError, TypeError):  # TypeError: the pipe was closed under recv
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(on_gone)
-    except RuntimeError:  # the event loop is closed: nobody listens any more
+    except RuntimeError:  # the event loop is closed: there is no listener any more
         return

@@ -34,7 +34,7 @@ class Resolver:
         self.refresh()
 
     def refresh(self) -> None:
-        """Ask again; returns at once."""
+        """Ask again; returns immediately."""
         self._wanted.set()
 
     def _work(self) -> None:

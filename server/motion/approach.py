@@ -21,7 +21,7 @@ _PLAY_RAD: tuple[float, ...] = tuple(np.deg2rad([0.8, 0.4, 0.4, 0.6, 0.6, 0.6]).
 
 @dataclass(frozen=True, slots=True)
 class ApproachSettings:
-    """The last leg: by how much each joint comes from below (0: it does not matter), and how slowly."""
+    """The last leg: by how much each joint approaches from below (0: it does not matter), and how slowly."""
 
     play_rad: tuple[float, ...] = _PLAY_RAD
     last_leg_s: float = 2.0

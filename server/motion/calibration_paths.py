@@ -45,7 +45,7 @@ def markers_in_view(
     """
     T_tcp_cam = pose(R_tcp_cam, machine.T_tcp_cam_left[:3, 3])
     markers = machine.markers_on("ooi")
-    boards = [(one.T_on_board, inner_corners(one)) for one in machine.boards_on("ooi") if one.kind == "charuco"]
+    boards = [(board.T_on_board, inner_corners(board)) for board in machine.boards_on("ooi") if board.kind == "charuco"]
     counts = np.zeros(len(Ts_base_tcp))
     for k, T_base_tcp in enumerate(Ts_base_tcp):
         T_cam_ooi = inverse_pose(T_base_tcp @ T_tcp_cam) @ T_base_ooi

@@ -1,4 +1,4 @@
-"""Stall in the valve's dead band: the reference stands off the encoders by it, and to which side the motion tells.
+"""Dead-band offset ("stall"): steady-state difference of reference and encoder, signed by the last motion.
 
 A P-controlled valve opens only when kp |q_ref - q| exceeds its dead band, so a joint rests `stall` short of the
 reference, on the side it came from. Paths are planned for the encoders; here they become paths of the reference.
@@ -23,9 +23,9 @@ from server.motion.trajectory import join
 from server.motion.wall_clearance import wall_refusal
 
 FIRST_GUESS_FRAC = 0.015  # half width of a servo valve's dead band in fraction of full command, until it is seen
-STALL_MAX_RAD = 0.06  # more is no dead band but a joint that does not follow
-LOOSE_RAD = float(np.deg2rad(0.3))  # a motion this long breaks stiction, so where it ends tells the stall
-STUCK_SHARE = 0.6  # of the last motion that a joint lacks: then it did not make that motion
+STALL_MAX_RAD = 0.06  # more is not a dead band but a joint that does not follow
+LOOSE_RAD = float(np.deg2rad(0.3))  # a motion this long breaks stiction, so its rest shows the stall
+STUCK_SHARE = 0.6  # of the last motion: a joint that stays short by more did not make that motion
 TRAVEL_RAD = 1e-6
 TIP_SHARE_M = 5e-4  # residual of one joint that is not worth a trim, by its effect at the TCP
 TURN_LEVER_M = 0.1  # and what its turn does to the tool: 0.5 mm at 0.1 m are 0.3 deg
@@ -73,11 +73,11 @@ def _quintic(u: Array) -> tuple[Array, Array, Array]:
 def updated_stall(
     stall_rad: Array, q_ref: Array, q_rest: Array, direction: Array, play_rad: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """What a rest tells about the stall, and which joints did not break loose.
+    """The stall by a rest, and which joints did not break loose.
 
     A joint that came from below rests its stall below the reference. One that rests much further off than it did
-    before was held by stiction; that tells nothing about its stall.
-    Args:    direction: of each joint's last motion (n,): +1, -1, or 0 where it tells nothing; play_rad: its length.
+    before was held by stiction; that rest says nothing about its stall.
+    Args:    direction: of each joint's last motion (n,): +1, -1, or 0 if too short to use; play_rad: its length.
     Returns: stall (n,) [rad]; stuck (n,) of bool.
     """
     seen = direction * (q_ref - q_rest)
@@ -95,7 +95,7 @@ def last_direction(trajectory: JointTrajectory) -> Array:
 
 
 def worth_trimming(machine: Machine, q: Array, residual: Array) -> NDArray[np.bool_]:
-    """Which joints lack so much that the tool shows it: (n,) of bool."""
+    """Which joints are so far short of their goal that the tool shows it: (n,) of bool."""
     J = tcp_jacobian(chain_of(machine), q)
     lever_m = np.linalg.norm(J[:3], axis=0) + TURN_LEVER_M
     return np.abs(residual) > np.maximum(TIP_SHARE_M / lever_m, RESIDUAL_MIN_RAD)
@@ -114,20 +114,20 @@ def plan_trim(
     """Come again from below, by as much as breaks the joint loose, to where the encoders then stand at q_goal.
 
     Model:   stiction lets a small step of the reference pass, then jumps; a motion of half a degree always ends the
-             same stall short. So a joint that lacks goes to q_goal - play - stall, then to q_goal + stall.
+             same stall short. So a joint that is short goes to q_goal - play - stall, then to q_goal + stall.
     Args:    q_ref, q, q_goal: (n,) [rad]; q are the encoders at rest. play_rad: how far below it starts (n,).
              wall: the tool keeps off it on the joints' way, q to q_goal - play to q_goal.
     Returns: a plan of two legs; as `plan_joint_move` when it is not possible.
     """
-    lacking = worth_trimming(machine, q, require_joints(q_goal - q, len(machine.joints), "residual"))
-    below = np.where(lacking, q_goal - play_rad - stall_rad, q_ref)
-    plan = _through(machine, q_ref, [below, np.where(lacking, q_goal + stall_rad, q_ref)], settings)
-    way = [q, np.where(lacking, q_goal - play_rad, q), np.where(lacking, q_goal, q)]
+    short = worth_trimming(machine, q, require_joints(q_goal - q, len(machine.joints), "residual"))
+    below = np.where(short, q_goal - play_rad - stall_rad, q_ref)
+    plan = _through(machine, q_ref, [below, np.where(short, q_goal + stall_rad, q_ref)], settings)
+    way = [q, np.where(short, q_goal - play_rad, q), np.where(short, q_goal, q)]
     return off_the_wall(machine, plan, way, wall)
 
 
 def off_the_wall(machine: Machine, plan: PathPlan, way: list[Array], wall: Wall | None) -> PathPlan:
-    """A plan of the reference, checked against the wall where the joints will be: their stall is no way to the tool.
+    """A plan of the reference, checked against the wall where the joints will be: stall does not move the tool.
 
     Args:    way: encoders (n,) [rad] from rest to rest, straight in between.
     Returns: the plan with the clearance on that way; refused where the tool comes too near.

@@ -107,7 +107,7 @@ def cartesian_leg(
 def joint_leg(
     machine: Machine, chain: Chain, q_start: Array, q_end: Array, settings: PlanSettings, wall: Wall | None
 ) -> Leg | Refusal:
-    """One leg in joint space; the wrist singularity is no obstacle there."""
+    """One leg in joint space, which may pass through the wrist singularity."""
     return _leg(machine, chain, joint_line(chain, q_start, q_end), settings, wall, singular_ok=True)
 
 

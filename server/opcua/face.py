@@ -42,8 +42,8 @@ class OpcUaFace:
         server.set_server_name("longreach")
         server.set_security_policy([self._ua.SecurityPolicyType.NoSecurity])
         index = await server.register_namespace(NAMESPACE)
-        for one in shown(self._service):
-            await self._add(index, one)
+        for variable in shown(self._service):
+            await self._add(index, variable)
         try:
             await server.start()
         except OSError as error:
@@ -52,8 +52,8 @@ class OpcUaFace:
     async def run(self) -> None:
         """Write values until cancelled."""
         while True:
-            for one in shown(self._service):
-                await self._nodes[one.path].write_value(self._data(one))
+            for variable in shown(self._service):
+                await self._nodes[variable.path].write_value(self._data(variable))
             await asyncio.sleep(PERIOD_S)
 
     async def stop(self) -> None:
@@ -131,7 +131,7 @@ async def opcua_face(service: JobService, settings: OpcUaSettings) -> AsyncItera
     face = OpcUaFace(service, settings.host, settings.port)
     await face.start()
     running = asyncio.create_task(face.run(), name="opcua")
-    running.add_done_callback(_tell)
+    running.add_done_callback(_log_end)
     try:
         yield face
     finally:
@@ -140,7 +140,7 @@ async def opcua_face(service: JobService, settings: OpcUaSettings) -> AsyncItera
         await face.stop()
 
 
-def _tell(done: "asyncio.Task[None]") -> None:
+def _log_end(done: "asyncio.Task[None]") -> None:
     """A face that ends by itself is a defect; the machine goes on without it, and its clients see old time stamps."""
     if not done.cancelled() and (error := done.exception()) is not None:
         log.error("opcua: values are no longer updated", exc_info=error)

@@ -33,7 +33,7 @@ class OperationalMode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """One variable. `fresh` False: the PLC has not told it for too long. `unit` is UNECE's code, or empty."""
+    """One variable. `fresh` False: the PLC has not reported it for too long. `unit` is UNECE's code, or empty."""
 
     path: tuple[str, ...]
     value: Value

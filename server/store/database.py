@@ -116,11 +116,11 @@ class Database:
     def _failed(self, error: Exception) -> StoreError:
         if isinstance(error, sqlite3.IntegrityError):
             return StoreError(f"database {self.path}: {error}")  # a defect of the work, not of the disk
-        told = str(error) if isinstance(error, StoreError) else f"database {self.path}: {error}"
-        if told != self.problem:
-            log.error("store: %s; motion is refused until it can be written again", told)
-        self.problem = told
-        return error if isinstance(error, StoreError) else StoreError(told)
+        text = str(error) if isinstance(error, StoreError) else f"database {self.path}: {error}"
+        if text != self.problem:
+            log.error("store: %s; motion is refused until it can be written again", text)
+        self.problem = text
+        return error if isinstance(error, StoreError) else StoreError(text)
 
     def _opened(self) -> sqlite3.Connection:
         if self._db is None:
@@ -142,7 +142,7 @@ class Database:
     # --- reading ----------------------------------------------------------------------------------------------------
 
     def read(self, work: Work[T]) -> T:
-        """Run a query beside the writer, on what was committed last.
+        """Run a query alongside the writer, on what was committed last.
 
         Raises: StoreError: the file cannot be read.
         """

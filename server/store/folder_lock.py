@@ -23,7 +23,7 @@ def alone_in(folder: Path) -> Iterator[None]:
     """Hold a recordings folder, which is made if it is not there. The system lets go of it however the process ends.
 
     The folder itself is locked: that outlives the removal of all files in it. A file system that locks no folders has
-    the lock of the file, which also says who holds it. A folder that was removed itself and made anew is another one:
+    the lock of the file, which also says who holds it. A folder that was removed and made again is another one:
     on Linux its path is held as well.
 
     Raises: SettingsError: another server holds it, or it cannot be written.

@@ -162,8 +162,8 @@ def _measured(
     rays = undistort_to_rays(camera, samples)
     uv = (rays - ray) * [camera.fx_px, camera.fy_px]
     limits = disparity_px - SLACK_PX, disparity_px + SLACK_PX
-    coarse = [coarse_disparity(camera, left, right, one, SAMPLE_HALF_PX, limits) for one in rays]
-    guess = np.array([one.disparity_px for one in coarse])
+    coarse = [coarse_disparity(camera, left, right, sample_ray, SAMPLE_HALF_PX, limits) for sample_ray in rays]
+    guess = np.array([found.disparity_px for found in coarse])
     usable = np.isfinite(guess)
     sigma_texture = texture_sigma_px(left, pixel, radius_px)
     sigma_depth_m = depth_m**2 / (camera.fx_px * camera.baseline_m) * sigma_texture

@@ -387,7 +387,7 @@ def _marks_verdict(
 def _sigma_at(own: MarksPose, fit: MarksPose, point_target: Array) -> Array:
     """Standard deviation (3,) [m] of a point's place, both poses together, camera axes."""
     total = np.zeros((3, 3))
-    for one in (own, fit):
-        J = np.hstack([-skew(one.T[:3, :3] @ point_target), np.eye(3)])
-        total += J @ one.covariance @ J.T
+    for estimate in (own, fit):
+        J = np.hstack([-skew(estimate.T[:3, :3] @ point_target), np.eye(3)])
+        total += J @ estimate.covariance @ J.T
     return np.sqrt(np.diag(total))

@@ -198,7 +198,7 @@ def widened_covariance(
              one. Then, for a minimum that stands alone, the frontal and the mirrored orientation: where the profile
              there has risen by less than the covariance says, C grows along that way until they agree.
     Args:    covariance (6, 6) by the normal equations. variance [px^2] of one coordinate. best_px2: sum of squares.
-             alone: whether there is no other minimum; where there is one, its margin tells about it.
+             alone: whether there is no other minimum; where there is one, its margin covers it.
     Returns: (6, 6), never smaller than `covariance`.
     Source:  Venzon and Moolgavkar 1988, profile likelihood intervals.
     """

@@ -1,4 +1,4 @@
-"""When both eyes and the layout leave two orientations, the last moments may tell them apart."""
+"""When both eyes and the layout leave two orientations, the last moments may decide between them."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ class PosePrior:
     """Where the object was in the camera a moment ago, by images alone.
 
     T_cam_object (4, 4); covariance (6, 6) rotation vector [rad], translation [m]; age_s: how long ago; ambiguous: that
-    pose was not sure of its own orientation, or was itself chosen by time: it then tells nothing.
+    pose was not sure of its own orientation, or was itself chosen by time: it is then not used.
     """
 
     T_cam_object: Array

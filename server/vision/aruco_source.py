@@ -39,7 +39,7 @@ class BoardFinder:
             "ooi": _charuco(machine.boards_on("ooi")),
         }
         self.marker_ids = frozenset(
-            one for boards in self._boards.values() for board in boards for one in board_marker_ids(board)
+            marker_id for boards in self._boards.values() for board in boards for marker_id in board_marker_ids(board)
         )
         if self.marker_ids:
             warm_up_boards()
@@ -49,9 +49,9 @@ class BoardFinder:
         repeated = found[0].repeated_ids | found[1].repeated_ids
         left, right = (
             {
-                one: corners
-                for one, corners in {**eye.covered, **eye.markers}.items()
-                if one in self.marker_ids and one not in repeated
+                marker_id: corners
+                for marker_id, corners in {**eye.covered, **eye.markers}.items()
+                if marker_id in self.marker_ids and marker_id not in repeated
             }
             for eye in found
         )
@@ -86,7 +86,7 @@ class ArucoSettings:
 
 class ArucoPoseSource:
     """Pairs in, poses out. Keeps the last corners of each eye to search near them next time, and the last poses: they
-    tell two orientations apart where images cannot.
+    decide between two orientations where images cannot.
     """
 
     def __init__(self, machine: Machine, settings: ArucoSettings | None = None) -> None:
@@ -106,7 +106,7 @@ class ArucoPoseSource:
         )
 
     def observe(self, left: Image, right: Image, t_exposure_ns: int) -> PairObservation:
-        """Poses in one raw grey stereo pair; what the images lack is a status and a warning."""
+        """Poses in one raw grey stereo pair; what the images do not show is a status and a warning."""
         problems = [problem for problem in (image_problem("left", left), image_problem("right", right)) if problem]
         found = detect_safely(self._left, left), detect_safely(self._right, right)
         age_s = (t_exposure_ns - self._t_last_ns) * 1e-9
@@ -150,17 +150,17 @@ def _unused_views(found: tuple[EyeDetection, EyeDetection], known: set[int]) -> 
     """Markers seen but not fit for measuring: partly covered in every eye, badly printed, or seen twice."""
     left, right = found
     views = {}
-    for one in sorted({*left.covered, *right.covered} - known):
-        reason = f"marker {one} is partly covered or shaded; clear the view to all four of its sides"
-        if one in left.no_margin | right.no_margin:
-            reason = (
-                f"marker {one} has {NO_WHITE_MARGIN} around its black border; print it with at least one cell of white"
-            )
-        views[one] = MarkerView(one, left.covered.get(one), right.covered.get(one), float("nan"), False, reason)
+    for number in sorted({*left.covered, *right.covered} - known):
+        reason = f"marker {number} is partly covered or shaded; clear the view to all four of its sides"
+        if number in left.no_margin | right.no_margin:
+            remedy = "print it with at least one cell of white"
+            reason = f"marker {number} has {NO_WHITE_MARGIN} around its black border; {remedy}"
+        seen = left.covered.get(number), right.covered.get(number)
+        views[number] = MarkerView(number, *seen, float("nan"), False, reason)
     for number in sorted((left.inverted | right.inverted) - known - views.keys()):
         reason = f"marker {number} is printed white on black; print it black on white"
         views[number] = MarkerView(number, None, None, float("nan"), False, reason)
-    for one in sorted(left.repeated_ids | right.repeated_ids):
-        reason = f"marker id {one} is visible at two places; cover or remove one"
-        views[one] = MarkerView(one, None, None, float("nan"), False, reason)
+    for number in sorted(left.repeated_ids | right.repeated_ids):
+        reason = f"marker id {number} is visible at two places; cover or remove one"
+        views[number] = MarkerView(number, None, None, float("nan"), False, reason)
     return list(views.values())

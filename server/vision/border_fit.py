@@ -10,7 +10,7 @@ from server.vision.quadrilateral import grey_at, of_unit_square
 
 PER_CELL = 4  # samples along and across a cell
 TRIED_CELLS = 0.15  # how far a side is tried outward and inward
-CELL_MIN_PX = 4.0  # smaller cells tell no part of themselves
+CELL_MIN_PX = 4.0  # smaller cells do not show their parts
 MOVED_MIN_CELLS, MOVED_MIN_PX = 0.10, 0.8  # clean ones stay below 0.07 and 0.6, in shade and blur
 NO_MATCH = -2.0
 

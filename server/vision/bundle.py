@@ -185,7 +185,7 @@ def _name(layout: BundleLayout, column: int, n_frames: int) -> str:
 # Adjusting in rounds: roughly with everything, then without the outliers and with the noise that there is.
 
 ROUNDS_MAX = 4
-ROUGH_STEP_SIGMA = 0.5  # per unknown: near enough to tell outliers; the slow end of reweighting is saved
+ROUGH_STEP_SIGMA = 0.5  # per unknown: near enough to find outliers; the slow end of reweighting is saved
 ROUGH_FRAC = 0.5  # of the iterations
 STEADY_FRAC = 0.1  # a noise that changed by less needs no further round
 

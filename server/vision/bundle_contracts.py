@@ -142,7 +142,7 @@ class BundleResult:
     covariances (k, 6, 6), group_covariances (g, 6, 6): rotation vector [rad] by left perturbation in vo axes, then
         position [m], as `OdometryPose`; of a fixed frame zero.
     joint_covariance (6 (k + g), 6 (k + g)): the same with all that frames and groups have in common.
-    point_covariances (m, 3, 3) [m^2], vo axes; (0, 3, 3) unless asked for. A point that nobody sees: 1e6 m^2.
+    point_covariances (m, 3, 3) [m^2], vo axes; (0, 3, 3) unless requested. A point that no frame sees: 1e6 m^2.
     cost_before, cost_after: sum of rho(r^2 / sigma^2) / 2 at the given loss scale, priors included; after: without what
         was trimmed. rms_sigma: over the inliers' coordinates.
     variance_factor: by which the covariances were multiplied (loss, residuals larger than their sigma).

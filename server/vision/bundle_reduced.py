@@ -341,13 +341,15 @@ def _eliminate(
     y0 = step[p, 0] / L[0, 0]
     y1 = (step[p, 1] - L[1, 0] * y0) / L[1, 1]
     y2 = (step[p, 2] - L[2, 0] * y0 - L[2, 1] * y1) / L[2, 2]
-    for one in range(count):
-        c = columns[one]
+    for first in range(count):
+        c = columns[first]
         for j in range(6):
-            b0, b1, b2 = rows[one, 0, j], rows[one, 1, j], rows[one, 2, j]
+            b0, b1, b2 = rows[first, 0, j], rows[first, 1, j], rows[first, 2, j]
             right[c + j] -= b0 * y0 + b1 * y1 + b2 * y2
-            for two in range(count):
-                d = columns[two]
+            for second in range(count):
+                d = columns[second]
                 if d <= c:
                     for q in range(6):
-                        reduced[c + j, d + q] -= b0 * rows[two, 0, q] + b1 * rows[two, 1, q] + b2 * rows[two, 2, q]
+                        reduced[c + j, d + q] -= (
+                            b0 * rows[second, 0, q] + b1 * rows[second, 1, q] + b2 * rows[second, 2, q]
+                        )

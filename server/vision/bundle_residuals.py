@@ -260,10 +260,10 @@ def _rotate_pull(R: Array, f: int, i: int, x: float, y: float, z: float, pull: A
 
 
 @njit(cache=True, nogil=True)
-def _rotate_weight(R: Array, f: int, i: int, own: Three, beside: tuple[float, float], weights: Array) -> None:
-    """R S R^T of S with diagonal (xx, yy, zz), beside it yz and zx (xy is 0), written as xx, yy, zz, xy, yz, zx."""
+def _rotate_weight(R: Array, f: int, i: int, own: Three, off: tuple[float, float], weights: Array) -> None:
+    """R S R^T of S with diagonal (xx, yy, zz) and off-diagonal yz and zx (xy is 0), as xx, yy, zz, xy, yz, zx."""
     xx, yy, zz = own
-    yz, zx = beside
+    yz, zx = off
     for j in range(3):
         k = (j + 1) % 3
         tx = R[f, j, 0] * xx + R[f, j, 2] * zx

@@ -1,7 +1,7 @@
-"""A chess corner to a few hundredths of a pixel: both edges through it fitted at once, markers beside it left out.
+"""A chess corner to a few hundredths of a pixel: both edges through it fitted jointly, the markers left out.
 
 A search for the saddle by gradients needs a round window, which the markers in the white squares keep small; the edges
-are long, and all that tells of the corner lies within some pixels of them.
+are long, and all information on the corner lies within some pixels of them.
 """
 
 import math

@@ -71,7 +71,7 @@ class PairObservation:
 
 
 class ObjectPoseSource(Protocol):
-    """Anything that finds tool and OOI in a stereo pair: ArUco is one; real tools and drill holes may follow."""
+    """Anything that finds tool and OOI in a stereo pair: ArUco is one; real tools and boreholes may follow."""
 
     def observe(self, left: Image, right: Image, t_exposure_ns: int) -> PairObservation:
         """Poses in one raw grey (h, w) stereo pair. Never raises on what the image shows; a failed look is a status."""

@@ -35,8 +35,8 @@ LOOKS_FOR_INVERTED = (2, 8, 32)
 # From one pair to the next: a marker's sides are fitted straight from where they should be, without a new search.
 
 WRONG_CELLS_MAX = 0
-SHAPE_CHANGE_MAX_FRAC = 0.10  # of a side's length from pair to pair; more is no motion of a crane
-TURN_MIN_PX = 0.5  # the sag of the sides is computed anew once the corners have moved by this much
+SHAPE_CHANGE_MAX_FRAC = 0.10  # of a side's length from pair to pair; more does not come from a crane's motion
+TURN_MIN_PX = 0.5  # the sag of the sides is computed again once the corners have moved by this much
 
 
 @dataclass(slots=True)
@@ -138,7 +138,7 @@ class EyeDetection:
     """What one eye shows: markers with clean sides, covered ones, and the ids seen at more than one place."""
 
     markers: dict[int, Array]
-    covered: dict[int, Array]  # decoded, but a side is no clean edge: something is in front of it
+    covered: dict[int, Array]  # decoded, but a side is not a clean edge: something is in front of it
     repeated_ids: frozenset[int]
     full_search: bool
     no_margin: frozenset[int] = frozenset()  # of the covered ones: printed without white around the black border
@@ -200,8 +200,8 @@ class EyeDetector:
         self._last = found
         if self._settings.refine:
             self._follower.remember(found)
-        clean = {one.marker_id: one.corners_px for one in found.values() if not one.covered}
-        covered = {one.marker_id: one.corners_px for one in found.values() if one.covered}
+        clean = {marker.marker_id: marker.corners_px for marker in found.values() if not marker.covered}
+        covered = {marker.marker_id: marker.corners_px for marker in found.values() if marker.covered}
         bare = frozenset(marker.marker_id for marker in found.values() if marker.fit is SideFit.NO_MARGIN)
         return EyeDetection(clean, covered, self._repeated, full_search, bare, self._inverted - found.keys())
 
@@ -245,7 +245,7 @@ class EyeDetector:
         self._repeated = frozenset(marker_id for marker_id in ids if ids.count(marker_id) > 1)
         new = {marker.marker_id: marker for marker in found if marker.marker_id not in known}
         everything = known | {marker_id: self._refined(marker, image) for marker_id, marker in new.items()}
-        single = {marker_id: one for marker_id, one in everything.items() if marker_id not in self._repeated}
+        single = {marker_id: marker for marker_id, marker in everything.items() if marker_id not in self._repeated}
         self._missed_searches = 0 if self._wanted <= single.keys() else self._missed_searches + 1
         if self._missed_searches in LOOKS_FOR_INVERTED or not self._missed_searches:
             self._inverted = self._white_on_black(image) if self._missed_searches else frozenset()
@@ -262,4 +262,4 @@ class EyeDetector:
             return self._find(image)
         half = np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
         found = find_markers(half, self._dictionary, 0.5 * self._settings.perimeter_min_px)
-        return tuple(FoundMarker(one.marker_id, (one.corners_px + 0.5) * 2.0 - 0.5) for one in found)
+        return tuple(FoundMarker(marker.marker_id, (marker.corners_px + 0.5) * 2.0 - 0.5) for marker in found)

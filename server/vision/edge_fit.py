@@ -93,7 +93,7 @@ def _collect(
     major_size, minor_size = (width, height) if along_x else (height, width)
     slope = (end[minor] - start[minor]) / (end[major] - start[major])
     reach = (half_px + abs(bow[0]) + abs(bow[1])) / max(abs(tx), abs(ty))
-    skew = reach * min(abs(tx), abs(ty))  # how far along a pixel at the band's rim lies beside its station
+    skew = reach * min(abs(tx), abs(ty))  # how far along a pixel at the band's rim lies from its station
     low = max(math.ceil(min(start[major], end[major]) - skew), 0)
     high = min(math.floor(max(start[major], end[major]) + skew), major_size - 1)
     stride = max(math.ceil((high - low + 1) / stations), 1)
@@ -249,7 +249,7 @@ class SideFit(Enum):
 
     CLEAN = "clean"
     TOO_SMALL = "too_small"  # too few pixels per cell for a band around the side
-    COVERED = "covered"  # a side is no clean edge: something lies over it, or light falls across it
+    COVERED = "covered"  # a side is not a clean edge: something lies over it, or light falls across it
     NO_MARGIN = "no_margin"  # the same, because the print has no white around its black border
 
 

@@ -45,7 +45,7 @@ def average_look(
         return _failed(
             observations, LookStatus.NO_IMAGES, "no stereo pairs received; check the camera source and its cable"
         )
-    usable = [one for one in observations if one.tool.status in USABLE and one.ooi.status in USABLE]
+    usable = [pair for pair in observations if pair.tool.status in USABLE and pair.ooi.status in USABLE]
     if len(usable) < max(1.0, limits.used_min_frac * len(observations)):
         return _failed(observations, *_why_unusable(observations))
     rest = _rest(usable)
@@ -59,7 +59,7 @@ def average_look(
             "wait until the boom rests"
         )
         return _failed(observations, LookStatus.NOT_AT_REST, reason, rest.spread_mm)
-    clear = [one for one in usable if one.tool.status is PoseStatus.OK and one.ooi.status is PoseStatus.OK]
+    clear = [pair for pair in usable if pair.tool.status is PoseStatus.OK and pair.ooi.status is PoseStatus.OK]
     ambiguous = len(clear) < limits.used_min_frac * len(usable)
     return _averaged(observations, usable if ambiguous else clear, rest, ambiguous)
 
@@ -67,12 +67,12 @@ def average_look(
 def _averaged(
     observations: Sequence[PairObservation], taken: Sequence[PairObservation], rest: Rest, ambiguous: bool
 ) -> Look:
-    tool, ooi = _mean_of([one.tool for one in taken]), _mean_of([one.ooi for one in taken])
+    tool, ooi = _mean_of([pair.tool for pair in taken]), _mean_of([pair.ooi for pair in taken])
     both = tool.kept & ooi.kept
     reason = ""
     if ambiguous:
         reason = next(
-            (found.reason for one in taken for found in (one.tool, one.ooi) if found.status is not PoseStatus.OK), ""
+            (found.reason for pair in taken for found in (pair.tool, pair.ooi) if found.status is not PoseStatus.OK), ""
         )
     return Look(
         status=LookStatus.ORIENTATION_AMBIGUOUS if ambiguous else LookStatus.OK,
@@ -107,14 +107,14 @@ def _median_corners(seen: Sequence[Array | None]) -> Array | None:
 
 
 def _mean_of(found: Sequence[ObjectPose]) -> PoseMean:
-    Ts = np.array([one.T_cam_object for one in found])
-    return pose_mean(Ts, np.array([one.covariance for one in found]))
+    Ts = np.array([pose.T_cam_object for pose in found])
+    return pose_mean(Ts, np.array([pose.covariance for pose in found]))
 
 
 def _vectors_m(observations: Sequence[PairObservation]) -> Array:
     """From OOI to tool (n, 3) [m] in camera axes: at rest these do not turn, and the OOI's jitter has no lever arm."""
-    tools = np.array([one.tool.T_cam_object for one in observations])
-    oois = np.array([one.ooi.T_cam_object for one in observations])
+    tools = np.array([pair.tool.T_cam_object for pair in observations])
+    oois = np.array([pair.ooi.T_cam_object for pair in observations])
     return tools[:, :3, 3] - oois[:, :3, 3]
 
 
@@ -128,7 +128,7 @@ def _rest(observations: Sequence[PairObservation]) -> Rest:
 
 def _noise_mm(observations: Sequence[PairObservation]) -> float:
     """Predicted sigma of the tool-to-OOI position of one pair, all axes together [mm]; median over the pairs."""
-    both = [(one.tool.covariance, one.ooi.covariance) for one in observations]
+    both = [(pair.tool.covariance, pair.ooi.covariance) for pair in observations]
     squares = [
         np.trace(tool[3:, 3:]) + np.trace(ooi[3:, 3:]) for tool, ooi in both if tool is not None and ooi is not None
     ]
@@ -138,14 +138,16 @@ def _noise_mm(observations: Sequence[PairObservation]) -> float:
 def _why_unusable(observations: Sequence[PairObservation]) -> tuple[LookStatus, str]:
     n = len(observations)
     for name, status in (("tool", LookStatus.TOOL_NOT_SEEN), ("ooi", LookStatus.OOI_NOT_SEEN)):
-        found = [one.tool if name == "tool" else one.ooi for one in observations]
-        missing = [one for one in found if one.status is PoseStatus.NOT_SEEN]
+        found = [pair.tool if name == "tool" else pair.ooi for pair in observations]
+        missing = [pose for pose in found if pose.status is PoseStatus.NOT_SEEN]
         if 2 * len(missing) > n:
             return status, f"{name} not seen in {len(missing)} of {n} pairs: {missing[-1].reason}"
-    rejected = [found for one in observations for found in (one.tool, one.ooi) if found.status is PoseStatus.REJECTED]
+    rejected = [
+        found for pair in observations for found in (pair.tool, pair.ooi) if found.status is PoseStatus.REJECTED
+    ]
     if rejected:
         return LookStatus.REJECTED, f"{len(rejected)} poses rejected in {n} pairs: {rejected[-1].reason}"
-    unseen = [found for one in observations for found in (one.tool, one.ooi) if found.status is PoseStatus.NOT_SEEN]
+    unseen = [found for pair in observations for found in (pair.tool, pair.ooi) if found.status is PoseStatus.NOT_SEEN]
     status = LookStatus.TOOL_NOT_SEEN if unseen[-1].on == "tool" else LookStatus.OOI_NOT_SEEN
     return status, f"tool and OOI together in too few of {n} pairs: {unseen[-1].reason}"
 

@@ -90,7 +90,7 @@ class FoundMarker:
 
     @property
     def covered(self) -> bool:
-        """Whether a side is no clean edge."""
+        """Whether a side is not a clean edge."""
         return self.fit in (SideFit.COVERED, SideFit.NO_MARGIN)
 
 
@@ -117,7 +117,7 @@ def require_ids(dictionary: "cv2.aruco.Dictionary", name: str, ids: Iterable[int
     Raises: UnknownDictionaryError naming the ids and the range.
     """
     n = len(dictionary.bytesList)
-    beyond = sorted(one for one in ids if not 0 <= one < n)
+    beyond = sorted(marker_id for marker_id in ids if not 0 <= marker_id < n)
     if beyond:
         raise UnknownDictionaryError(f"marker ids {beyond} are not in {name}; it has ids 0 to {n - 1}: print others")
 

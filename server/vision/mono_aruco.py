@@ -34,9 +34,14 @@ class MonoArucoPoseSource:
         used = {*tool.marker_ids, *ooi.marker_ids}
         views = tuple(
             MarkerView(
-                one, corners, None, float("nan"), one in used, "" if one in used else "one marker is enough here"
+                marker_id,
+                corners,
+                None,
+                float("nan"),
+                marker_id in used,
+                "" if marker_id in used else "one marker is enough here",
             )
-            for one, corners in sorted(seen.items())
+            for marker_id, corners in sorted(seen.items())
         )
         return PairObservation(t_exposure_ns, tool, ooi, views, (problem,) if problem else ())
 

@@ -1,4 +1,4 @@
-"""Pose of an object from all its visible markers in both eyes: all planar solutions tried, ambiguity told."""
+"""Pose of an object from all its visible markers in both eyes: all planar solutions tried, ambiguity reported."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -218,7 +218,7 @@ def _minima(problem: PoseProblem, indices: Sequence[int]) -> list[RefinedPose]:
     if not found:
         return []
     other = mirrored_pose(found[0].T_cam_object, observations.points_object, observations.eye_x_m)
-    starts = np.array([*(one.T_cam_object for one in found), other])
+    starts = np.array([*(minimum.T_cam_object for minimum in found), other])
     return distinct_minima(starts, observations, SAME_MINIMUM_RAD)
 
 
@@ -259,7 +259,7 @@ def _candidate(
         return None
     observations, alone = problem.observations_of(used), len(minima) == 1
     wide = widened_covariance(fit.T_cam_object, covariance, variance, fit.sum_squares_px2, observations, alone)
-    others = [one.sum_squares_px2 for k, one in enumerate(minima) if k != rank]
+    others = [minimum.sum_squares_px2 for k, minimum in enumerate(minima) if k != rank]
     margin = (min(others) - fit.sum_squares_px2) / variance if others else NO_RIVAL
     return _Candidate(fit, wide, float(margin))
 
@@ -270,7 +270,9 @@ def _chosen_by_time(
     """The one of two orientations that follows from the last moments, if these rule the other one out."""
     if prior is None or not usable_prior(prior):
         return None
-    distances = [chi2_to_prior(one.fit.T_cam_object, one.covariance, prior, settings.motion) for one in both]
+    distances = [
+        chi2_to_prior(candidate.fit.T_cam_object, candidate.covariance, prior, settings.motion) for candidate in both
+    ]
     nearer = int(np.argmin(distances))
     winner = both[nearer]
     margin = winner.margin_chi2 + distances[1 - nearer] - distances[nearer]  # images and time together
@@ -319,7 +321,8 @@ def _rejected(
 ) -> tuple[ObjectPose, tuple[MarkerView, ...]]:
     ids = tuple(sighting.target_id for sighting in problem.sightings)
     views = tuple(
-        MarkerView(one.target_id, one.left_px, one.right_px, rms_px, False, reason) for one in problem.sightings
+        MarkerView(sighting.target_id, sighting.left_px, sighting.right_px, rms_px, False, reason)
+        for sighting in problem.sightings
     )
     return ObjectPose(on, PoseStatus.REJECTED, reason, None, None, ids, rms_px, NO_RIVAL), views
 
@@ -331,9 +334,10 @@ def _views(
     squares = np.full(len(rows), np.nan)
     squares[rows] = np.mean(best.residuals_px**2, axis=1)
     views = []
-    for index, one in enumerate(problem.sightings):
+    for index, sighting in enumerate(problem.sightings):
         own = squares[problem.rows_of([index])]
         rms = float(np.sqrt(np.mean(own))) if len(own) else float("nan")
         reason = dropped.get(index, "" if len(own) else "no eye sees a point of it")
-        views.append(MarkerView(one.target_id, one.left_px, one.right_px, rms, reason == "", reason))
+        seen = sighting.target_id, sighting.left_px, sighting.right_px
+        views.append(MarkerView(*seen, rms, reason == "", reason))
     return tuple(views)

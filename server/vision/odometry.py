@@ -67,7 +67,7 @@ class StereoOdometry:
 
     @property
     def readout(self) -> Readout:
-        """The rolling shutter's readout as told or learned so far."""
+        """The rolling shutter's readout as given or learned so far."""
         return self._readout
 
     def hides(self, left_px: Array) -> NDArray[np.bool_]:
@@ -227,7 +227,8 @@ class StereoOdometry:
         fit, rival, doubt = world_motion(fits, scene)
         if parts and not sure and rival is None:
             rival = world_motion(parts, scene)[0]  # within the noise: not decided, but held by the covariance
-        open_to = (problem.roots[:, 0, 0] > 0.0) & ~np.any([one.inliers for one in fits if one is not fit], axis=0)
+        inliers = [other.inliers for other in fits if other is not fit]
+        open_to = (problem.roots[:, 0, 0] > 0.0) & ~np.any(inliers, axis=0)
         if fit.inliers.sum() < max(settings.inliers_min, INLIERS_MIN_FRAC * np.sum(open_to | fit.inliers)):
             return None
         return Located(observed, fit, points_vo, twist, scene.rest_squares, rival, doubt)
@@ -289,7 +290,7 @@ class StereoOdometry:
         )
         status, reason = self._judged(evidence)
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
-        if located.jumped:  # a step over places that look alike is no motion
+        if located.jumped:  # a step over places that look alike is not a motion
             motion = standing(T_vo_cam, sight.t_exposure_ns)
         wanted = self._wants_keyframe(inliers_px) and (motion.steady or not self._rolls) and not located.doubt
         kept = sight.keep() if wanted else sight
@@ -306,7 +307,7 @@ class StereoOdometry:
         return OdometryPose(sight.t_exposure_ns, T_vo_cam, reported, status, reason, len(inliers_px))
 
     def _right_frac(self, located: Located) -> float:
-        """Of the points that the right eye should show, how many it does; 1 where too few to tell."""
+        """Of the points that the right eye should show, how many it does; 1 where there are too few."""
         on = located.fit.inliers
         expected = expected_right(self._camera, transform_points(located.fit.T_cam_vo, located.points_vo[on]))
         found = np.isfinite(located.observed.right_px[on, 0])

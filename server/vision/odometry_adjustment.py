@@ -51,7 +51,7 @@ def adjust_keyframes(
 ) -> Array | None:
     """Moves the keyframes of a window and their points to where they fit best; the first one stays.
 
-    Args:    sigma_px: assumed of a coordinate, in which points' covariances are told. noise_factor: how many times
+    Args:    sigma_px: assumed of a coordinate, in which points' covariances are given. noise_factor: how many times
              noisier the images turned out to be.
     Returns: joint covariance (6 k, 6 k) of the keyframes' poses, given the first; None where nothing was changed.
     """
@@ -81,7 +81,7 @@ def adjust_keyframes(
         on = tracked.hosts == number
         at = tracked.indices[on]
         keyframe.move_points(at, result.points_vo[on], covariances[on], readout_s)
-        _mix(keyframe, at, mixings[on], [one.serial for one in window])
+        _mix(keyframe, at, mixings[on], [held.serial for held in window])
     return result.joint_covariance
 
 

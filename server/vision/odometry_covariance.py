@@ -1,4 +1,4 @@
-"""How well the keyframes are known, jointly: an error taken over from an older keyframe is told once."""
+"""How well the keyframes are known, jointly: an error taken over from an older keyframe counts once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from machine.rotations import skew
 from server.vision.contracts import Array
 from server.vision.odometry_sensitivity import SHARED, Sensitivity
 
-# How long the rolling shutter takes from the first row to the last: told, or learned from the motion itself.
+# How long the rolling shutter takes from the first row to the last: given, or learned from the motion itself.
 
 SIGMA_S = 0.010  # before anything was seen: from a global shutter to that of a 60 Hz camera
 MAX_S = 0.040
@@ -20,7 +20,7 @@ SIGMA_MIN_S = 2e-4  # never surer: later pairs must be able to correct it
 
 @dataclass(frozen=True, slots=True)
 class Readout:
-    """Readout [s] and its sigma [s]; sigma 0 = told, never changed."""
+    """Readout [s] and its sigma [s]; sigma 0 = given, never changed."""
 
     value_s: float
     sigma_s: float
@@ -40,7 +40,7 @@ class Readout:
 
 
 def readout_of(readout_s: float | None) -> Readout:
-    """As told, or unknown."""
+    """As given, or unknown."""
     return Readout(0.0, SIGMA_S) if readout_s is None else Readout(readout_s, 0.0)
 
 

@@ -139,8 +139,8 @@ def make_keyframe(
     here = undistort_to_rays(camera, found.left_px)
     support = []
     for offset in (np.array([1.0, 0.0]), np.array([0.0, 1.0])):
-        beside = (undistort_to_rays(camera, found.left_px + offset) - here) * points[:, 2:]
-        support.append(points + np.column_stack([beside, np.zeros(len(points))]))
+        change = (undistort_to_rays(camera, found.left_px + offset) - here) * points[:, 2:]
+        support.append(points + np.column_stack([change, np.zeros(len(points))]))
     empty = np.zeros((0, 3))
     keyframe = Keyframe(
         sight=sight,

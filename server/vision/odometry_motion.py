@@ -8,7 +8,7 @@ from machine.poses import inverse_pose, pose
 from machine.rotations import rotation_from_rotvec, rotvec_from_rotation, skew
 from server.vision.contracts import Array
 
-RATIO_MAX = 4.0  # a longer gap than this many steps is no continuation
+RATIO_MAX = 4.0  # a longer gap than this many steps ends the motion's history
 GAP_MAX_NS = 400_000_000  # over a longer gap a mean velocity says nothing about the present one
 ACCELERATION = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3])  # typical [rad/s^2, m/s^2] of a boom that sways
 UNKNOWN_TWIST = np.array([0.1, 0.1, 0.1, 0.15, 0.15, 0.15])  # sigma [rad/s, m/s] where nothing is known
@@ -52,7 +52,7 @@ class Motion:
 
     @property
     def steady(self) -> bool:
-        """Whether the velocity is well known: the last two steps were short enough to tell it and its change."""
+        """Whether the velocity is well known: the last two steps were short enough to show it and its change."""
         return 0 < self.step_ns < GAP_MAX_NS and self.mean_before is not None
 
     def twist(self) -> Twist:

@@ -36,7 +36,7 @@ class Located:
 
     rival: the fit of another motion that may be the world's as well; the covariance holds both. doubt: why the pose may
     be quite another one, or "". places (3, 3) [m^2]: covariance in vo of the places that look alike. jumped: to
-    one of them, which is no motion.
+    one of them, without motion.
     """
 
     observed: Observed

@@ -133,9 +133,9 @@ def in_view(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array) -> bool:
     some = keyframe.points_vo[:: max(1, keyframe.n_points // SAMPLE)]
     x, y, z = transform_points(inverse_pose(T_vo_cam), some).T
     near = z > DEPTH_MIN_M
-    beside = np.abs(x) * camera.fx_px < MARGIN * camera.width_px * z
+    across = np.abs(x) * camera.fx_px < MARGIN * camera.width_px * z
     above = np.abs(y) * camera.fy_px < MARGIN * camera.height_px * z
-    return bool((near & beside & above).any())
+    return bool((near & across & above).any())
 
 
 def _observe_keyframe(number: int, keyframe: Keyframe, sight: Sight, wanted: Wanted, room: int) -> tuple[_Part, int]:

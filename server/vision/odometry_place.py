@@ -104,14 +104,16 @@ def best_place(
     for _ in range(CLIMBS_MAX):
         found = [fit(shifted(camera, best, way)) for way in ways_px]
         others = [
-            (dissimilarity(one), one) for one in found if one is not None and _apart(best, one, ways_px, camera.fx_px)
+            (dissimilarity(fitted), fitted)
+            for fitted in found
+            if fitted is not None and _apart(best, fitted, ways_px, camera.fx_px)
         ]
         nearest = min(others, default=None, key=lambda pair: pair[0])
         if nearest is None or nearest[0] >= dissimilarity(best):
             break
         best = nearest[1]
-    alike = [one for unlike, one in others if dissimilarity(best) > UNIQUE_RATIO_MAX * unlike]
-    return best, [_position(one) - _position(best) for one in alike]
+    alike = [located for unlike, located in others if dissimilarity(best) > UNIQUE_RATIO_MAX * unlike]
+    return best, [_position(located) - _position(best) for located in alike]
 
 
 def _position(located: Located) -> Array:

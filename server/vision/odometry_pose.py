@@ -60,7 +60,7 @@ class PoseFit:
 
     @property
     def noise_factor(self) -> float:
-        """How many times noisier than assumed the images are, as far as residuals can tell."""
+        """How many times noisier than assumed the images are, as far as the residuals show."""
         return noise_factor(self.rms_sigma**2)
 
 

@@ -41,7 +41,7 @@ def recognise(first: Image, mask_first: Image, second: Image, mask_second: Image
 def repeats(image: Image, along_rows: bool = False) -> Array:
     """Ways (k, 2) [px] by which a picture may repeat itself, the nearest first; few or none where it does not.
 
-    Model:   normalised correlation of its middle half, each way, with the whole: local maxima beside the main one.
+    Model:   normalised correlation of its middle half, each way, with the whole: local maxima besides the main one.
     """
     small = cv2.resize(image, None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_AREA)
     top, left = small.shape[0] // 4, small.shape[1] // 4

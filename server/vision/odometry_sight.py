@@ -210,7 +210,7 @@ class ImageSight:
         return np.where(moved.good[:, None], moved.points_px, np.nan), unique
 
     def find(self, kept: Sight, wanted: Wanted) -> tuple[Alignment, Alignment]:
-        """Patches of the kept pair, warped, laid onto this one; what lies under a mask is no find."""
+        """Patches of the kept pair, warped, laid onto this one; what lies under a mask is not found."""
         if not isinstance(kept, ImageSight):
             raise TypeError(f"a pair of images is compared with images, not with {type(kept).__name__}")
         left = align(kept.left, wanted.places_left_px, wanted.warps, self.left, wanted.guesses_left_px)

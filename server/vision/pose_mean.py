@@ -109,7 +109,7 @@ def white_eigenvalue_max(dof: int, size: int = 6) -> float:
 def _effective_numbers(white: Array) -> Array:
     """How many independent poses these (n, 6) are worth along each whitened axis (6,).
 
-    All six together tell a weak correlation that they share; one axis alone tells its own drift, which six would hide.
+    All six together show a weak correlation that they share; one axis alone shows its own drift, which six would hide.
     """
     n = len(white)
     products, squares = np.sum(white[1:] * white[:-1], axis=0), np.sum(white**2, axis=0)

@@ -76,8 +76,8 @@ def teach_layout(
     refusal = check_sides(fits.free, task.printed_m, task.ids, settings)
     markers = _markers(fits, task)
     refusal = refusal or check_sigmas(
-        max(position_sigma_m(one) for one in markers),
-        float(np.rad2deg(max(angle_sigma_rad(one) for one in markers))),
+        max(position_sigma_m(marker) for marker in markers),
+        float(np.rad2deg(max(angle_sigma_rad(marker) for marker in markers))),
         settings,
     )
     last = PER_MARKER * len(task.ids)
@@ -144,11 +144,11 @@ def _check_task(task: TeachTask) -> Refusal | None:
 
 
 def _shown(view: TeachView, ids: Sequence[int]) -> list[int]:
-    return [one for one in ids if one in view.left or one in view.right]
+    return [marker_id for marker_id in ids if marker_id in view.left or marker_id in view.right]
 
 
 def _priors(task: TeachTask, sides_m: Array, settings: TeachSettings) -> Priors:
-    sigmas = [settings.side_sigma_m if one in task.printed_m else np.inf for one in task.ids]
+    sigmas = [settings.side_sigma_m if marker_id in task.printed_m else np.inf for marker_id in task.ids]
     return Priors(sides_m, np.array(sigmas), settings.baseline_sigma_frac, settings.sigma_px, reference=0)
 
 
@@ -170,7 +170,7 @@ def _markers(fits: _Fits, task: TeachTask) -> tuple[TaughtMarker, ...]:
     n = len(ids)
     rms = sighting_rms_px(fits.known, fits.corners, len(fits.seen.views), n)
     side_sigmas, free_sigmas = (
-        np.sqrt(np.diag(one.covariance)[6 : PER_MARKER * n : PER_MARKER]) for one in (fits.known, fits.free)
+        np.sqrt(np.diag(fit.covariance)[6 : PER_MARKER * n : PER_MARKER]) for fit in (fits.known, fits.free)
     )
     return tuple(
         TaughtMarker(

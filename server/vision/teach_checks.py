@@ -36,7 +36,11 @@ def check_input(views: Sequence[TeachView], wanted: Sequence[int]) -> Refusal | 
                 TeachStatus.CONTRADICTION,
                 f"marker id {repeated[0]} is seen at two places in view {number}; cover or remove one of the two",
             )
-    missing = [one for one in wanted if not any(one in view.left or one in view.right for view in views)]
+    missing = [
+        marker_id
+        for marker_id in wanted
+        if not any(marker_id in view.left or marker_id in view.right for view in views)
+    ]
     if missing:
         return Refusal(
             TeachStatus.NO_MARKERS,
@@ -91,7 +95,7 @@ def n_distinct(state: LayoutState, settings: TeachSettings) -> int:
 
 
 def check_directions(state: LayoutState, settings: TeachSettings) -> Refusal | None:
-    """Refuse views that are too few or too alike to tell the layout from the lens."""
+    """Refuse views that are too few or too alike to separate the layout from the lens."""
     how = "move the camera sideways and up or down by a third of its distance, all markers in view, and take more views"
     distinct, spread = n_distinct(state, settings), spread_deg(state)
     if distinct < settings.views_min:
@@ -186,7 +190,7 @@ def check_sides(
 
     `free`: the fit that knows the baseline and no side.
     """
-    rows = [k for k, one in enumerate(ids) if one in printed_m]
+    rows = [k for k, marker_id in enumerate(ids) if marker_id in printed_m]
     if not rows:
         return None
     printed = np.array([printed_m[ids[k]] for k in rows])
@@ -237,4 +241,4 @@ def rms_of(residuals_px: Array) -> float:
 
 
 def _listed(ids: Sequence[int]) -> str:
-    return ", ".join(str(one) for one in ids)
+    return ", ".join(str(number) for number in ids)

@@ -85,7 +85,7 @@ class TaughtLayout:
     @property
     def sigma_mm(self) -> float:
         """The worst standard deviation of a marker's place, along its worst direction [mm]."""
-        return max((1e3 * position_sigma_m(one) for one in self.markers), default=float("nan"))
+        return max((1e3 * position_sigma_m(marker) for marker in self.markers), default=float("nan"))
 
 
 def position_sigma_m(marker: TaughtMarker) -> float:

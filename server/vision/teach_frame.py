@@ -34,7 +34,7 @@ def place_layout(state: LayoutState, ids: Sequence[int], frame: LayoutFrame, ref
     """T_on_marker (m, 4, 4) in the wanted frame."""
     if frame.name == "middle":
         T_on_ref = _from_middle(state, reference)
-    elif frame.name == "present" and any(one in frame.present for one in ids):
+    elif frame.name == "present" and any(marker_id in frame.present for marker_id in ids):
         T_on_ref = _best_fit(state, ids, frame.present)
     else:
         T_on_ref = frame.present.get(ids[reference], (np.eye(4), 0.0))[0]

@@ -40,9 +40,9 @@ class SeenViews:
 def corners_of(seen: SeenViews, camera: StereoCamera) -> Corners:
     """All corners as rows, undistorted once."""
     view, marker, right, pixels = [], [], [], []
-    for v, one in enumerate(seen.views):
+    for v, shot in enumerate(seen.views):
         for k, marker_id in enumerate(seen.ids):
-            for eye, found in enumerate((one.left, one.right)):
+            for eye, found in enumerate((shot.left, shot.right)):
                 if marker_id in found:
                     view.append(v)
                     marker.append(k)
@@ -78,9 +78,9 @@ def first_sides(seen: SeenViews, printed_m: Mapping[int, float], camera: StereoC
     sides = []
     for marker_id in seen.ids:
         by_stereo = [
-            side_by_stereo(np.asarray(one.left[marker_id]), np.asarray(one.right[marker_id]), camera)
-            for one in seen.views
-            if marker_id in one.left and marker_id in one.right
+            side_by_stereo(np.asarray(shot.left[marker_id]), np.asarray(shot.right[marker_id]), camera)
+            for shot in seen.views
+            if marker_id in shot.left and marker_id in shot.right
         ]
         finite = [side for side in by_stereo if np.isfinite(side)]
         sides.append(printed_m.get(marker_id, float(np.median(finite)) if finite else float("nan")))
@@ -93,8 +93,8 @@ def groups_seen_together(seen: SeenViews) -> list[list[int]]:
     for view in range(len(seen.views)):
         shown = seen.shows(view)
         joined = {group[k] for k in shown}
-        group = [min(joined) if one in joined else one for one in group]
-    found = [[k for k, one in enumerate(group) if one == name] for name in sorted(set(group))]
+        group = [min(joined) if root in joined else root for root in group]
+    found = [[k for k, root in enumerate(group) if root == name] for name in sorted(set(group))]
     return sorted(found, key=len, reverse=True)
 
 
@@ -105,8 +105,8 @@ def start_of(seen: SeenViews, sides_m: Array, camera: StereoCamera, reference: i
              along the pairs seen together most often; each view by its best start over all its markers.
     """
     alone = [
-        {k: _candidates(one, seen.ids[k], sides_m[k], camera) for k in seen.shows(v)}
-        for v, one in enumerate(seen.views)
+        {k: _candidates(shot, seen.ids[k], sides_m[k], camera) for k in seen.shows(v)}
+        for v, shot in enumerate(seen.views)
     ]
     Ts = _chained(alone, sides_m, reference)
     if Ts is None:
@@ -123,7 +123,7 @@ def _candidates(view: TeachView, marker_id: int, side_m: float, camera: StereoCa
     marker = Marker(marker_id, float(side_m), "ooi", np.eye(4))
     problem = pose_problem([Sighting(marker, view.left.get(marker_id), view.right.get(marker_id))], camera)
     minima = distinct_minima(problem.starts([0]), problem.observations, SAME_RAD)
-    return [one.T_cam_object for one in minima[:CANDIDATES_MAX]]
+    return [minimum.T_cam_object for minimum in minima[:CANDIDATES_MAX]]
 
 
 def _apart(one: Array, other: Array, length_m: float) -> float:
@@ -152,7 +152,7 @@ def _chained(alone: Sequence[Mapping[int, list[Array]]], sides_m: Array, referen
 
 def _pair(alone: Sequence[Mapping[int, list[Array]]], a: int, b: int) -> list[list[Array]]:
     """Candidates of T_a_b by view."""
-    both = [(one[a], one[b]) for one in alone if one.get(a) and one.get(b)]
+    both = [(candidates[a], candidates[b]) for candidates in alone if candidates.get(a) and candidates.get(b)]
     return [[inverse_pose(T_a) @ T_b for T_a in first for T_b in second] for first, second in both[:VIEW_STARTS_MAX]]
 
 

@@ -44,14 +44,14 @@ def _in_eye(
     image: Image, dictionary: "cv2.aruco.Dictionary", wanted: frozenset[int], camera: StereoCamera
 ) -> tuple[dict[int, Array], frozenset[int]]:
     places: dict[int, list[FoundMarker]] = {}
-    for one in find_markers(image, dictionary):
-        known = places.setdefault(one.marker_id, [])
-        if one.marker_id in wanted and not any(same_place(one, other) for other in known):
-            known.append(one)
+    for marker in find_markers(image, dictionary):
+        known = places.setdefault(marker.marker_id, [])
+        if marker.marker_id in wanted and not any(same_place(marker, other) for other in known):
+            known.append(marker)
     twice = frozenset(marker_id for marker_id, found in places.items() if len(found) > 1)
     single = [found[0] for found in places.values() if len(found) == 1]
-    fitted = [refined(one, image, dictionary, camera) for one in single]
-    return {one.marker_id: one.corners_px for one in fitted if one.fit is SideFit.CLEAN}, twice
+    fitted = [refined(marker, image, dictionary, camera) for marker in single]
+    return {marker.marker_id: marker.corners_px for marker in fitted if marker.fit is SideFit.CLEAN}, twice
 
 
 def motion_px(one: TeachView, other: TeachView) -> float:

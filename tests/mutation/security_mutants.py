@@ -97,7 +97,7 @@ MUTANTS = {
     ),
     "a fleet may be anybody": (
         put(ControlLog, "check", lambda *_: None),
-        "test_a_fleet_key_gets_control_as_a_fleet_only_and_takes_it_from_nobody",
+        "test_a_fleet_key_gets_control_as_a_fleet_only_and_does_not_take_it",
     ),
     "any lease will do": (
         put(LeaseDesk, "check", lambda self, *_: self.held),

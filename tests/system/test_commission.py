@@ -69,7 +69,7 @@ def wait_for_plc(ports, runs):
 def test_without_a_plc_nothing_is_told_and_the_server_is_suspected(tmp_path):
     code, report, shown = commission(StackPorts.free(), tmp_path, "--steps", "2")
     assert code == OPEN, shown
-    assert verdicts(report) == {"limits equal": "cannot tell"}
+    assert verdicts(report) == {"limits equal": "inconclusive"}
     assert "one controller at a time" in shown
     assert next(tmp_path.glob("*.md")).read_text().startswith("# Commissioning of hiab033")
 
@@ -95,7 +95,7 @@ def test_dry_run_first_then_the_moving_machine_until_everything_passes(tmp_path)
         "limits equal": "pass",
         "encoder zeros": "skipped",
         "joint ranges": "pass",
-        "joint signs": "cannot tell",  # in dry run nothing moves
+        "joint signs": "inconclusive",  # in dry run nothing moves
     }, shown
     dry = result_of(first, "link dry run")
     assert figure(dry, "encoders moved") < 0.2
@@ -163,7 +163,7 @@ def test_a_wrong_mounting_and_other_limits_are_found(tmp_path):
         options = ("--move", "--steps", "2,5", "--machine", str(limits))
         code, report, shown = commission(ports, tmp_path / "limits", *options)
         assert code == FAIL, shown
-        assert verdicts(report) == {"limits equal": "fail", "joint signs": "cannot tell"}
+        assert verdicts(report) == {"limits equal": "fail", "joint signs": "inconclusive"}
         assert "16 deg" in result_of(report, "limits equal")["tables"][0]["rows"][1][3]
 
 
@@ -177,8 +177,8 @@ def test_a_silent_camera_leaves_its_steps_open_and_the_rest_goes_on(tmp_path):
     assert verdicts(report) == {
         "limits equal": "pass",
         "joint ranges": "pass",
-        "camera axes": "cannot tell",
-        "tool marker": "cannot tell",
+        "camera axes": "inconclusive",
+        "tool marker": "inconclusive",
     }
 
 

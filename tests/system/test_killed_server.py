@@ -16,7 +16,7 @@ from machine.description import parse_machine_toml
 from protocol.codes import PlcState
 
 sys.path.insert(0, str(Path(__file__).parent))
-from kill_drill import KillFigures, Relay, figures_table, machine_text, observe_kill
+from kill_client import KillFigures, Relay, figures_table, machine_text, observe_kill
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 MACHINE = parse_machine_toml(machine_text())

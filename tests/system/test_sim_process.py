@@ -11,7 +11,7 @@ import httpx
 import numpy as np
 import pytest
 from drill_pc import received
-from kill_drill import figures_table, kill_drill, machine_text, simulator
+from kill_client import figures_table, kill_client, machine_text, simulator
 
 from machine.description import parse_machine_toml
 from protocol.client_link import ClientLink
@@ -33,7 +33,7 @@ def shared_memories_of(pid):
 
 
 def test_a_killed_pc_makes_the_plc_ramp_to_a_hold_in_time():
-    figures = kill_drill("realistic", seed=1, n=2)
+    figures = kill_client("realistic", seed=1, n=2)
     print("\n" + figures_table(figures))
     for kill in figures:
         assert 100.0 < kill.ramp_start_ms <= 260.0

@@ -17,7 +17,7 @@ from protocol.codes import PlcState
 from recording.clock import SUSPENDED
 
 sys.path.insert(0, str(Path(__file__).parent))
-from kill_drill import Relay
+from kill_client import Relay
 
 GCC = shutil.which("gcc")
 pytestmark = [

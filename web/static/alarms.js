@@ -2,7 +2,7 @@
 import { send } from "./commands.js";
 import { haveControl } from "./control.js";
 import { byId, make, setText, whenChanged } from "./dom.js";
-import { t } from "./texts.js";
+import { alarmText, phrase, t } from "./texts.js";
 
 const clock = (unixS) => new Date(1000 * unixS).toLocaleTimeString("en-GB");
 const LEVEL = { high: "priority_high", medium: "priority_medium", low: "priority_low" };
@@ -17,7 +17,7 @@ export function showAlarms(state) {
   whenChanged("alarm-list", [lasting, mine], (list) => list.replaceChildren(...(alarms.length ? alarms.map((one) => alarmItem(one, mine)) : [make("p", { class: "soft" }, t("no_alarms"))])));
   for (const one of alarms.filter((each) => each.detail)) setText(byId(`alarm-detail-${one.code}`), one.detail);
   const newest = alarms.find((one) => !one.acknowledged_by && one.ended_unix_s === null);
-  const text = newest ? `${newest.title}. ${newest.remedy}` : "";
+  const text = newest ? `${alarmText(newest, "title")}. ${alarmText(newest, "remedy")}` : "";
   if (text !== said) {
     said = text;
     setText(byId("alarm-voice"), text);
@@ -31,11 +31,11 @@ function alarmItem(one, mine) {
   return make(
     "article",
     { class: `alarm ${one.level} ${one.acknowledged_by ? "seen" : ""} ${one.ended_unix_s === null ? "" : "ended"}` },
-    make("h3", {}, make("span", { class: "level" }, t(LEVEL[one.level])), ` ${one.title} `, make("small", {}, when)),
+    make("h3", {}, make("span", { class: "level" }, t(LEVEL[one.level])), ` ${alarmText(one, "title")} `, make("small", {}, when)),
     one.detail ? make("p", { class: "detail", id: `alarm-detail-${one.code}` }, one.detail) : null,
-    make("p", {}, make("b", {}, `${t("cause")}: `), one.cause),
-    make("p", {}, make("b", {}, `${t("remedy")}: `), one.remedy),
-    make("p", { class: "soft" }, `${t("clears")}: ${one.clears}.`),
+    make("p", {}, make("b", {}, `${t("cause")}: `), alarmText(one, "cause")),
+    make("p", {}, make("b", {}, `${t("remedy")}: `), alarmText(one, "remedy")),
+    make("p", { class: "soft" }, `${t("clears")}: ${phrase(one.clears)}.`),
     make("p", {}, done, " ", make("a", { href: `help/alarms/${one.code}`, target: "_blank", rel: "noopener" }, t("help"))),
   );
 }

@@ -1,9 +1,9 @@
 // The top bar: mode, link, camera, e-stop, alarms. Each chip: a mark by shape and colour, words, age.
 import { LIMITS_MS, ageText, crossOut, grown, isOld, pictureOld, serverSilent, stalePicture } from "./age.js";
 import { byId, setClass, setText } from "./dom.js";
-import { t } from "./texts.js";
+import { alarmText, phrase, t } from "./texts.js";
 
-const NOT_REPORTED = "not told"; // the value of the REST interface
+const NOT_REPORTED = "not reported"; // the value of the REST interface
 
 export function showBar(state) {
   const real = state.mode === "REAL";
@@ -35,7 +35,7 @@ function showLink(link, figures) {
   const age = link.age_ms === null ? t("never") : ageText(grown(link.age_ms));
   if (silent && !serverSilent()) return chip("link", "bad", t("plc_silent"), link.age_ms === null ? age : t("last_ago", { age }), false);
   const warn = link.dry_run || ["fault", "local"].includes(link.phase) || figures.loss_pct > 5;
-  const text = link.dry_run ? t("dry_run") : link.phase;
+  const text = link.dry_run ? t("dry_run") : phrase(link.phase);
   const loss = figures.loss_pct.toFixed(figures.loss_pct < 0.05 ? 0 : 1);
   chip("link", serverSilent() ? "bad" : warn ? "warn" : "good", text, t("plc_sub", { age, loss }), serverSilent());
 }
@@ -56,9 +56,9 @@ function showCamera(state) {
 function showSafety(safety, link) {
   const old = isOld(link.age_ms, LIMITS_MS.link) || serverSilent();
   const bad = safety.estop === "PRESSED" || safety.enable === "LOST";
-  const enable = { "needed to arm": t("enable_needed"), [NOT_REPORTED]: t("not_known") }[safety.enable] ?? safety.enable;
+  const enable = { "needed to arm": t("enable_needed"), [NOT_REPORTED]: t("not_known") }[safety.enable] ?? phrase(safety.enable);
   const known = safety.estop !== NOT_REPORTED;
-  const estop = known ? safety.estop : t("not_known");
+  const estop = known ? phrase(safety.estop) : t("not_known");
   chip("safety", bad ? "bad" : old ? "warn" : "good", estop, t("estop_sub", { enable }), old && (known || serverSilent()));
 }
 
@@ -67,7 +67,7 @@ function showAlarmChip(alarms) {
   const open = alarms.filter((one) => !one.acknowledged_by);
   const first = open.find((one) => one.ended_unix_s === null) ?? open[0];
   const level = open.some((one) => one.level === "high" && one.ended_unix_s === null) ? "bad" : open.length ? "warn" : "good";
-  const title = !first ? t("alarm_none") : first.ended_unix_s === null ? first.title : t("alarm_was", { title: first.title });
+  const title = !first ? t("alarm_none") : first.ended_unix_s === null ? alarmText(first, "title") : t("alarm_was", { title: alarmText(first, "title") });
   setText(byId("alarm-chip").querySelector("span"), open.length ? t("alarms_n", { n: open.length }) : t("alarms"));
   chip("alarm-chip", level, title, !open.length && alarms.length ? t("alarm_seen", { n: alarms.length }) : "", serverSilent());
 }

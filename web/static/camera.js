@@ -112,7 +112,7 @@ function drawMarker(marker, scale) {
   context.closePath();
   context.stroke();
   context.setLineDash([]);
-  const text = marker.used ? `${marker.marker_id}  ${marker.residual_px.toFixed(2)} px` : `${marker.marker_id} ${marker.reason || "not used"}`;
+  const text = marker.used ? `${marker.marker_id}  ${marker.residual_px.toFixed(2)} px` : `${marker.marker_id} ${marker.reason || t("marker_unused")}`;
   const u = Math.min(...points.map((p) => p[0]));
   const v = Math.min(...points.map((p) => p[1])) - 7;
   label(text.slice(0, 60), u, v, marker.used ? "#d6ffe9" : "#dde3e6");

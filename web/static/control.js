@@ -9,6 +9,7 @@ import { t } from "./texts.js";
 const TTL_S = 10;
 const KEEP_MS = 3000;
 const NAME = "longreach-name";
+const TAKE_REASON = "taken over at the panel"; // for the audit, which is English
 
 export function myName() {
   const field = byId("name");
@@ -44,7 +45,7 @@ async function acquire() {
 }
 
 async function takeOver() {
-  const { ok, data } = await send("POST", "/v1/lease/take", { owner: myName(), kind: "operator", ttl_s: TTL_S, reason: t("take_reason") });
+  const { ok, data } = await send("POST", "/v1/lease/take", { owner: myName(), kind: "operator", ttl_s: TTL_S, reason: TAKE_REASON });
   if (ok) setLease(data);
 }
 

@@ -11,6 +11,7 @@ import { byId, setClass, setText } from "./dom.js";
 import { showDrawer, startDrawer } from "./drawer.js";
 import { buildErrors, showErrors } from "./errors.js";
 import { showHistory, showJoints, showStory } from "./history.js";
+import { loadLanguage, startLanguage } from "./language.js";
 import { startLogin } from "./login.js";
 import { watchHold } from "./hold.js";
 import { showJog, startJog } from "./jog.js";
@@ -50,11 +51,12 @@ function guarded(part, about = state) {
   }
 }
 
+await loadLanguage(); // before the first state: every text is made in one language
 const live = new Live((fresh) => {
   state = fresh;
   show();
 });
 const fillPage = () => fillTexts(document);
-const STARTED = [fillPage, buildErrors, buildSteps, startJog, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startTarget, startObjects, startScene, startLogin];
+const STARTED = [fillPage, startLanguage, buildErrors, buildSteps, startJog, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startTarget, startObjects, startScene, startLogin];
 STARTED.forEach((part) => guarded(part, live));
 setInterval(show, AGES_MS);

@@ -4,7 +4,7 @@ import { send } from "./commands.js";
 import { haveControl } from "./control.js";
 import { byId, make, setClass, setText, whenChanged } from "./dom.js";
 import { heldKind, holdButton, holding } from "./hold.js";
-import { t } from "./texts.js";
+import { phrase, t } from "./texts.js";
 
 const MAIN = ["look", "orient", "calibrate", "preview", "execute", "look_again", "accept"];
 const MINOR = ["retract", "return", "park", "position", "reset"];
@@ -110,14 +110,14 @@ const accepted = () => Boolean(lastLook()?.accepted_by);
 export function reason(kind) {
   if (serverSilent()) return t("why_server");
   if (!haveControl(state)) return state.control.owner && !state.control.stale ? t("other_control", { owner: state.control.owner }) : t("no_control");
-  if (running()) return jobKind() === (JOB_OF[kind] ?? kind) ? t("why_running") : t("busy_short", { kind: jobKind() });
+  if (running()) return jobKind() === (JOB_OF[kind] ?? kind) ? t("why_running") : t("busy_short", { kind: phrase(jobKind()) });
   if (kind === "accept") return accepted() ? t("why_accepted") : !lookFresh() ? t(state.look ? "why_look_again" : "why_no_look") : atGoal() ? "" : t("why_not_inside");
   if (kind === "reset") return "";
   if (kind === "look_again" && !state.panel.history.length) return t("why_first");
   if (["offline", "fault", "local"].includes(state.link.phase)) return t(`why_plc_${state.link.phase}`);
   if (SEES.has(kind) && blind()) return t("why_camera");
   const refusal = state.steps[JOB_OF[kind] ?? kind] ?? "";
-  if (refusal) return refusal;
+  if (refusal) return phrase(refusal);
   if (["orient", "calibrate", "preview"].includes(kind) && !lookFresh()) return t(!state.look ? "why_no_look" : movedSince(state) ? "why_moved" : "why_look_old");
   if (kind === "preview" && !calibrated()) return t("why_calibrate_first");
   if (kind === "execute" && !planFresh()) return t(state.plan ? "why_expired" : "why_no_plan");
@@ -142,7 +142,7 @@ function hint(next) {
   if (holding()) return t("holding");
   if (running()) {
     const { kind, owner, events, elapsed_s } = state.job;
-    return t("busy", { kind, owner, text: events.findLast((event) => event.text)?.text ?? "", s: Math.round(elapsed_s) });
+    return t("busy", { kind: phrase(kind), owner, text: events.findLast((event) => event.text)?.text ?? "", s: Math.round(elapsed_s) });
   }
   if (!haveControl(state)) return t("next", { what: t("take_control") });
   if (["offline", "fault", "local"].includes(state.link.phase)) return t(`hint_${state.link.phase}`);

@@ -3,11 +3,11 @@
 const AGAIN_MS = 150; // sent twice, in case one is lost on a dying connection
 const PATIENCE_MS = 4000; // the server answers when the job has ended: within three seconds, or 503
 const SHOWN_MS = 4000;
-const SENT = "sent …", HEARD = "STOP received", NOT_HEARD = "NOT CONFIRMED";
 const button = document.getElementById("stop");
 const status = document.getElementById("stop-status");
 const unheard = document.getElementById("stop-unheard");
-const calm = status.textContent;
+const WORDS = { calm: status.textContent, sent: "sent …", heard: "STOP received", unheard: "NOT CONFIRMED" };
+const word = (key) => button.dataset[key] ?? WORDS[key]; // the page sets them in its language
 const LINE_AGAIN_MS = 2000;
 let line = null;
 let latest = 0;
@@ -16,7 +16,7 @@ let calmTimer = 0;
 // Needs nothing: no lease, no state.
 export async function stop() {
   const mine = ++latest;
-  say(SENT, "pressed");
+  say(word("sent"), "pressed");
   const impatient = setTimeout(() => report(mine, false), PATIENCE_MS);
   const heard = await Promise.any([...[0, AGAIN_MS].map(sent), overLine()]).catch(() => false);
   clearTimeout(impatient);
@@ -50,8 +50,8 @@ function overLine() {
 function report(mine, heard) {
   if (mine !== latest) return;
   unheard.hidden = heard;
-  say(heard ? HEARD : NOT_HEARD, heard ? "heard" : "unheard");
-  if (heard) calmTimer = setTimeout(() => say(calm, ""), SHOWN_MS);
+  say(word(heard ? "heard" : "unheard"), heard ? "heard" : "unheard");
+  if (heard) calmTimer = setTimeout(() => say(word("calm"), ""), SHOWN_MS);
 }
 
 function say(text, state) {

@@ -1,10 +1,12 @@
-// Every English text of the page. {name} is filled in by t().
+// Every English text of the page. {name} is filled in by t(). Other languages: texts.<code>.json, with the same keys.
 export const TEXTS = {
   sim: "SIM", real: "REAL",
   sim_long: "simulated machine", real_long: "REAL MACHINE: motion is physical",
   footer: "STOP here is software. The emergency stop is hardware, at the machine; this page can only show its state.",
   server_silent: "The server does not answer (silent for {age}). The values on this page are out of date. The PLC stops the machine by itself when the link is silent.",
   reconnecting: "Connecting to the server …",
+  stop_button: "Stop motion (software)", stop_hint: "or key Esc", stop_sent: "sent …", stop_heard: "STOP received", stop_not_heard: "NOT CONFIRMED",
+  stop_unheard: "The server did not confirm the STOP. Use the emergency stop at the machine.", language: "Language",
   logged_out: "You are logged out: the server restarted, or the session expired after 12 hours. The values on this page are out of date.", log_in: "Log in again", log_out: "Log out {name}",
   // control
   control_none: "No one has control", control_you: "You have control", control_other: "{owner} has control",
@@ -12,7 +14,7 @@ export const TEXTS = {
   control_lost: "Control was lost: {why}",
   take_control: "Take control", take_over: "Take over", ask: "Request control", release: "Release", hand_over: "Hand over to {owner}",
   asked: "{owner} requests control", asked_sent: "Request sent to {owner}.", offered: "Control is offered to you",
-  take_reason: "taken over at the panel", your_name: "Your name", name_hint: "visible to all viewers",
+  your_name: "Your name", name_hint: "visible to all viewers",
   no_control: "take control first",
   other_control: "{owner} has control",
   // chips
@@ -34,7 +36,7 @@ export const TEXTS = {
   object_centre: "centre from the markers, mm: x, y, z", object_size: "width, height, depth, mm", object_name: "name", object_teach: "Teach",
   object_views: "{n} views, landmarks: {marks}", object_no_views: "No view taken.", object_in_use: "Target: the object {name}. Back to markers ends it.",
   target_reach_reachable: "The tool can reach it.", target_reach_refused: "Cannot be reached from here: {why}", target_reach_unknown: "{why}",
-  legend_tool: "tool", legend_goal: "goal", 
+  marker_unused: "not used", legend_tool: "tool", legend_goal: "goal", 
   picture_label: "Camera image. {n} markers detected. {text}", frozen: "FROZEN for {age}",
   // scene
   scene_title: "Machine", scene_sub: "solid: now · blue: plan · green: remaining error, × 10",
@@ -86,7 +88,7 @@ export const TEXTS = {
   sharpness: "sharpness", process: "processing time per pair", skipped: "pairs skipped", restarts: "restarts of the vision process", tool_seen: "tool", target_seen: "target", warnings: "warnings",
   not_calibrated: "Not calibrated.", cal_known: "camera rotation, 1σ", cal_residual: "residual", cal_age: "age", cal_place: "distance from where it was made",
   cal_valid: "valid here", cal_expired: "EXPIRED: {why}", cal_offset: "camera time offset", cal_nominal: "deviation from the nominal mount", cal_weakest: "least certain axis (TCP)",
-  cal_ellipse: "1σ ellipses of the rotation, degrees", cal_pairs: "pairs used",
+  cal_limit: "{value} (limit {limit})", cal_ellipse: "1σ ellipses of the rotation, degrees", cal_pairs: "pairs used",
   gap_empty: "No diagnosis yet. Choose the recording of a job that moved all joints: a calibration, an execution, or Automatic. It takes one to three minutes.",
   gap_missing: "Not available: this server offers no diagnosis (/v1/diagnoses).", gap_silent: "no answer from server; asking again", gap_run: "Diagnose", gap_report: "Full report", gap_stop: "Cancel", gap_one: "one at a time", gap_after: "{s} s", gap_cause: "effect", gap_likely: "probability",
   gap_state_running: "Running", gap_state_done: "Done", gap_state_failed: "Failed", gap_state_stopped: "Cancelled", gap_joint: "{name}, joint {joint}",
@@ -116,11 +118,19 @@ export const TEXTS = {
   refused: "Refused: {why}",
 };
 
+let catalogue = { panel: {}, alarms: {}, phrases: {} };
+export const useCatalogue = (other) => { catalogue = other; };
+
+// English where the chosen language has no text.
 export function t(key, values = {}) {
-  const text = TEXTS[key];
+  const text = catalogue.panel[key] ?? TEXTS[key];
   if (text === undefined) throw new Error(`no text for ${key}`);
   return text.replace(/\{(\w+)\}/g, (_, name) => values[name] ?? "");
 }
+
+// The server's own words: a fixed phrase, and the text of an alarm (title, cause, remedy).
+export const phrase = (english) => catalogue.phrases[english] ?? english;
+export const alarmText = (alarm, part) => catalogue.alarms[alarm.code]?.[part] ?? alarm[part];
 
 export function fillTexts(root) {
   for (const element of root.querySelectorAll("[data-t]")) element.textContent = t(element.dataset.t);

@@ -23,7 +23,7 @@ def gap(
     first: Annotated[int, typer.Option(help="number of the first case")] = 0,
     factor: Annotated[float | None, typer.Option(help="all sizes at this many detection limits")] = None,
     workers: Annotated[int, typer.Option(help="cases at a time")] = 1,
-    only_tell: Annotated[bool, typer.Option("--tell", help="run nothing, tell what is on file")] = False,
+    only_show: Annotated[bool, typer.Option("--show", "--tell", help="run nothing, show what is on file")] = False,
     packed: Annotated[
         bool, typer.Option("--pack", help="write the scores on file as one, which another computer goes on from")
     ] = False,
@@ -34,11 +34,11 @@ def gap(
         raise typer.BadParameter(f"--plant {plant}; there are {', '.join(PLANTS)}")
     asked, numbers = Campaign(plant, seed, folder.resolve(), factor), range(first, first + n)
     try:
-        if not only_tell:
+        if not only_show:
             failed = _run(asked, numbers, workers)
             console.print(f"{failed} cases could not be judged: see their log.txt") if failed else None
         cases = scores(asked, numbers)
-        tell(cases, f"{plant}, seed {seed}")
+        show(cases, f"{plant}, seed {seed}")
         console.print(f"packed: {pack(asked, numbers)}") if packed else None
     except CampaignError as error:
         console.print(f"[bold red]longreach:[/] {escape(str(error))}")
@@ -56,7 +56,7 @@ def _run(asked: Campaign, numbers: range, workers: int) -> int:
         return run_campaign(asked, numbers, advance, workers)
 
 
-def tell(cases: figures.Cases, title: str) -> None:
+def show(cases: figures.Cases, title: str) -> None:
     """Every table of a campaign."""
     console.print(f"{title}: N reached {len(cases)}")
     if not cases:

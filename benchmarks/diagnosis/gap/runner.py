@@ -110,7 +110,7 @@ def _mark(asked: Campaign, packed: str | None) -> None:
     if made_by != {mark}:
         raise CampaignError(
             f"{asked.place}: its cases were made by other code than this; rates of two versions mean nothing together. "
-            "Delete the folder, or give another --folder; --tell shows what is there"
+            "Delete the folder, or give another --folder; --show lists what is there"
         )
     asked.place.mkdir(parents=True, exist_ok=True)
     file.write_text(mark + "\n", encoding="utf-8")

@@ -306,7 +306,7 @@ def _in_floors(scene: Scene, first: dict[str, Array], second: dict[str, Array]) 
     for on in ("tracker", "static"):
         sigma = np.hypot(scene.noise.tracker_m, scene.by_axis("structure", on, 3))
         change = _about_upright(second[on] - first[on], first[on]) / sigma
-        out[on] = _less_swing(change, first[on], scene.record("structure", None, on).swing_rad / sigma[1]).ravel()
+        out[on] = _less_swing(change, first[on], scene.record("structure", None, on).oscillation_rad / sigma[1]).ravel()
     out["ooi"] = _without_place(scene, first["ooi"], second["ooi"] - first["ooi"])
     frames = len(first["ooi"])  # the tool is seen in each of them
     out["tool"] = (_white(scene, "tool", second["tool"] - first["tool"]) * np.sqrt(frames)).ravel()

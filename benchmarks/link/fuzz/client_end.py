@@ -108,7 +108,7 @@ class ClientEnd:
                     q = tuple(x + rng.uniform(-0.15, 0.15) if j < n else 0.0 for j, x in enumerate(q_ref))
                     link.set_servo_target(q, (0.0,) * 8, t_ns)
                 case 8:
-                    rng.choice((link.cancel_wish, link.finish_servo))()
+                    rng.choice((link.cancel_request, link.finish_servo))()
                 case _:
                     link.request_disarm()
         except LocalProtocolError:

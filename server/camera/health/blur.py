@@ -46,7 +46,7 @@ def _sharpness(image: Image, step: int) -> float:
 def sharpness(image: Image) -> float:
     """Mean square of the Laplacian at half size [grey levels^2]: falls when motion or focus blurs the image.
 
-    Taken at one place in 64 of the half-size picture. Zero for what is no grey picture.
+    Taken at one place in 64 of the half-size picture. Zero for anything but a grey picture.
     """
     if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 8:
         return 0.0
@@ -143,7 +143,7 @@ class BlurMonitor:
         return None
 
     def at_markers(self, pair: Pair) -> tuple[Finding, ...]:
-        """Measure some of the markers that this pair's observation tells of."""
+        """Measure some of the markers in this pair's observation."""
         seen = () if pair.observation is None else pair.observation.views
         views = [view for view in seen if NO_WHITE_MARGIN not in view.reason]
         if not views:

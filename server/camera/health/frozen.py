@@ -19,10 +19,10 @@ from server.vision.contracts import Array
 ENERGY_MIN = 1.0  # of a cell's fine pattern: less is compressed away, nothing to compare
 CELLS_MIN = 10
 PLAIN_QUANTILE = 0.2  # the plainest fifth of the picture: there the noise rules
-ALIKE_MIN = 0.955  # living pictures at rest: 0.45 to 0.93 for noise of 2 to 0.5 grey levels; compressed anew: from 0.96
+ALIKE_MIN = 0.955  # living pictures at rest: 0.45 to 0.93 for noise of 2 to 0.5 grey levels; recompressed: from 0.96
 CHANGE_MAX_GREY = 0.65
 CLEANER_FRAC = 0.6  # where a stream's own noise at rest is known: so much less change ...
-CLEANER_DIFFERENT_FRAC = 0.5  # ... and so much less difference of the fine pattern is no rest of this camera
+CLEANER_DIFFERENT_FRAC = 0.5  # ... and so much less difference of the fine pattern does not come from rest
 LEARNT_MIN = 10
 LEARNT_WEIGHT = 0.1
 AT_REST_ALIKE = 0.3
@@ -95,7 +95,7 @@ class FrozenMonitor:
 @njit(cache=True, nogil=True)
 def _likeness(cells: Array, energy_min: float, cells_min: int, quantile: float) -> tuple[float, float, float, float]:
     """Share of unchanged places; correlation of the fine pattern with the one before in the plainest cells (NaN where
-    too few tell); mean absolute change; mean grey."""
+    too few cells have one); mean absolute change; mean grey."""
     found, n, same, change, mean = np.empty(cells.shape[0] * cells.shape[1]), 0, 0.0, 0.0, 0.0
     for p in range(cells.shape[0]):
         for q in range(cells.shape[1]):

@@ -179,7 +179,7 @@ class ImageHealth:
         return (*self.before_use(frame), *self.after_markers(observation))
 
     def before_use(self, frame: StereoFrame) -> tuple[Finding, ...]:
-        """What stamps and images tell by themselves, before anybody works on them. Once per pair, in order."""
+        """What stamps and images show by themselves, before they are processed. Once per pair, in order."""
         sick = wrong_size(frame, self._camera)
         if sick:
             self._stamps.short_ns = 0  # judged with the next pair of the right size

@@ -17,7 +17,7 @@ SWAPPED = "eye are swapped"
 RESIDUAL_MAX_PX = 0.3
 LAYOUT_MAX_M = 0.00075  # residual of a carefully measured layout, printed sides included
 ROWS = "rows of the two eyes differ"
-BESIDE_FRAC = 0.06  # of a side: half a cell outside of it, where a print has its white margin
+OUTSIDE_FRAC = 0.06  # of a side: half a cell outside of it, where a print has its white margin
 CLIPPED_GREY, CLIPPED_FRAC, CLIPPED_PLACES = 254, 0.8, 17
 
 
@@ -36,7 +36,7 @@ class MarkerMonitor:
         if pair.observation is None:
             return ()
         findings = [finding for view in pair.observation.views if (finding := _of_view(view)) is not None]
-        findings += [one for view in pair.observation.views if view.used for one in _over_exposed(view, pair.frame)]
+        findings += [over for view in pair.observation.views if view.used for over in _over_exposed(view, pair.frame)]
         for found in (pair.observation.tool, pair.observation.ooi):
             if found.status is PoseStatus.REJECTED:
                 findings.append(_rejected(found.reason))
@@ -72,7 +72,7 @@ def _by_both_eyes(view: MarkerView) -> bool:
 
 
 def _over_exposed(view: MarkerView, frame: StereoFrame) -> tuple[Finding, ...]:
-    """White that is cut off at the top grows over the black beside it: the marker looks smaller, with clean sides."""
+    """White that is cut off at the top grows over the black next to it: the marker looks smaller, with clean sides."""
     for eye, corners, image in (
         ("left", view.corners_left_px, frame.left),
         ("right", view.corners_right_px, frame.right),
@@ -82,7 +82,7 @@ def _over_exposed(view: MarkerView, frame: StereoFrame) -> tuple[Finding, ...]:
         share = _clipped_frac(image, np.ascontiguousarray(corners, dtype=np.float64))
         if share > CLIPPED_FRAC:
             text = (
-                f"marker {view.marker_id}'s white is over-exposed in the {eye} eye: {100 * share:.0f} % of it beside a "
+                f"marker {view.marker_id}'s white is over-exposed in the {eye} eye: {100 * share:.0f} % of it along a "
                 f"side is at its end (limit {100 * CLIPPED_FRAC:.0f} %); lower the exposure or shade it"
             )
             return (Finding(FaultCode.SATURATED, text, forbids_odometry=False),)
@@ -102,7 +102,7 @@ def _clipped_frac(image: Image, corners: Array) -> float:
         clipped = 0
         for k in range(CLIPPED_PLACES):
             t = 0.1 + 0.8 * k / (CLIPPED_PLACES - 1)
-            x, y = np.rint(x0 + BESIDE_FRAC * dy + t * dx), np.rint(y0 - BESIDE_FRAC * dx + t * dy)
+            x, y = np.rint(x0 + OUTSIDE_FRAC * dy + t * dx), np.rint(y0 - OUTSIDE_FRAC * dx + t * dy)
             if not (x >= 0 and y >= 0 and x < width and y < height):
                 clipped = 0
                 break

@@ -112,8 +112,8 @@ def _largest(suspect: Image, other: Image, leftwards: bool) -> tuple[int, float,
             continue
         if left < BORDER or top < BORDER or left + width > cols - BORDER or top + height > rows - BORDER:
             continue
-        beside = other[top : top + height, : left + width] if leftwards else other[top : top + height, left:]
-        if int(beside.sum()) > area // 3:
+        moved = other[top : top + height, : left + width] if leftwards else other[top : top + height, left:]
+        if int(moved.sum()) > area // 3:
             continue
         best = area, float(middles[number][0]), float(middles[number][1])
     return best

@@ -8,9 +8,9 @@ from server.camera.health.pair import Pair
 from server.camera.smallest_offset import SmallestOffset
 
 WINDOW = 120  # pairs over which the period is taken
-PERIOD_MIN_FRAC = 0.5  # a step shorter than this of the usual one is none of the camera's
+PERIOD_MIN_FRAC = 0.5  # a step shorter than this of the usual one is not the camera's
 PERIOD_KNOWN_FROM = 8
-STARTING_PAIRS = 8  # the first of a stream may have waited in a buffer: for no look, and lateness is learnt anew
+STARTING_PAIRS = 8  # the first of a stream may have waited in a buffer: for no look, and lateness is learnt again
 AHEAD_SETTLED_FROM = 30  # pairs after which the smallest latency is known well
 AHEAD_MAX_S = 0.100  # stamps ahead of their arrival by more, against the smallest latency seen: before that ...
 AHEAD_SETTLED_MAX_S = 0.025  # ... and from then on
@@ -36,7 +36,7 @@ class StampMonitor:
         self._learnt = 0  # offsets since it began, or since its clock was set
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
-        """Compare with the pair before; after a clock was set, periods are learnt anew."""
+        """Compare with the pair before; after a clock was set, periods are learnt again."""
         frame, before = pair.frame, self._before
         self.short_ns = 0
         fresh = before is None or before.connection != frame.connection

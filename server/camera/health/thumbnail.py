@@ -108,7 +108,7 @@ def _spread(cells: Array) -> float:
 
 @njit(cache=True, nogil=True)
 def eyes_alike(fine: Thumb, other: Thumb, energy_min: float, cells_min: int, quantile: float) -> float:
-    """Correlation of two fine patterns at the same places, in cells: this quantile of them; NaN where too few tell."""
+    """Correlation of two fine patterns at the same places, in cells: this quantile of them; NaN where too few do."""
     rows, cols = fine.shape
     found, n = np.empty(CELL_ROWS * CELL_COLS), 0
     for p in range(CELL_ROWS):
@@ -126,7 +126,7 @@ def eyes_alike(fine: Thumb, other: Thumb, energy_min: float, cells_min: int, qua
 
 @dataclass(slots=True)
 class EyeCells:
-    """One eye of one pair at a glance, beside the pair before. Grey levels 0 to 255.
+    """One eye of one pair at a glance, compared with the pair before. Grey levels 0 to 255.
 
     `cells` (9, 16, 9): mean, standard deviation, share of white, mean absolute and mean clipped change since the pair
     before, energy of the fine pattern now and before, their product, share of unchanged places.

@@ -7,7 +7,7 @@ from recording.clock import mono_s
 from server.camera.contracts import StereoFrame, StereoSource
 
 STEP_S = 0.1  # how soon the thread hears that it shall end
-REMEMBERED = 30  # pairs whose times foretell the next one's
+REMEMBERED = 30  # pairs whose times predict the next one's
 HEADSTART = 2.0  # times the shortest decoding: a little early is a pair a little older, late is a pair less
 
 
@@ -15,7 +15,7 @@ class AheadSource:
     """Wraps a camera. A thread holds one pair ready; a camera's pairs that are passed over still cost nothing.
 
     A pair that waits grows old, so the thread begins with the newest one only shortly before the worker is expected
-    back, by the times that the last pairs took it. A worker that comes back earlier wakes the thread at once.
+    back, by the times that the last pairs took it. A worker that comes back earlier wakes the thread immediately.
     """
 
     def __init__(self, source: StereoSource) -> None:

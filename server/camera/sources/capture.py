@@ -47,7 +47,7 @@ class Capture(Protocol):
 
 
 class CapturedSource(ABC):
-    """Reads a capture in a thread that keeps the newest picture; decoding waits until somebody takes it.
+    """Reads a capture in a thread that keeps the newest picture; decoding waits until it is read.
 
     A capture that is lost, or that cannot be opened, is opened again with back-off. How one is opened, stamped and
     decoded is the subclass's matter.
@@ -77,7 +77,7 @@ class CapturedSource(ABC):
         return False
 
     def read(self, timeout_s: float) -> StereoFrame | None:
-        """The newest pair; a picture that cannot be decoded is passed over and told in `state`."""
+        """The newest pair; a picture that cannot be decoded is passed over and reported in `state`."""
         taken = self._newest.take(timeout_s)
         if taken is None:
             return None
@@ -97,7 +97,7 @@ class CapturedSource(ABC):
 
     @abstractmethod
     def _open(self) -> Capture:
-        """A capture that gives what was asked for.
+        """A capture that gives what was requested.
 
         Raises: CameraError: it cannot be opened, or gives something else.
         """

@@ -23,7 +23,7 @@ class DeviceStereoSource(CapturedSource):
     """A UVC camera. Frames carry the driver's own stamp (when the frame came in over USB, mostly by CLOCK_MONOTONIC,
     so it is put on our clock; another one is mapped as any camera's).
 
-    OpenCV is told not to convert: MJPG arrives as JPEG bytes and is decoded to grey at once, YUYV gives its
+    OpenCV's conversion is off: MJPG arrives as JPEG bytes and is decoded straight to grey, YUYV gives its
     luminance; neither makes a detour through colour.
     """
 

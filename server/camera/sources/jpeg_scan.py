@@ -148,7 +148,7 @@ def _codes(tables: bytes) -> Codes:
 
 @lru_cache(1)
 def _standard() -> bytes:
-    """The tables of T.81 K.3.3, as libjpeg writes them for a colour picture unless it is asked for better ones."""
+    """The tables of T.81 K.3.3, as libjpeg writes them for a colour picture by default."""
     jpeg = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].reshape(-1)
     tables, position = b"", 2
     while jpeg[position + 1] != SCAN:

@@ -138,7 +138,7 @@ def open_source(settings: SourceSettings) -> StereoSource:
 
 
 def open_ahead(settings: SourceSettings) -> StereoSource:
-    """The same, a camera's next pair decoded while the one before is worked on; stored pairs wait until asked for.
+    """The same, a camera's next pair decoded while the one before is worked on; stored pairs wait for a read.
 
     Raises: CameraError as open_source.
     """

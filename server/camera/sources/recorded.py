@@ -119,8 +119,8 @@ class RecordingStereoSource(StampedStereoSource):
                     self.skipped += 1
                 continue
             for eye, until_ns in ((is_left, image.t_ns), (not is_left, other.t_ns)):
-                self.skipped += sum(one.t_ns < until_ns for one in waiting[eye])
-                waiting[eye] = [one for one in waiting[eye] if one.t_ns > until_ns]
+                self.skipped += sum(image.t_ns < until_ns for image in waiting[eye])
+                waiting[eye] = [image for image in waiting[eye] if image.t_ns > until_ns]
             yield _pair(*((image, other) if is_left else (other, image)))
 
 

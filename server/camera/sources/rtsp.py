@@ -36,7 +36,7 @@ def open_ffmpeg(url: int | str, timeout_s: float) -> Capture:
 def _options() -> Iterator[None]:
     """FFmpeg's options while a stream is opened, and only then: a video file would lose its first frames by them."""
     before = os.environ.get(FFMPEG_VARIABLE)
-    if before is None:  # else somebody knows better
+    if before is None:  # otherwise the user has set it
         os.environ[FFMPEG_VARIABLE] = FFMPEG_OPTIONS
     try:
         yield
@@ -46,7 +46,7 @@ def _options() -> Iterator[None]:
 
 
 class RtspStereoSource(CapturedSource):
-    """A network camera. The thread reads every picture at once, so latency does not pile up; the newest one is kept.
+    """A network camera. The thread reads every picture as it comes, so latency does not pile up; the newest is kept.
 
     Stamps are the stream's own (the camera's RTP clock), which the network does not shake; where they do not advance,
     the time of arrival. A stream that changes from one to the other counts as a new connection, since its clock is new.

@@ -32,7 +32,7 @@ def split_side_by_side(picture: Image) -> tuple[Image, Image]:
 
 
 def decode_grey(data: bytes | NDArray[np.uint8]) -> Image:
-    """Grey picture (h, w) of JPEG or PNG bytes, decoded to grey at once.
+    """Grey picture (h, w) of JPEG or PNG bytes, decoded straight to grey.
 
     Raises: StreamError when the bytes are not a picture, or a JPEG whose data are damaged (PNG has checksums).
     """

@@ -25,7 +25,7 @@ LOOK_AGAIN_SHARE = 3  # times the usual pairs: what changes from pair to pair fa
 LOOK_MATTERS = 0.5  # of the predicted variance: below that more pairs do not help
 RUNS_WANTED = 2  # a third path brings little: what is left is in all of them
 NO_FURTHER_PATH = ("plan_", "calibration_failed")  # the path's planner or its match says no; nothing is lost by it
-CLOSER_LOOK_MAX = 3.0  # times the tolerance: worse is no approach but a guess
+CLOSER_LOOK_MAX = 3.0  # times the tolerance: worse is not an approach but a guess
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +55,13 @@ def assured_preview(
     if fits(ctx, previewed.predicted_sigma_mm):
         return Assured(taken, previewed, paths)
     if _look_matters(ctx, taken, previewed.predicted_sigma_mm):
-        yield Progress("assure", 1, 3, "", f"{told(ctx, previewed.predicted_sigma_mm)}: looking again over more pairs")
+        text = f"{accuracy_text(ctx, previewed.predicted_sigma_mm)}: looking again over more pairs"
+        yield Progress("assure", 1, 3, "", text)
         taken = yield from good_look(ctx, LOOK_AGAIN_SHARE)
         previewed = preview(ctx, taken, t_now_ns)
     if not fits(ctx, previewed.predicted_sigma_mm) and len(ctx.knowledge.runs) < RUNS_WANTED:
-        yield Progress("assure", 2, 3, "", f"{told(ctx, previewed.predicted_sigma_mm)}: a further calibration path")
+        text = f"{accuracy_text(ctx, previewed.predicted_sigma_mm)}: a further calibration path"
+        yield Progress("assure", 2, 3, "", text)
         taken, paths = (yield from _further_path(ctx, taken)), paths + 1
         previewed = preview(ctx, taken, t_now_ns)
     if not fits(ctx, previewed.predicted_sigma_mm):
@@ -72,7 +74,7 @@ def fits(ctx: PlanContext, sigma_mm: Sigmas) -> bool:
     return ctx.method == "paper" or 2.0 * max(sigma_mm) <= ctx.settings.position.tolerance_mm
 
 
-def told(ctx: PlanContext, sigma_mm: Sigmas) -> str:
+def accuracy_text(ctx: PlanContext, sigma_mm: Sigmas) -> str:
     """The worst axis in words: what is predicted and what is allowed."""
     worst = int(np.argmax(sigma_mm))
     limit_mm = ctx.settings.position.tolerance_mm
@@ -82,7 +84,7 @@ def told(ctx: PlanContext, sigma_mm: Sigmas) -> str:
 
 
 def _must_renew(ctx: PlanContext, taken: LookTaken) -> bool:
-    """Whether the calibration has expired in a way that another path cures; a slip must be seen to by a person."""
+    """Whether the calibration has expired in a way that another path repairs; after a slip a person must look first."""
     found = validity(ctx, taken.reading)
     if found.status is ValidityStatus.SLIPPED:
         require_valid(found, "calibration")
@@ -124,11 +126,12 @@ def _closer_look_or_refuse(
     spare_mm = goal.stand_off_mm - goal.wall_clearance_mm
     may = 2.0 * max(sigma_mm) <= CLOSER_LOOK_MAX * goal.tolerance_mm and 2.0 * sigma_mm[2] <= spare_mm
     if moves_left > 0 and may:
-        yield Progress("assure", 3, 3, "", f"{told(ctx, sigma_mm)}: moving closer to look again, then correcting")
+        text = f"{accuracy_text(ctx, sigma_mm)}: moving closer to look again, then correcting"
+        yield Progress("assure", 3, 3, "", text)
         return
     why = "no move is left to correct it" if may else "that is too little for an approach"
     raise JobFailedError(
-        f"{told(ctx, sigma_mm)}, after {len(ctx.knowledge.runs)} calibration paths, and {why}; "
+        f"{accuracy_text(ctx, sigma_mm)}, after {len(ctx.knowledge.runs)} calibration paths, and {why}; "
         f"{previewed.largest_source}; or start nearer to the target, or allow a wider tolerance",
         "sigma_too_large",
     )

@@ -1,7 +1,7 @@
-"""Drive: play a path, rest, and trim the reference until the encoders stand where the path meant them to.
+"""Drive: play a path, rest, and correct the reference until the encoders stand at the end of the path.
 
-A P-controlled valve with a dead band stops short; that is visible at the encoders, so it is taken out there, before
-anybody looks (docs/decisions/0001-trim-on-encoders.md).
+A P-controlled valve with a dead band stops short; that is visible at the encoders, so it is corrected there, before
+the next look (docs/decisions/0001-trim-on-encoders.md).
 """
 
 from collections.abc import Generator
@@ -32,21 +32,21 @@ STEP_MIN_S = 0.5
 
 
 def integrate(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, int]:
-    """Rest; what the encoders lack is added to the reference, until they lack nothing. Returns the number of steps.
+    """Rest; add the encoders' shortfall to the reference until there is none. Returns the number of steps.
 
-    No step is longer than what is lacking, so no joint is driven past its goal, and none comes from a chosen side.
+    No step is longer than the shortfall, so no joint is driven past its goal, and none comes from a chosen side.
     """
     for count in range(STEPS_MAX + 1):
         reading = expect((yield Settle()), MachineReading)
-        lacking = plan.q_end - reading.q_rad
-        if count == STEPS_MAX or not worth_trimming(ctx.machine, reading.q_rad, lacking).any():
+        shortfall = plan.q_end - reading.q_rad
+        if count == STEPS_MAX or not worth_trimming(ctx.machine, reading.q_rad, shortfall).any():
             return count
         settings = replace(trim_settings(ctx), duration_min_s=STEP_MIN_S)
-        step = plan_joint_move(ctx.machine, reading.q_ref_rad, reading.q_ref_rad + lacking, settings)
+        step = plan_joint_move(ctx.machine, reading.q_ref_rad, reading.q_ref_rad + shortfall, settings)
         step = off_the_wall(ctx.machine, step, [reading.q_rad, plan.q_end], ctx.wall)
         if step.trajectory is None:
             raise JobFailedError(f"{purpose}: integration of the error: {step.reason}", "trim_refused")
-        text = f"{purpose}: integrating, joints short of target by up to {np.rad2deg(np.abs(lacking).max()):.2f} deg"
+        text = f"{purpose}: integrating, joints short of target by up to {np.rad2deg(np.abs(shortfall).max()):.2f} deg"
         yield Progress("integrate", count + 1, STEPS_MAX, "steps", text)
         yield Move(step.trajectory, f"{purpose}: integration step {count + 1}")
     return STEPS_MAX

@@ -40,13 +40,13 @@ SHORTEST_S = 4.0
 class PlannedPart:
     """One part: motions from rest to rest, in the order in which they are driven."""
 
-    told: IdentificationPart
+    summary: IdentificationPart
     steps: tuple[Step, ...]
 
     @property
     def name(self) -> str:
         """As in the recording."""
-        return self.told.name
+        return self.summary.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class PlannedIdentification:
     @property
     def duration_s(self) -> float:
         """Of all motion and looks [s]."""
-        return sum(part.told.duration_s for part in self.parts)
+        return sum(part.summary.duration_s for part in self.parts)
 
 
 @dataclass(slots=True)
@@ -93,7 +93,7 @@ def planned_drive(ctx: PlanContext, drive: Drive, q_ref: Array, t_now_ns: int) -
     parts: list[PlannedPart] = []
     cannot: list[str] = []
     here = np.asarray(q_ref, dtype=float)
-    for part in (one for one in PARTS if one.name not in drive.done):
+    for part in (part for part in PARTS if part.name not in drive.done):
         try:
             planned = _motion_part(ctx, replace(part, seconds=_seconds(part, drive.share)), here, drive.q_home)
         except JobFailedError as error:
@@ -135,8 +135,8 @@ def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array)
             refused = error
             continue
         step = Step(fitted, part.name, marks=part_marks(part))
-        told = IdentificationPart(part.name, _duration((*way, step)), part.shows, _small(size))
-        return PlannedPart(told, (*way, step))
+        summary = IdentificationPart(part.name, _duration((*way, step)), part.shows, _small(size))
+        return PlannedPart(summary, (*way, step))
     raise refused or JobFailedError("no size of it fits", "plan_too_fast")
 
 
@@ -158,8 +158,8 @@ def _looks_part(ctx: PlanContext, drive: Drive, here: Array) -> tuple[PlannedPar
     back = way_to(ctx, steps[-1].trajectory.q[-1], drive.q_home, "back to where the drive began")
     why = [dropped] if dropped else []
     why += _stay_open(found)
-    told = IdentificationPart(LOOKS, _duration((*steps, *back)), LOOKS_SHOW, dropped)
-    return PlannedPart(told, (*steps, *back)), why
+    summary = IdentificationPart(LOOKS, _duration((*steps, *back)), LOOKS_SHOW, dropped)
+    return PlannedPart(summary, (*steps, *back)), why
 
 
 def _look_steps(ctx: PlanContext, postures: Array, here: Array) -> tuple[tuple[Step, ...], str]:
@@ -179,8 +179,8 @@ def _look_steps(ctx: PlanContext, postures: Array, here: Array) -> tuple[tuple[S
                 continue
             steps.append(Step(join([leg.trajectory for leg in legs]), purpose, "look"))
             here = posture
-    told = f"{len(reasons)} of the looks are left out: {reasons[0]}" if reasons else ""
-    return tuple(steps), told
+    note = f"{len(reasons)} of the looks are left out: {reasons[0]}" if reasons else ""
+    return tuple(steps), note
 
 
 def _stay_open(found: Postures) -> list[str]:
@@ -199,11 +199,11 @@ def _duration(steps: Iterable[Step]) -> float:
     return round(sum(step.trajectory.duration_s + (LOOK_S if step.then == "look" else 0.5) for step in steps), 1)
 
 
-def told_drive(ctx: PlanContext, planned: PlannedIdentification, t_now_ns: int) -> IdentificationPlan:
+def plan_summary(ctx: PlanContext, planned: PlannedIdentification, t_now_ns: int) -> IdentificationPlan:
     """A planned drive as the operator checks it."""
     trajectories = planned.trajectories
-    clearance = min(clearance_of(ctx, one) for one in trajectories)
-    travel = sum((np.abs(np.diff(one.q, axis=0)).sum(axis=0) for one in trajectories), np.zeros(ctx.chain.n))
+    clearance = min(clearance_of(ctx, motion) for motion in trajectories)
+    travel = sum((np.abs(np.diff(motion.q, axis=0)).sum(axis=0) for motion in trajectories), np.zeros(ctx.chain.n))
     whole = join(trajectories)
     path = tcp_poses(ctx.chain, whole.q[:: max(1, len(whole.q) // 200)])[:, :3, 3]
     caution = "no wall is known: clearance was not checked, watch the whole path" if ctx.wall is None else ""
@@ -211,10 +211,10 @@ def told_drive(ctx: PlanContext, planned: PlannedIdentification, t_now_ns: int) 
         plan_hash=planned.plan_hash,
         expires_in_s=round((planned.expires_ns - t_now_ns) * 1e-9, 1),
         duration_s=round(planned.duration_s, 1),
-        parts=tuple(part.told for part in planned.parts),
+        parts=tuple(part.summary for part in planned.parts),
         cannot=planned.cannot,
         looks=sum(step.then == "look" for part in planned.parts for step in part.steps),
-        tcp_speed_max_mm_s=round(max(tcp_speed(ctx.chain, one) for one in trajectories) * 1e3, 1),
+        tcp_speed_max_mm_s=round(max(tcp_speed(ctx.chain, motion) for motion in trajectories) * 1e3, 1),
         clearance_mm=round(clearance * 1e3, 1) if np.isfinite(clearance) else None,
         joint_travel_deg=tuple(round(float(value), 1) for value in np.rad2deg(travel)),
         tcp_path_m=tuple((round(float(x), 3), round(float(y), 3), round(float(z), 3)) for x, y, z in path),

@@ -16,8 +16,8 @@ from server.jobs.plans.identification_planning import (
     Drive,
     PlannedIdentification,
     PlannedPart,
+    plan_summary,
     planned_drive,
-    told_drive,
 )
 from server.jobs.plans.looking import mount_rotation, take_look
 from server.jobs.requests import (
@@ -69,10 +69,10 @@ def plan_identification(
         drive = Drive(q_ref, seen, minutes / USUAL_MINUTES)
     planned = planned_drive(ctx, drive, q_ref, clock_ns())
     keep_plan(drive, planned)
-    told = told_drive(ctx, planned, clock_ns())
-    text = f"{len(told.parts)} parts, {told.looks} looks, {told.duration_s:.0f} s, plan {told.plan_hash}"
+    summary = plan_summary(ctx, planned, clock_ns())
+    text = f"{len(summary.parts)} parts, {summary.looks} looks, {summary.duration_s:.0f} s, plan {summary.plan_hash}"
     yield Progress("plan", 1.0, 1.0, "", text)
-    return told
+    return summary
 
 
 def drive_identification(
@@ -87,7 +87,7 @@ def drive_identification(
     yield from begin_drive(ctx, planned.trajectories, planned.q_ref_start, text)
     good = 0
     for number, part in enumerate(planned.parts, start=1):
-        text = f"{part.name}: {part.told.duration_s:.0f} s, shows {', '.join(part.told.shows)}"
+        text = f"{part.name}: {part.summary.duration_s:.0f} s, shows {', '.join(part.summary.shows)}"
         yield Progress("identify", number, len(planned.parts), "parts", text)
         good += yield from _part(part)
         drive.done.add(part.name)
@@ -102,7 +102,7 @@ def drive_identification(
 
 def _part(part: PlannedPart) -> Generator[Request, object, int]:
     good = missed = 0
-    if part.name == LOOKS:  # one segment over all of them: what is between two looks tells how each was come to
+    if part.name == LOOKS:  # one segment over all of them: the motion between two looks shows the way to each posture
         yield BeginSegment(LOOKS, "static")
     for number, step in enumerate(part.steps, start=1):
         yield Move(step.trajectory, step.purpose, step.marks)

@@ -25,24 +25,24 @@ def play_width(ctx: PlanContext) -> Array:
 
 
 def side_now(ctx: PlanContext) -> Array:
-    """Where each joint rested in its play when that was last told (n,), 0 where it was not known."""
+    """Where each joint rested in its play by the last reading (n,), 0 where it was not known."""
     side = ctx.knowledge.side
     return np.zeros(ctx.chain.n) if side is None else side
 
 
 def side_at_goal(ctx: PlanContext) -> Array:
-    """Where each joint will rest in its play when it has come from below, as every approach does (n,).
+    """Where each joint will rest in its play after an approach from below, as every approach is (n,).
 
-    By the same convention as `side_now`: of a joint whose play nobody follows both are 0. With one side at the look and
-    another one at the goal every step would be wrong by half of the play, and no further look would mend it.
+    By the same convention as `side_now`: of a joint whose play is not followed both are 0. With one side at the look
+    and another one at the goal every step would be wrong by half of the play, and no further look would correct it.
     """
     return (play_width(ctx) > 0.0).astype(float)
 
 
 def remember_side(ctx: PlanContext, reading: MachineReading) -> None:
-    """Where the joints rest in their play, as the encoders tell it at rest; unknown where nobody follows them.
+    """Where the joints rest in their play, by the encoders at rest; unknown where they are not followed.
 
-    Never from what was asked for: a motion may be stopped on its way, the local lever moves the machine too, and a
+    Never from the request: a motion may be stopped on its way, the local lever moves the machine too, and a
     reference turns back by the stall of its valve, several times a play's width, where the joint behind it does not.
     """
     ctx.knowledge.side = reading.side

@@ -52,9 +52,9 @@ def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Request, objec
     if variant == "paper servo":
         try:
             yield from _servo(ctx, direction, moved, looks)
-        except JobFailedError as error:  # the first move stands; the servo's end is told
+        except JobFailedError as error:  # the first move stands; the servo's end is reported
             note = f"{note}; servo: {error}"
-    return LineResult(variant, note, tuple(_line_look(name, one) for name, one in looks))
+    return LineResult(variant, note, tuple(_line_look(name, taken) for name, taken in looks))
 
 
 def _line_look(name: str, taken: LookTaken) -> LineLook:

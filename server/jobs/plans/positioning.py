@@ -62,7 +62,7 @@ def _begin_run(ctx: PlanContext, taken: LookTaken, recalibrate: bool) -> None:
 
 
 def _drop_expired(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, None]:
-    """A kept calibration that has expired is made anew; where something slipped, a person must look first."""
+    """A kept calibration that has expired is made again; where something slipped, a person must look first."""
     found = validity(ctx, taken.reading)
     if found.status is ValidityStatus.SLIPPED:
         require_valid(found, "calibration")

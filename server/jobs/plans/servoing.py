@@ -1,6 +1,6 @@
 """Closed-loop visual control, "looking and moving": slow, short, and only while every pair is good.
 
-Each pair, joined with the encoders at its exposure, places the goal anew; the tail of the running path is replaced so
+Each pair, joined with the encoders at its exposure, places the goal again; the tail of the running path is replaced so
 that it ends there. The first pair that is missing, unfit or off stops the motion.
 """
 
@@ -89,7 +89,7 @@ def _reliable(ctx: PlanContext) -> Generator[Request, object, None]:
 
 
 def _one_pass(ctx: PlanContext, taken: LookTaken, number: int) -> Generator[Request, object, Steered]:
-    """To just before the goal, then in from below, corrected on the way; where the joints rest tells their stall.
+    """To just before the goal, then in from below, corrected on the way; the joints' rest shows their stall.
 
     The last leg turns every joint forward by more than its play and stiction, as every approach does: a shorter one
     would end wherever the dead bands let it.

@@ -73,7 +73,7 @@ async def test_each_role_does_what_is_its_own(keyed, role, may):
             assert (await client.request(method, path, json=bodies.get(path))).status_code == status, request
 
 
-async def test_a_fleet_key_gets_control_as_a_fleet_only_and_takes_it_from_nobody(keyed):
+async def test_a_fleet_key_gets_control_as_a_fleet_only_and_does_not_take_it(keyed):
     async with keyed.client("fleet") as client:
         assert (await client.post("/v1/lease", json={"owner": "truck 7", "kind": "fleet"})).status_code == 201
         for kind in ("operator", "engineer"):

@@ -51,7 +51,7 @@ def test_loss_is_of_the_window_and_survives_counters_that_begin_anew():
         (LinkPhase.DISARMED, 0, "not pressed", "needed to arm"),
         (LinkPhase.FAULT, 1, "PRESSED", "needed to arm"),
         (LinkPhase.FAULT, 2, "not pressed", "LOST"),
-        (LinkPhase.OFFLINE, 0, "not told", "not told"),
+        (LinkPhase.OFFLINE, 0, "not reported", "not reported"),
     ],
 )
 def test_what_the_plc_tells_of_the_hardware(phase, bits, estop, enable):

@@ -63,7 +63,7 @@ def test_a_source_that_can_never_work_is_told_once_and_lives_on(monkeypatch):
     """Else it would be taken for a process that hangs, and be started again and again."""
     monkeypatch.setattr(process, "LIFE_S", 0.01)
     ours, theirs = multiprocessing.Pipe()
-    telling = threading.Thread(target=process._tell_and_wait, args=(theirs, "no such folder"))
+    telling = threading.Thread(target=process._report_and_wait, args=(theirs, "no such folder"))
     telling.start()
     assert ours.recv().text == "no such folder"
     ours.send(PoseSourceCommand("stereo"))

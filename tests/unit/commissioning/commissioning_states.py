@@ -132,7 +132,7 @@ class StandInOperator:
         self.asked.append(key)
         return self.answers.get(key)
 
-    def tell(self, text):
+    def show(self, text):
         self.told.append(text)
 
     def progress(self, text, current, target, unit):

@@ -51,7 +51,7 @@ def test_whatever_moves_needs_leave_open_valves_and_a_proven_link():
 async def test_an_expected_error_leaves_its_step_open_and_the_rest_goes_on(error):
     link = StandInLink()
     results = await run([step(raises=error), step(6, "camera axes")], site(link))
-    assert [result.verdict for result in results] == [Verdict.CANNOT_TELL, Verdict.PASS]
+    assert [result.verdict for result in results] == [Verdict.INCONCLUSIVE, Verdict.PASS]
     assert str(error) in results[0].summary
     assert link.calls == ["disarm", "disarm"]
 
@@ -67,7 +67,7 @@ async def test_a_silent_plc_leaves_a_step_open_and_names_the_server(impatient):
     link = StandInLink()
     link.health = health(LinkPhase.OFFLINE, last_reject="SESSION: another session is open")
     (result,) = await run([step(needs=(Need.PLC,))], site(link))
-    assert result.verdict is Verdict.CANNOT_TELL
+    assert result.verdict is Verdict.INCONCLUSIVE
     assert "SESSION" in result.summary
     assert "one controller at a time" in result.remedy
 
@@ -76,7 +76,7 @@ async def test_a_dry_run_leaves_a_moving_step_open(impatient):
     link = StandInLink()
     link.health = health(dry_run=True)
     (result,) = await run([step(needs=(Need.VALVES,))], site(link))
-    assert result.verdict is Verdict.CANNOT_TELL
+    assert result.verdict is Verdict.INCONCLUSIVE
     assert "bDryRun" in result.remedy
 
 
@@ -89,7 +89,7 @@ async def test_without_leave_a_moving_step_is_skipped_and_leave_is_asked_once():
 
 async def test_without_a_camera_a_looking_step_stays_open(impatient):
     (result,) = await run([step(needs=(Need.CAMERA,))])
-    assert result.verdict is Verdict.CANNOT_TELL
+    assert result.verdict is Verdict.INCONCLUSIVE
 
 
 async def test_a_silent_camera_leaves_a_looking_step_open(impatient):
@@ -98,14 +98,14 @@ async def test_a_silent_camera_leaves_a_looking_step_open(impatient):
         stream_text = "connection refused"
 
     (result,) = await run([step(needs=(Need.CAMERA,))], site(vision=Silent()))
-    assert result.verdict is Verdict.CANNOT_TELL
+    assert result.verdict is Verdict.INCONCLUSIVE
     assert "connection refused" in result.summary
 
 
 async def test_a_failure_before_keeps_what_comes_after_from_beginning():
     failed = StepResult("link dry run", Verdict.FAIL, "did not stop")
     (result,) = await run([step(after=(1,))], earlier=[failed])
-    assert result.verdict is Verdict.CANNOT_TELL
+    assert result.verdict is Verdict.INCONCLUSIVE
     assert "'link dry run' failed" in result.summary
     mended = passing("link dry run")
     (result,) = await run([step(after=(1,))], earlier=[failed, mended])
@@ -122,13 +122,13 @@ async def test_a_real_machine_is_not_moved_before_the_link_was_seen_to_stop():
     link.latest = sample(0.0, simulation=False)
     moving = step(needs=(Need.LEAVE,))
     (refused,) = await run([moving], site(link))
-    assert refused.verdict is Verdict.CANNOT_TELL
+    assert refused.verdict is Verdict.INCONCLUSIVE
     assert "step 1" in refused.summary
     (allowed,) = await run([moving], site(link), earlier=[passing("link dry run")])
     assert allowed.verdict is Verdict.PASS
 
 
-@pytest.mark.parametrize("later", [Verdict.SKIPPED, Verdict.CANNOT_TELL])
+@pytest.mark.parametrize("later", [Verdict.SKIPPED, Verdict.INCONCLUSIVE])
 async def test_a_failure_stands_until_its_step_was_gone_through_again(later):
     failed = StepResult("joint signs", Verdict.FAIL, "tool went the wrong way")
 
@@ -137,7 +137,7 @@ async def test_a_failure_stands_until_its_step_was_gone_through_again(later):
 
     steps = [Step(5, "joint signs", left_open, ()), step(8, "stop times", after=(5,))]
     again, after = await run(steps, earlier=[failed])
-    assert (again.verdict, after.verdict) == (later, Verdict.CANNOT_TELL)
+    assert (again.verdict, after.verdict) == (later, Verdict.INCONCLUSIVE)
     assert "'joint signs' failed" in after.summary
     mended = [step(5, "joint signs"), step(8, "stop times", after=(5,))]
     assert [one.verdict for one in await run(mended, earlier=[failed])] == [Verdict.PASS, Verdict.PASS]

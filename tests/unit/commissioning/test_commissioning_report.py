@@ -85,6 +85,7 @@ def test_a_later_result_takes_the_earlier_ones_place():
         (["pass", "pass"], 0),
         (["pass", "fail", "skipped"], 1),
         (["pass", "skipped"], 3),
+        (["inconclusive"], 3),
         (["cannot tell"], 3),
     ],
 )
@@ -178,7 +179,7 @@ def test_a_report_of_another_machine_file_is_not_gone_on_from():
         _carried(report(), MACHINE, "cd")
 
 
-@pytest.mark.parametrize("later", [Verdict.SKIPPED, Verdict.CANNOT_TELL])
+@pytest.mark.parametrize("later", [Verdict.SKIPPED, Verdict.INCONCLUSIVE])
 def test_an_earlier_failure_that_was_left_open_still_fails(later):
     failed = StepResult("joint signs", Verdict.FAIL, "tool went the wrong way")
     left_open = report(results=(StepResult("joint signs", later, "nobody looked"),), earlier=(failed,))

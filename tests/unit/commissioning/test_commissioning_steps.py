@@ -34,7 +34,7 @@ def test_equal_hashes_pass_others_fail_with_our_table():
     assert other.verdict is Verdict.FAIL
     assert [row[0] for row in other.tables[0].rows] == NAMES
     assert repr(MACHINE.joints[1].qd_max_rad_s) in other.tables[0].rows[1][3]
-    assert compare_limits(TABLE, 0).verdict is Verdict.CANNOT_TELL
+    assert compare_limits(TABLE, 0).verdict is Verdict.INCONCLUSIVE
 
 
 # --- zeros ----------------------------------------------------------------------------------------------------------
@@ -49,7 +49,7 @@ def test_zeros_are_held_to_the_tolerance(off_deg, verdict):
 def test_zeros_not_read_are_never_a_pass():
     assert compare_zeros(NAMES, READING, [None] * N, 1.0).verdict is Verdict.SKIPPED
     part = compare_zeros(NAMES, READING, [*Q_DEG[:5], None], 1.0)
-    assert part.verdict is Verdict.CANNOT_TELL
+    assert part.verdict is Verdict.INCONCLUSIVE
     assert "wrist3" in part.summary
     wrong = compare_zeros(NAMES, READING, [Q_DEG[0] + 5.0, *[None] * 5], 1.0)
     assert wrong.verdict is Verdict.FAIL
@@ -116,7 +116,7 @@ async def test_joints_that_follow_and_are_seen_to_pass():
 
 async def test_without_eyes_the_step_stays_open():
     result = await joint_signs(site())
-    assert result.verdict is Verdict.CANNOT_TELL
+    assert result.verdict is Verdict.INCONCLUSIVE
     assert "was not entered" in result.summary
     assert all(figure.ok for figure in result.figures)
 
@@ -158,7 +158,7 @@ async def test_what_was_measured_is_kept_when_the_plc_refuses_midway():
             return ended
 
     result = await joint_signs(site(Refusing(), StandInOperator(right_answers())))
-    assert result.verdict is Verdict.CANNOT_TELL
+    assert result.verdict is Verdict.INCONCLUSIVE
     assert "lift: ENABLE" in result.summary
     assert len(result.tables[0].rows) == 1
 
@@ -319,6 +319,6 @@ def test_rest_needs_still_encoders_a_still_reference_and_enough_of_both():
 def test_a_verdict_is_fail_before_open_before_pass():
     figures = range_figures([sample(10.0 * i) for i in range(50)], MACHINE.joints)
     assert judged("x", figures, "fine", "do").verdict is Verdict.PASS
-    assert judged("x", figures, "fine", "do", ["not seen"]).verdict is Verdict.CANNOT_TELL
+    assert judged("x", figures, "fine", "do", ["not seen"]).verdict is Verdict.INCONCLUSIVE
     wrong = range_figures([sample(0.0, fault_bits=int(FaultBit.SENSOR))], MACHINE.joints)
     assert judged("x", wrong, "fine", "do", ["not seen"]).verdict is Verdict.FAIL

@@ -86,9 +86,9 @@ def test_the_joint_estimate_starts_from_diagnosed_numbers():
 
 def test_what_cannot_be_compensated_is_said():
     known = compensation_of(MACHINE, (entry("valve_lag", 2, time_constant_s=0.05), *SEVERAL))
-    told = known.sorted.told()
-    assert "valve_lag, joint 2: not compensated" in told
-    assert "gravity_sag, joint 2: kinematics" in told
+    lines = known.sorted.lines()
+    assert "valve_lag, joint 2: not compensated" in lines
+    assert "gravity_sag, joint 2: kinematics" in lines
 
 
 def test_what_the_learnt_map_has_no_number_for_is_told_as_such():
@@ -104,8 +104,8 @@ def test_what_the_learnt_map_has_no_number_for_is_told_as_such():
         known = compensation_of(MACHINE, (entry(name, joint, **more),))
         found = error_model(known.believed_machine(), known.believed_errors())
         changed = found.n != plain.n or not np.allclose(found.mean, plain.mean)
-        (told,) = known.sorted.told()
-        assert changed is not any(word in told for word in ("until a calibration", "not compensated")), told
+        (line,) = known.sorted.lines()
+        assert changed is not any(word in line for word in ("until a calibration", "not compensated")), line
 
 
 def test_a_file_of_a_sister_crane_or_of_another_geometry_is_refused(tmp_path):

@@ -15,7 +15,15 @@ from recording.clock import mono_ns
 from server.api.panel_figures import link_figures
 from server.link import udp_end
 from server.link.client import LinkClient
-from server.link.contracts import HealthReport, LinkHealth, LinkPhase, MotionEnded, PlcSample, SamplesReport, oil_told_c
+from server.link.contracts import (
+    HealthReport,
+    LinkHealth,
+    LinkPhase,
+    MotionEnded,
+    PlcSample,
+    SamplesReport,
+    measured_oil_c,
+)
 from server.link.errors import LinkRefusedError
 from server.link.knots import knots_of
 from server.link.lateness import Lateness
@@ -156,7 +164,7 @@ def test_what_the_server_did_not_fetch_is_counted_in_the_health_figures() -> Non
 
 
 def test_an_oil_temperature_is_told_only_where_it_is_measured() -> None:
-    told = [oil_told_c(replace(sample(1), oil_temperature_c=value)) for value in (45.0, 0.0, float("nan"))]
+    told = [measured_oil_c(replace(sample(1), oil_temperature_c=value)) for value in (45.0, 0.0, float("nan"))]
     assert told == [45.0, None, None]
 
 

@@ -227,7 +227,7 @@ async def test_a_face_that_dies_is_told(service, caplog):
         raise RuntimeError("gone")
 
     task = asyncio.create_task(dies())
-    task.add_done_callback(face_module._tell)
+    task.add_done_callback(face_module._log_end)
     await asyncio.wait({task})
     await asyncio.sleep(0)
     assert "values are no longer updated" in caplog.text

@@ -80,7 +80,7 @@ def test_arm_waits_for_a_proven_link_and_echoes_the_nonce() -> None:
     pc.feed(rx_ok=25)
     command = pc.next()
     assert (command.mode, command.arm_nonce) == (Mode.ARM, 5)
-    pc.link.cancel_wish()
+    pc.link.cancel_request()
     assert pc.next().mode is Mode.HEARTBEAT
     pc.link.request_arm()
     pc.feed(plc_state=PlcState.HOLD)
@@ -120,7 +120,7 @@ def test_reset_is_asked_for_ten_times_a_second_with_heartbeats_in_between() -> N
 def test_a_stop_comes_before_a_disarm_and_does_not_replace_it() -> None:
     pc = Pc().running()
     pc.link.request_disarm()
-    pc.link.cancel_wish()  # as every stop does, so that nothing arms or resets after it
+    pc.link.cancel_request()  # as every stop does, so that nothing arms or resets after it
     pc.link.request_stop("the job was cancelled")
     stop = pc.next()
     assert stop.mode is Mode.STOP

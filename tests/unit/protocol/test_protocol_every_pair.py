@@ -274,7 +274,7 @@ class Pc:
             "disarm": link.request_disarm,
             "stop": lambda: link.request_stop("test"),
             "quick_stop": lambda: link.request_stop("test", quick=True),
-            "cancel": link.cancel_wish,
+            "cancel": link.cancel_request,
             "first run": lambda: link.request_run(1, KNOTS, t_ns),
             "first servo": lambda: link.request_servo(1, t_ns),
             "run": lambda: link.request_run(2, KNOTS, t_ns),

@@ -1,17 +1,22 @@
 """The page's files belong together: every text exists, nothing is inline, nothing comes from elsewhere."""
 
+import json
 import re
 from html.parser import HTMLParser
+from typing import get_args
 
 import pytest
 
-from server.api.panel_view import PanelView
+from server.api.panel_alarm_catalogue import CATALOGUE
+from server.api.panel_view import PanelView, SafetyView
+from server.link.contracts import LinkPhase
 from web import STATIC_FOLDER
 
 SCRIPTS = sorted(STATIC_FOLDER.glob("*.js"))
 PAGE = (STATIC_FOLDER / "index.html").read_text(encoding="utf-8")
 STYLE = (STATIC_FOLDER / "style.css").read_text(encoding="utf-8")
 TEXTS = (STATIC_FOLDER / "texts.js").read_text(encoding="utf-8")
+LANGUAGES = sorted(STATIC_FOLDER.glob("texts.*.json"))
 #: names of texts that are put together: t(`step_${kind}`) and the like
 MADE_UP = ("step_", "about_", "tour_", "priority_", "why_plc_", "hint_", "gap_", "jog_")
 
@@ -35,6 +40,52 @@ def tags():
 def known_texts():
     body = TEXTS[TEXTS.index("{") : TEXTS.index("};")]
     return set(re.findall(r'(?:^|[\s,{])([a-z]\w*): "', body))
+
+
+def english():
+    body = TEXTS[TEXTS.index("{") : TEXTS.index("};")]
+    return dict(re.findall(r'(?:^|[\s,{])([a-z]\w*): "([^"]*)"', body))
+
+
+def fixed_phrases():
+    """What the server sends as a fixed word or sentence, and the page shows."""
+    states = {
+        str(value) for field in ("estop", "enable") for value in get_args(SafetyView.model_fields[field].annotation)
+    }
+    return states | {phase.value for phase in LinkPhase} | {kind.clears for kind in CATALOGUE.values()}
+
+
+@pytest.fixture(params=LANGUAGES, ids=lambda path: path.stem)
+def catalogue(request):
+    return json.loads(request.param.read_text("utf-8"))
+
+
+def test_every_language_has_every_text(catalogue):
+    """The page shows English for what is missing; the difference of the sets lists it."""
+    assert set(english()) - set(catalogue["panel"]) == set()
+    assert set(CATALOGUE) - set(catalogue["alarms"]) == set()
+    assert fixed_phrases() - set(catalogue["phrases"]) == set()
+    assert [code for code, alarm in catalogue["alarms"].items() if set(alarm) != {"title", "cause", "remedy"}] == []
+
+
+def test_no_language_has_a_text_that_the_page_does_not_use(catalogue):
+    assert set(catalogue["panel"]) - set(english()) == set()
+    assert set(catalogue["alarms"]) - set(CATALOGUE) == set()
+
+
+def test_a_translation_has_the_figures_of_the_english_text(catalogue):
+    def figures(text):
+        return set(re.findall(r"\{(\w+)\}", text))
+
+    texts = english()
+    wrong = {key for key, text in catalogue["panel"].items() if figures(text) != figures(texts.get(key, ""))}
+    assert wrong == set()
+
+
+def test_a_language_on_the_page_has_its_catalogue_and_the_other_way_round():
+    script = (STATIC_FOLDER / "language.js").read_text("utf-8")
+    offered = set(re.findall(r"(\w\w): \"", script[script.index("LANGUAGES = {") :].split("}")[0]))
+    assert offered - {"en"} == {path.name.split(".")[1] for path in LANGUAGES}
 
 
 def used_in_scripts():

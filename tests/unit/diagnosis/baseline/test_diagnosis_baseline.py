@@ -27,7 +27,7 @@ from machine.errors import MachineFileError
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
 
 REMAINDER = Remainder("actuator", 2, "", 1.5e-5, 4e-5, (0.7, -0.1))
-OF_POINTS = Remainder("structure", None, "tracker", 1e-4, 2e-4, by_axis=(1e-4, 2e-4, 3e-4), swing_rad=4e-4)
+OF_POINTS = Remainder("structure", None, "tracker", 1e-4, 2e-4, by_axis=(1e-4, 2e-4, 3e-4), oscillation_rad=4e-4)
 
 
 def test_a_machine_file_carries_its_baseline() -> None:
@@ -50,7 +50,7 @@ def test_a_machine_file_carries_its_baseline() -> None:
         ({"stage": "link", "joint": 0}, "joint = 0"),
         ({"stage": "link", "colour": 1}, "unknown key 'colour'"),
         ({"stage": "link", "ar": ["x"]}, "ar = 'x'"),
-        ({"stage": "structure", "swing_rad": -1.0}, "swing_rad = -1"),
+        ({"stage": "structure", "oscillation_rad": -1.0}, "oscillation_rad = -1"),
         ({"stage": "link", "form": [1.0]}, "form = [1.0] is not a table"),
         ({"stage": "link", "form": {"speed": ["x"]}}, "form.speed = 'x'"),
         ({"stage": "actuator", "joint": 1, "wander": {"flow_gain": 0.01}}, "wander.flow_gain: the catalogue has no"),
@@ -60,6 +60,11 @@ def test_a_machine_file_carries_its_baseline() -> None:
 def test_a_wrong_remainder_is_named(table: dict, words: str) -> None:
     with pytest.raises(MachineFileError, match=re.escape(words)):
         parse_remainders([table])
+
+
+def test_the_old_key_of_the_slew_oscillation_is_read() -> None:
+    (remainder,) = parse_remainders([{"stage": "structure", "on": "tracker", "sigma": 1e-4, "swing_rad": 4e-4}])
+    assert remainder.oscillation_rad == 4e-4
 
 
 def test_a_new_baseline_takes_the_old_ones_place() -> None:

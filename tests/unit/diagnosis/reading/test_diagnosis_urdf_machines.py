@@ -142,7 +142,7 @@ def test_a_urdf_beside_the_machine_file_that_is_given_is_found(tmp_path: Path) -
     (tmp_path / "mine.toml").write_text(poses().machine_toml, encoding="utf-8")
     result = read(tmp_path / "run", tmp_path / "mine.toml")
     assert not result.usable
-    assert "not in the recording or beside the machine file; put it there" in fatal(result)
+    assert "not in the recording or next to the machine file; put it there" in fatal(result)
     (tmp_path / "a.urdf").write_text(URDF, encoding="utf-8")
     result = read(tmp_path / "run", tmp_path / "mine.toml")
     assert result.nominal is not None

@@ -1,6 +1,6 @@
 """SIGKILL of a small PC end in the middle of a move, without a server; the relay and the figures are the product's.
 
-python tests/system/kill_drill.py --preset realistic --n 5        # PC end of this folder, killed n times
+python tests/system/kill_client.py --preset realistic --n 5        # PC end of this folder, killed n times
 observe_kill(relay, kill, machine)                                # any other PC, for instance the whole server
 """
 
@@ -26,7 +26,7 @@ from protocol.codes import PlcState
 from server.settings import read_machine_text
 from sim_plc.process import SimSettings
 
-__all__ = ["KillFigures", "Relay", "figures_table", "kill_drill", "machine_text", "observe_kill", "simulator"]
+__all__ = ["KillFigures", "Relay", "figures_table", "kill_client", "machine_text", "observe_kill", "simulator"]
 
 ATTEMPTS = 4
 PC_END = Path(__file__).with_name("drill_pc.py")
@@ -55,7 +55,7 @@ def simulator(**settings: object) -> Iterator[tuple[int, BaseProcess]]:
         yield port, plc.process
 
 
-def kill_drill(preset: str = "realistic", seed: int = 1, n: int = 3, start_s: float = 90.0) -> list[KillFigures]:
+def kill_client(preset: str = "realistic", seed: int = 1, n: int = 3, start_s: float = 90.0) -> list[KillFigures]:
     """Start a simulator; n times: start a PC end, let it arm and move, kill it somewhere in the move's fast part."""
     machine = parse_machine_toml(machine_text())
     tcp_pose(chain_of(machine), np.zeros(len(machine.joints)))  # compiles before the relay must be quick
@@ -108,4 +108,4 @@ if __name__ == "__main__":
     arguments.add_argument("--preset", default="realistic")
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--n", type=int, default=3)
-    print(figures_table(kill_drill(**vars(arguments.parse_args()))))
+    print(figures_table(kill_client(**vars(arguments.parse_args()))))
