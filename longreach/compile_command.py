@@ -133,7 +133,7 @@ def simulator(machine: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What one process compiles; stages of the same turn run beside each other."""
+    """What one process compiles; stages of the same turn run in parallel."""
 
     name: str
     turn: int

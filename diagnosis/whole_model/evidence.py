@@ -17,7 +17,7 @@ QUANTILE_95 = 1.6448536269514722
 FOUND_90_OF_98 = 3.3354  # deviations: found with 90 % probability at 2 % false alarms
 RANK = 1e-6  # of the largest power: below, columns of finite steps are the same to rounding
 QUARTERS, HALVES = (0.25, 0.5, 0.75), (0.5,)
-SHARING_MOST = 4  # terms in whose place an effect may stand: a longer list helps nobody
+SHARING_MOST = 4  # terms in whose place an effect may stand: a longer list is of no use
 EQUAL_T = 9.0  # least squared distance below which two sets are not distinguished (contract)
 
 
@@ -32,7 +32,7 @@ class Evidence:
     stated accuracy.
     `above`: what it alone explains, as a share of that and what its part leaves beyond noise.
     `alone`: its size over its deviation with every effect of the part in the model; with its equals if they share it.
-    `prior_nats`: beside a baseline its prior log odds, of which the gain is the rest; else None.
+    `prior_nats`: with a baseline its prior log odds, of which the gain is the rest; else None.
     `wide`: (sizes, 2) 90 % limits in that model of sizes that the data do not determine by themselves; None without.
     """
 
@@ -227,8 +227,8 @@ def _alone(fit: WholeFit, k: int, everything: tuple[Array, Array]) -> tuple[floa
     sharing: list[int] = []
     others = np.zeros(0, dtype=np.int64)
     for _ in range(SHARING_MOST):
-        besides = [(t, np.concatenate([others, columns[t]])) for t in open_terms if t not in sharing]
-        tried = [(distance(np.concatenate([own, beside])) - distance(beside), t) for t, beside in besides]
+        sets = [(t, np.concatenate([others, columns[t]])) for t in open_terms if t not in sharing]
+        tried = [(distance(np.concatenate([own, absent])) - distance(absent), t) for t, absent in sets]
         if not tried:
             break
         shared, best = max(tried)

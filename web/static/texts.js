@@ -33,7 +33,7 @@ export const TEXTS = {
   target_refused: "Not measured: {why}",
   objects_title: "Taught objects", object_which: "object", object_use: "Use this object", object_remove: "Remove", object_view: "Take a view", object_forget: "Forget views",
   object_about: "To teach: markers next to the object, both in the picture; take a view from three or four sides, then give it a name.",
-  object_centre: "centre from the markers, mm: x, y, z", object_size: "width, height, depth, mm", object_name: "name", object_teach: "Teach",
+  object_centre: "Centre, from the markers, mm:", object_size: "Size, mm:", object_width: "width", object_height: "height", object_depth: "depth", object_name: "name", object_teach: "Teach",
   object_views: "{n} views, landmarks: {marks}", object_no_views: "No view taken.", object_in_use: "Target: the object {name}. Back to markers ends it.",
   target_reach_reachable: "The tool can reach it.", target_reach_refused: "Cannot be reached from here: {why}", target_reach_unknown: "{why}",
   marker_unused: "not used", legend_tool: "tool", legend_goal: "goal", 

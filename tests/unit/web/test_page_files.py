@@ -18,7 +18,7 @@ STYLE = (STATIC_FOLDER / "style.css").read_text(encoding="utf-8")
 TEXTS = (STATIC_FOLDER / "texts.js").read_text(encoding="utf-8")
 LANGUAGES = sorted(STATIC_FOLDER.glob("texts.*.json"))
 #: names of texts that are put together: t(`step_${kind}`) and the like
-MADE_UP = ("step_", "about_", "tour_", "priority_", "why_plc_", "hint_", "gap_", "jog_")
+MADE_UP = ("step_", "about_", "tour_", "priority_", "why_plc_", "hint_", "gap_", "jog_", "target_reach_")
 
 
 class Tags(HTMLParser):
