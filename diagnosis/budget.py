@@ -234,7 +234,8 @@ def _column(
     left = _measured_mm(after, "structure")
     if left is None:  # nothing measured it: all that is known is what the confirmed effects do
         return Column(error.column, explained, 0.0, 0.0, False)
-    beyond = left * _beyond_noise(closing, "structure")
+    usual = whole.nominal is not None and bool(whole.nominal.remainders)
+    beyond = left * _beyond_noise(closing, "structure") if usual else left
     return Column(error.column, float(np.hypot(explained, beyond)), beyond, float(np.sqrt(left**2 - beyond**2)), True)
 
 
@@ -316,7 +317,7 @@ def _stages(
         for row, sums in parts
         if row.closed != UNKNOWN and sums.before.sum() > sums.rows  # more than the least noise that is believed
     }
-    judged = {(row.stage, row.joint) for parts in closing for row, _ in parts}
+    usual = whole.nominal is not None and bool(whole.nominal.remainders)
     before, after = places
     present = stages_present(whole)
     small = small_mm(columns)
@@ -331,7 +332,7 @@ def _stages(
         for joint in joints:
             confirmed = any(_belongs(line, stage, joint) and line.status == "confirmed" for line in lines)
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
-            seen = bool({(stage, joint), (stage, None)} & beyond_noise) or (stage, joint) not in judged or confirmed
+            seen = bool({(stage, joint), (stage, None)} & beyond_noise) or confirmed or (joint is None and not usual)
             verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)
             own = [fit for fit in fits if fit.cell.stage == stage and fit.cell.joint in (None, joint)]
             lead = next(map(lead_of, own), "") if verdict in ("partly", "unexplained") else ""
@@ -401,6 +402,7 @@ def verdict_of(
     table: tuple[tuple[bool, Verdict, str], ...] = (
         (not fits, "undecided", "no stage could be replayed"),
         (stood_still(whole.stretches) and not static, "undecided", "no joint moved, and there are no poses at rest"),
+        (confirmed and not squares, "effects", "effects are confirmed, and they explain what their stages show"),
         (confirmed and done, "effects", f"confirmed effects explain {100 * explained:.0f} % of it"),
         (confirmed, "partly", f"confirmed effects explain {100 * explained:.0f} % of it; the rest has no cause yet"),
         (unplaced, "effects", "effects are confirmed; nothing here says what they do at the tool"),

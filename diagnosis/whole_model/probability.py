@@ -25,13 +25,17 @@ RIDGE = 2.5**-2.0
 
 
 def features(evidence: Evidence) -> Array:
-    """The figures (FEATURES,) of one effect's evidence."""
+    """The figures (FEATURES,) of one effect's evidence.
+
+    Why `detectable` by the smaller of two: the deviation of a shape or a threshold may be far too small (Hauck, Donner
+    1977), and then the likelihood ratio, twice the gain, is the smaller one.
+    """
     return np.array(
         [
             np.log1p(np.clip(evidence.gain_nats, 0.0, CAP)),
             np.log1p(min(evidence.z, CAP)),
             np.log1p(min(evidence.alone, CAP)),
-            min(evidence.z / FOUND_90_OF_98, 1.0),
+            min(min(evidence.z, np.sqrt(2.0 * max(evidence.gain_nats, 0.0))) / FOUND_90_OF_98, 1.0),
             -np.log(AGREES + min(evidence.scatter, 1.0)),
             np.log(max(evidence.above, LEAST_SHARE)),
             float(evidence.noise_known),
