@@ -162,7 +162,7 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     )
     lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
     stages = _stages(whole, lines, columns, (before, after), fits, closing)
-    verdict, why = verdict_of(whole, lines, columns, stages, fits)
+    verdict, why = verdict_of(whole, lines, columns, stages, fits, closing)
     return Budget(whole, fits, lines, machine, columns, stages, before, after, predicted, closing, verdict, why)
 
 
@@ -387,8 +387,12 @@ def verdict_of(
     columns: tuple[Column, ...],
     stages: tuple[StageLine, ...],
     fits: tuple[WholeFit, ...],
+    closing: Closing,
 ) -> tuple[Verdict, str]:
     """The overall verdict: the first row of the table that holds."""
+    lacking = {line.stage for line in stages if line.verdict == "unexplained"}
+    shares = [row.closed[0] for parts in closing for row, _ in parts if row.stage in lacking]
+    lacks = any(share is not None and share < EXPLAINED for share in shares)  # with every effect, doubtful ones too
     confirmed = any(stage.verdict in ("explained", "partly") for stage in stages)
     squares = sum(column.before_mm**2 for column in columns)
     left = sum(column.after_mm**2 for column in columns)
@@ -406,7 +410,7 @@ def verdict_of(
         (confirmed and done, "effects", f"confirmed effects explain {100 * explained:.0f} % of it"),
         (confirmed, "partly", f"confirmed effects explain {100 * explained:.0f} % of it; the rest has no cause yet"),
         (unplaced, "effects", "effects are confirmed; nothing here says what they do at the tool"),
-        (gap and likely, "undecided", "effects are likely, none is confirmed"),
+        (gap and likely and not (known and lacks), "undecided", "effects are likely, none is confirmed"),
         (gap and known, "outside", "there is a gap, and no effect of the catalogue explains it"),
         (gap, "undecided", "more is left than the noise was taken for, and the noise was never measured"),
         (known, "none", "nothing stands out of the noise that matters at the tool"),

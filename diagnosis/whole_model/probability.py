@@ -27,15 +27,16 @@ RIDGE = 2.5**-2.0
 def features(evidence: Evidence) -> Array:
     """The figures (FEATURES,) of one effect's evidence.
 
-    Why `detectable` by the smaller of two: the deviation of a shape or a threshold may be far too small (Hauck, Donner
-    1977), and then the likelihood ratio, twice the gain, is the smaller one.
+    Why a size over its deviation is at most the root of twice the gain: the deviation of a shape or a threshold may be
+    far too small (Hauck, Donner 1977); the likelihood ratio is not misled by it.
     """
+    z = min(evidence.z, float(np.sqrt(2.0 * max(evidence.gain_nats, 0.0))))
     return np.array(
         [
             np.log1p(np.clip(evidence.gain_nats, 0.0, CAP)),
-            np.log1p(min(evidence.z, CAP)),
+            np.log1p(min(z, CAP)),
             np.log1p(min(evidence.alone, CAP)),
-            min(min(evidence.z, np.sqrt(2.0 * max(evidence.gain_nats, 0.0))) / FOUND_90_OF_98, 1.0),
+            min(z / FOUND_90_OF_98, 1.0),
             -np.log(AGREES + min(evidence.scatter, 1.0)),
             np.log(max(evidence.above, LEAST_SHARE)),
             float(evidence.noise_known),
