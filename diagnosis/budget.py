@@ -330,14 +330,19 @@ def _stages(
         if stage in STAGES_OF_JOINTS:
             joints = sorted({place.joint for place in before.places if place.stage == stage and place.joint}) or [None]
         for joint in joints:
-            confirmed = any(_belongs(line, stage, joint) and line.status == "confirmed" for line in lines)
+            confirmed = any(_belongs(line, stage, joint) for line in lines if _is_sure(line))
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
-            seen = bool({(stage, joint), (stage, None)} & beyond_noise) or confirmed or (joint is None and not usual)
+            matters = any(_belongs(line, stage, joint) and line.mm > SMALL_MM for line in lines if _is_sure(line))
+            seen = bool({(stage, joint), (stage, None)} & beyond_noise) or matters or (joint is None and not usual)
             verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)
             own = [fit for fit in fits if fit.cell.stage == stage and fit.cell.joint in (None, joint)]
             lead = next(map(lead_of, own), "") if verdict in ("partly", "unexplained") else ""
             out.append(StageLine(stage, joint, verdict, was, left, lead))
     return tuple(out)
+
+
+def _is_sure(line: Line) -> bool:
+    return line.status == "confirmed"
 
 
 def _belongs(line: Line, stage: str, joint: int | None) -> bool:
@@ -397,6 +402,7 @@ def verdict_of(
     squares = sum(column.before_mm**2 for column in columns)
     left = sum(column.after_mm**2 for column in columns)
     explained = 1.0 - left / squares if squares > 0.0 else 0.0
+    share = f"confirmed effects explain {100 * explained:.0f} % of it" if squares else "effects are confirmed"
     done = explained >= EXPLAINED or float(np.sqrt(left)) <= small_mm(columns)
     known = all(fit.cell.floor_known for fit in fits) and bool(fits)
     likely = any(line.status != "doubtful" for line in lines)
@@ -406,9 +412,8 @@ def verdict_of(
     table: tuple[tuple[bool, Verdict, str], ...] = (
         (not fits, "undecided", "no stage could be replayed"),
         (stood_still(whole.stretches) and not static, "undecided", "no joint moved, and there are no poses at rest"),
-        (confirmed and not squares, "effects", "effects are confirmed, and they explain what their stages show"),
-        (confirmed and done, "effects", f"confirmed effects explain {100 * explained:.0f} % of it"),
-        (confirmed, "partly", f"confirmed effects explain {100 * explained:.0f} % of it; the rest has no cause yet"),
+        (confirmed and done, "effects", share),
+        (confirmed, "partly", f"{share}; the rest has no cause yet"),
         (unplaced, "effects", "effects are confirmed; nothing here says what they do at the tool"),
         (gap and likely and not (known and lacks), "undecided", "effects are likely, none is confirmed"),
         (gap and known, "outside", "there is a gap, and no effect of the catalogue explains it"),

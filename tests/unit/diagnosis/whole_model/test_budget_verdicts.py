@@ -27,7 +27,7 @@ def verdict(
     stage = StageLine("structure", None, word, before_mm, after_mm, "")
     fit = SimpleNamespace(cell=SimpleNamespace(floor_known=known))
     given = (tuple(map(line_of, probabilities)), (column_of(before_mm, after_mm),), (stage,), (fit,) * fits)
-    return verdict_of(cast(Any, whole), *cast(Any, given))[0]
+    return verdict_of(cast(Any, whole), *cast(Any, given), ())[0]
 
 
 @pytest.mark.parametrize(
