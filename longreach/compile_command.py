@@ -34,7 +34,7 @@ def compile_numerics(
     again: Annotated[bool, typer.Option("--again", help="also if what is there is of this version")] = False,
     check: Annotated[bool, typer.Option("--check", help="only say whether it is; exit code 1 if not")] = False,
 ) -> None:
-    """Compile the numerics once, so that no start waits for them. Does nothing where that was done for this version."""
+    """Compile the numerics once, so that no start waits for them."""
     from rich.console import Console
 
     console = Console(stderr=True, soft_wrap=True)

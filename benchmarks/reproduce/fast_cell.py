@@ -24,6 +24,7 @@ from server.jobs.requests import (
     Arm,
     MachineReading,
     Move,
+    PairTiming,
     Progress,
     ReadMachine,
     Record,
@@ -32,6 +33,7 @@ from server.jobs.requests import (
     StartOdometry,
     StopOdometry,
     TakeLook,
+    TimePairs,
 )
 from server.jobs.watching import Sighted, StartWatching, StopWatching
 from server.settings import ServerSettings
@@ -95,6 +97,8 @@ class FastCell:
             case StartOdometry():
                 self._odometry_from_s = self.machine.t_s
                 return None
+            case TimePairs():
+                return PairTiming(1.0 / self.noise.odometry.rate_hz)
             case StopOdometry():
                 return self.tracks(self._odometry_from_s)
             case StartWatching():

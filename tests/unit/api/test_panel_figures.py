@@ -65,9 +65,9 @@ def test_what_the_page_may_execute_is_what_the_server_would():
     engine = JobEngine(StandInPerformer(link))
     assert steps(cell, engine)["execute"] == "preview first"
     cell.knowledge.previewed = previewed(60.0)
-    link.latest = SimpleNamespace(q_rad=np.deg2rad([0, 0.1, 0, 0, 0, 0]))
+    link.latest = SimpleNamespace(q_rad=np.deg2rad([0, 0.1, 0, 0, 0, 0]), simulation=True)
     assert steps(cell, engine)["execute"] == ""
-    link.latest = SimpleNamespace(q_rad=np.deg2rad([0, 0.2, 0, 0, 0, 0]))
+    link.latest = SimpleNamespace(q_rad=np.deg2rad([0, 0.2, 0, 0, 0, 0]), simulation=True)
     told = "joint lift moved by +0.200 deg since the look (limit 0.115 deg); look again"
     assert steps(cell, engine)["execute"] == told
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.diagnosis.gap import figures
-from benchmarks.diagnosis.gap.command import tell
+from benchmarks.diagnosis.gap.command import show
 from benchmarks.diagnosis.gap.runner import Campaign, scores
 
 
@@ -90,7 +90,7 @@ def test_what_is_on_file_is_told_with_its_count(tmp_path: Path, capsys: pytest.C
     folder.mkdir(parents=True)
     (folder / "score.json").write_text(json.dumps(case("single", 3.0)), encoding="utf-8")
     found = scores(asked, range(3))
-    tell(found, "made up")
+    show(found, "made up")
     assert "N reached 1" in capsys.readouterr().out
-    tell([], "nothing")
+    show([], "nothing")
     assert "N reached 0" in capsys.readouterr().out
