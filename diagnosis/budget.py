@@ -395,9 +395,11 @@ def verdict_of(
     closing: Closing,
 ) -> tuple[Verdict, str]:
     """The overall verdict: the first row of the table that holds."""
-    lacking = {line.stage for line in stages if line.verdict == "unexplained"}
-    shares = [row.closed[0] for parts in closing for row, _ in parts if row.stage in lacking]
-    lacks = any(share is not None and share < EXPLAINED for share in shares)  # with every effect, doubtful ones too
+    open_stages = {line.stage for line in stages if line.verdict == "unexplained"}
+    shares = [row.closed[0] for parts in closing for row, _ in parts if row.stage in open_stages]
+    unexplained = any(
+        share is not None and share < EXPLAINED for share in shares
+    )  # with every effect, doubtful ones too
     confirmed = any(stage.verdict in ("explained", "partly") for stage in stages)
     squares = sum(column.before_mm**2 for column in columns)
     left = sum(column.after_mm**2 for column in columns)
@@ -415,7 +417,7 @@ def verdict_of(
         (confirmed and done, "effects", share),
         (confirmed, "partly", f"{share}; the rest has no cause yet"),
         (unplaced, "effects", "effects are confirmed; nothing here says what they do at the tool"),
-        (gap and likely and not (known and lacks), "undecided", "effects are likely, none is confirmed"),
+        (gap and likely and not (known and unexplained), "undecided", "effects are likely, none is confirmed"),
         (gap and known, "outside", "there is a gap, and no effect of the catalogue explains it"),
         (gap, "undecided", "more is left than the noise was taken for, and the noise was never measured"),
         (known, "none", "nothing stands out of the noise that matters at the tool"),

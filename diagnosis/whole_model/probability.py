@@ -47,7 +47,7 @@ def features(evidence: Evidence) -> Array:
 def probability(evidence: Evidence) -> float:
     """Probability that the effect is there with this size, equals counted as it.
 
-    Beside a baseline the noise, what the machine's usual state leaves, and the prior odds are known: then the posterior
+    With a baseline the noise, what the machine's usual state leaves, and the prior odds are known: then the posterior
     odds are those of the gain, with what the size scatters by taken as part of its deviation. Without a baseline they
     are not, and the calibration takes their place.
     """

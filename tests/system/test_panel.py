@@ -224,7 +224,7 @@ def test_held_in_sim_it_moves_only_while_held(anna, stack):
     """The switch makes SIM behave like REAL: the key goes down, it moves; the key comes up, it ramps down."""
     page = anna.page
     anna.take_control()
-    page.locator("details.options summary").click()
+    page.locator("#more").click()
     page.locator("#hold-switch").check()
     button = page.locator("button[data-kind=retract]:enabled")
     assert "HOLD: " in button.inner_text()

@@ -91,7 +91,7 @@ def test_the_page_says_that_steel_moves_and_a_click_over_rest_is_refused(anna, s
 
 def test_held_by_the_mouse(anna, stack, tmp_path):
     page = anna.page
-    page.locator("details.options summary").click()
+    page.locator("#more").click()
     page.locator("#retract-mm").fill("1000")
     page.mouse.move(*middle(anna, "retract"))
     page.mouse.down()

@@ -59,6 +59,9 @@ class StandInVision:
     async def find_marks(self, image, diameters_m):
         return MarksFound(1, (), "this stand-in sees nothing")
 
+    async def teach_view(self, image, box):
+        return "this stand-in sees nothing"
+
     async def measure_target(self, image, pixel, roll_rad):
         return refused_patch(PatchStatus.NO_TEXTURE, "this stand-in sees nothing", pixel)
 
