@@ -234,9 +234,12 @@ def _column(
     left = _measured_mm(after, "structure")
     if left is None:  # nothing measured it: all that is known is what the confirmed effects do
         return Column(error.column, explained, 0.0, 0.0, False)
-    usual = whole.nominal is not None and bool(whole.nominal.remainders)
-    beyond = left * _beyond_noise(closing, "structure") if usual else left
+    beyond = left * _beyond_noise(closing, "structure") if _has_baseline(whole) else left
     return Column(error.column, float(np.hypot(explained, beyond)), beyond, float(np.sqrt(left**2 - beyond**2)), True)
+
+
+def _has_baseline(whole: Read) -> bool:
+    return whole.nominal is not None and bool(whole.nominal.remainders)
 
 
 def _beyond_noise(closing: Closing, stage: str) -> float:
@@ -317,7 +320,6 @@ def _stages(
         for row, sums in parts
         if row.closed != UNKNOWN and sums.before.sum() > sums.rows  # more than the least noise that is believed
     }
-    usual = whole.nominal is not None and bool(whole.nominal.remainders)
     before, after = places
     present = stages_present(whole)
     small = small_mm(columns)
@@ -333,7 +335,11 @@ def _stages(
             confirmed = any(_belongs(line, stage, joint) for line in lines if _is_sure(line))
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
             matters = any(_belongs(line, stage, joint) and line.mm > SMALL_MM for line in lines if _is_sure(line))
-            seen = bool({(stage, joint), (stage, None)} & beyond_noise) or matters or (joint is None and not usual)
+            seen = (
+                bool({(stage, joint), (stage, None)} & beyond_noise)
+                or matters
+                or (joint is None and not _has_baseline(whole))
+            )
             verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)
             own = [fit for fit in fits if fit.cell.stage == stage and fit.cell.joint in (None, joint)]
             lead = next(map(lead_of, own), "") if verdict in ("partly", "unexplained") else ""
@@ -397,9 +403,8 @@ def verdict_of(
     """The overall verdict: the first row of the table that holds."""
     open_stages = {line.stage for line in stages if line.verdict == "unexplained"}
     shares = [row.closed[0] for parts in closing for row, _ in parts if row.stage in open_stages]
-    unexplained = any(
-        share is not None and share < EXPLAINED for share in shares
-    )  # with every effect, doubtful ones too
+    # with every effect, doubtful ones too
+    unexplained = any(share is not None and share < EXPLAINED for share in shares)
     confirmed = any(stage.verdict in ("explained", "partly") for stage in stages)
     squares = sum(column.before_mm**2 for column in columns)
     left = sum(column.after_mm**2 for column in columns)

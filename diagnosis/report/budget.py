@@ -27,14 +27,12 @@ def budget_lines(result: dict[str, Any]) -> list[str]:
     """The budget for a terminal."""
     out = [result["budget"]["sentence"]]
     effects = result["budget"]["effects"]
-    small = [one for one in effects if one["column"] and one["tool_mm"] < SMALL_MM]
-    for one in effects:
-        if one in small:
-            continue
+    small = [effect for effect in effects if _is_small(effect)]
+    for one in (effect for effect in effects if not _is_small(effect)):
         size = f"{one['tool_mm']:7.2f} mm [{one['tool_low_mm']:.2f}, {one['tool_high_mm']:.2f}]"
         out.append(f"  {place_text(one):34} {size:28} p {one['probability']:.2f}  {one['status']}{_or(one)}")
     if small:
-        sure = sum(one["status"] == "confirmed" for one in small)
+        sure = sum(effect["status"] == "confirmed" for effect in small)
         out.append(
             f"  {len(small)} further effects below {SMALL_MM:g} mm each, {sure} of them confirmed (see the report)"
         )
@@ -42,6 +40,11 @@ def budget_lines(result: dict[str, Any]) -> list[str]:
         where = f"{one['stage']} {one['joint']}" if one["joint"] else one["stage"]
         out.append(f"  {'unexplained, ' + where:34} {one['mm'] or 0.0:7.2f} mm")
     return out
+
+
+def _is_small(effect: dict[str, Any]) -> bool:
+    """Whether it is known to do little at the tool."""
+    return bool(effect["column"]) and effect["tool_mm"] < SMALL_MM
 
 
 def _or(one: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ def lines(result: dict[str, Any]) -> list[str]:
     places = list(dict.fromkeys(place_text(members[0]) for members in result["indistinguishable"]))
     for place in places[:NAMES_MAX]:
         rows = [members[1:] for members in result["indistinguishable"] if place_text(members[0]) == place]
-        others = dict.fromkeys(" + ".join(place_text(one) for one in row) for row in rows)
+        others = dict.fromkeys(" + ".join(map(place_text, row)) for row in rows)
         out.append(f"this recording cannot distinguish {place} from {', or '.join(others)}")
     if len(places) > NAMES_MAX:
         out.append(f"{len(places) - NAMES_MAX} further effects cannot be distinguished from others: see the report")
