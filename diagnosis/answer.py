@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.budget import Budget, Line
+from diagnosis.budget import Budget
 from diagnosis.cells.points import left_out
 from diagnosis.experiments.choice import Key, Pair, experiment_for
 from diagnosis.experiments.prediction import held
@@ -15,6 +15,7 @@ from diagnosis.search.candidates import Candidate
 from diagnosis.search.fit import Fit
 from diagnosis.shrink import closed_share, rms_of, together
 from diagnosis.sliding import in_metres
+from diagnosis.verdict import Line
 from diagnosis.whole_model.evidence import EQUAL_T, detectable
 from diagnosis.whole_model.linear import Term
 from diagnosis.whole_model.probability import FEATURES, features

@@ -2,25 +2,36 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.link_angles import without_encoders
-from diagnosis.localise import Localisation, Place, localise
-from diagnosis.reading.read import Read, stages_present
+from diagnosis.localise import Localisation, localise
+from diagnosis.reading.read import Read
 from diagnosis.replay.repeats import overlaid
-from diagnosis.replay.stretches import repeat_groups, stood_still
+from diagnosis.replay.stretches import repeat_groups
 from diagnosis.search.fit import entries_of as entries_of_fit
 from diagnosis.search.work import Progress, Work, silent
-from diagnosis.shrink import UNKNOWN, Shrink, Squares, shrinks
+from diagnosis.shrink import shrinks
+from diagnosis.verdict import (
+    CONFIRMED,
+    LIKELY,
+    Closing,
+    Column,
+    Line,
+    StageLine,
+    Verdict,
+    has_baseline,
+    stages_of,
+    together_mm,
+    verdict_of,
+)
 from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
 from diagnosis.whole_model.held_out import HeldOut, held_out
 from diagnosis.whole_model.linear import Term
 from diagnosis.whole_model.parts import fit_machine
 from diagnosis.whole_model.probability import probability
-from diagnosis.whole_model.remainder import lead_of
 from diagnosis.whole_model.solve import WholeFit, fit_of, only
 from diagnosis.whole_model.tool_error import ToolError, tool_errors
 from machine.effects.entries import EffectEntry
@@ -28,64 +39,7 @@ from machine.effects.layout import neutral_sets
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array
 
-CONFIRMED = 0.9  # probability from which an effect is confirmed; below a half nothing is "found"
-LIKELY = 0.5
-SMALL_MM, SMALL_SHARE = 0.5, 0.05  # at the tool, of the whole miss: a remainder that nobody acts on
-EXPLAINED = 0.9  # of the squared miss: then the effects explain the gap
 MM = 1e3
-
-Closing = tuple[tuple[tuple[Shrink, Squares], ...], ...]
-Status = Literal["confirmed", "likely", "doubtful"]
-Verdict = Literal["none", "effects", "partly", "outside", "undecided"]
-StageVerdict = Literal["none", "explained", "partly", "unexplained", "not_measured"]
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One effect of the budget. `mm`: what it does at the tool by itself (RMS), with 90 % limits; `squares_mm2`: its
-    Shapley value in the column's mean square.
-    """
-
-    evidence: Evidence
-    column: str
-    mm: float
-    low_mm: float
-    high_mm: float
-    squares_mm2: float
-    share_frac: float
-    probability: float
-
-    @property
-    def status(self) -> Status:
-        """How sure it is, in a word."""
-        if self.probability >= CONFIRMED:
-            return "confirmed"
-        return "likely" if self.probability >= LIKELY else "doubtful"
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """Where the tool stands, how it gets there, or what the camera sees: RMS miss of the nominal model, of the model
-    with the confirmed effects, and the noise [mm]. `measured`: whether the miss was measured, or the model says it.
-    """
-
-    name: str
-    before_mm: float
-    after_mm: float
-    floor_mm: float
-    measured: bool
-
-
-@dataclass(frozen=True, slots=True)
-class StageLine:
-    """One stage, or one joint of it, judged by itself. `why`: what would measure it, or what the remainder follows."""
-
-    stage: str
-    joint: int | None
-    verdict: StageVerdict
-    before_mm: float | None
-    after_mm: float | None
-    why: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,12 +64,12 @@ class Budget:
     @property
     def miss_mm(self) -> float:
         """How far the nominal model misses the tool: where it stands and how it gets there, together."""
-        return _together(column.before_mm for column in self.columns if column.name != "sees")
+        return together_mm(column.before_mm for column in self.columns if column.name != "sees")
 
     @property
     def left_mm(self) -> float:
         """The same with the confirmed effects added."""
-        return _together(column.after_mm for column in self.columns if column.name != "sees")
+        return together_mm(column.after_mm for column in self.columns if column.name != "sees")
 
     @property
     def confirmed(self) -> tuple[Line, ...]:
@@ -136,10 +90,6 @@ def entries_of(terms: Sequence[Term]) -> tuple[EffectEntry, ...]:
     return tuple(entries_of_fit(fit_of(terms)))
 
 
-def _together(parts: Iterable[float]) -> float:
-    return float(np.sqrt(sum(part**2 for part in parts)))
-
-
 def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...] = ()) -> Budget:
     """The budget of a recording that is usable. `left_out`: effects taken out of the library, to test refusals."""
     work = Work(progress)
@@ -147,7 +97,6 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     work.conclude("weighing", 0.0)
     evidence = [found for fit in fits for found in evidence_of(fit)]
     chance = {id(found.term): probability(found) for found in evidence}
-    confirmed = [found.term for found in evidence if chance[id(found.term)] >= CONFIRMED]
     sure, machine = (_machine_of(fits, chance, least) for least in (CONFIRMED, LIKELY))
     errors = tool_errors(whole, [found.term for found in evidence], [fit.cell for fit in fits], sure)
     work.conclude("localising", 0.6)
@@ -155,13 +104,13 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     work.conclude("held-out data", 0.8)
     predicted = tuple(held_out(fit.cell, fit_of(fit.best.terms, fit.best.lin)) for fit in fits)
     closing = tuple(tuple(shrinks(prediction)) for prediction in predicted)
-    columns = tuple(_column(whole, error, confirmed, after, fits, closing) for error in errors)
+    columns = tuple(_column(whole, error, chance, after, fits, closing) for error in errors)
     total = sum(column.before_mm**2 for column in columns)
     lines = tuple(line for error in errors for line in _lines(error, evidence, chance, total)) + _unplaced(
         evidence, errors, chance
     )
     lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
-    stages = _stages(whole, lines, columns, (before, after), fits, closing)
+    stages = stages_of(whole, lines, columns, (before, after), fits, closing)
     verdict, why = verdict_of(whole, lines, columns, stages, fits, closing)
     return Budget(whole, fits, lines, machine, columns, stages, before, after, predicted, closing, verdict, why)
 
@@ -216,13 +165,13 @@ def _unplaced(evidence: list[Evidence], errors: tuple[ToolError, ...], chance: d
 def _column(
     whole: Read,
     error: ToolError,
-    confirmed: list[Term],
+    chance: dict[int, float],
     after: Localisation,
     fits: tuple[WholeFit, ...],
     closing: Closing,
 ) -> Column:
     """One column's miss before and after; measured where the recording measured it."""
-    chosen = [k for k, term in enumerate(error.terms) if any(term is known for known in confirmed)]
+    chosen = [k for k, term in enumerate(error.terms) if chance[id(term)] >= CONFIRMED]
     explained = _rms_mm(error.by_effect[chosen].sum(axis=0)) if chosen else 0.0
     floor = _tracking_floor_mm(whole) if error.column == "gets_there" else 0.0
     if error.measured is not None and error.left is not None:
@@ -234,12 +183,8 @@ def _column(
     left = _measured_mm(after, "structure")
     if left is None:  # nothing measured it: all that is known is what the confirmed effects do
         return Column(error.column, explained, 0.0, 0.0, False)
-    beyond = left * _beyond_noise(closing, "structure") if _has_baseline(whole) else left
+    beyond = left * _beyond_noise(closing, "structure") if has_baseline(whole) else left
     return Column(error.column, float(np.hypot(explained, beyond)), beyond, float(np.sqrt(left**2 - beyond**2)), True)
-
-
-def _has_baseline(whole: Read) -> bool:
-    return whole.nominal is not None and bool(whole.nominal.remainders)
 
 
 def _beyond_noise(closing: Closing, stage: str) -> float:
@@ -293,139 +238,3 @@ def _tracking_floor_mm(whole: Read) -> float:
         off = at - at.mean(axis=0)
         squares.append(float((off**2).sum(axis=2).mean()) * len(laid) / (len(laid) - 1.0))
     return MM * float(np.sqrt(np.mean(squares))) if squares else 0.0
-
-
-STAGES_OF_JOINTS = ("link", "controller", "actuator")
-WOULD_MEASURE = {
-    "link": "log the reference as sent and as received",
-    "controller": "log the received reference, the encoders and the valve command",
-    "actuator": "log the valve command and the encoders while the joint moves",
-    "structure": "measure points on the arm by a tracker, at rest in a dozen postures",
-    "camera": "look at a marker from a dozen postures",
-}
-
-
-def _stages(
-    whole: Read,
-    lines: tuple[Line, ...],
-    columns: tuple[Column, ...],
-    places: tuple[Localisation, Localisation],
-    fits: tuple[WholeFit, ...],
-    closing: Closing,
-) -> tuple[StageLine, ...]:
-    """Every stage, and of those that drive joints every joint, judged by itself."""
-    beyond_noise = {
-        (row.stage, row.joint)
-        for parts in closing
-        for row, sums in parts
-        if row.closed != UNKNOWN and sums.before.sum() > sums.rows  # more than the least noise that is believed
-    }
-    before, after = places
-    present = stages_present(whole)
-    small = small_mm(columns)
-    out = []
-    for stage in WOULD_MEASURE:
-        if stage not in present:
-            out.append(StageLine(stage, None, "not_measured", None, None, WOULD_MEASURE[stage]))
-            continue
-        joints: Sequence[int | None] = [None]
-        if stage in STAGES_OF_JOINTS:
-            joints = sorted({place.joint for place in before.places if place.stage == stage and place.joint}) or [None]
-        for joint in joints:
-            confirmed = any(_belongs(line, stage, joint) for line in lines if _is_sure(line))
-            was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
-            matters = any(_belongs(line, stage, joint) and line.mm > SMALL_MM for line in lines if _is_sure(line))
-            seen = (
-                bool({(stage, joint), (stage, None)} & beyond_noise)
-                or matters
-                or (joint is None and not _has_baseline(whole))
-            )
-            verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)
-            own = [fit for fit in fits if fit.cell.stage == stage and fit.cell.joint in (None, joint)]
-            lead = next(map(lead_of, own), "") if verdict in ("partly", "unexplained") else ""
-            out.append(StageLine(stage, joint, verdict, was, left, lead))
-    return tuple(out)
-
-
-def _is_sure(line: Line) -> bool:
-    return line.status == "confirmed"
-
-
-def _belongs(line: Line, stage: str, joint: int | None) -> bool:
-    effect = line.evidence.term.effect
-    own = {"joint": "structure", "time": "camera"}.get(effect.stage, effect.stage)
-    return own == stage and (joint is None or effect.joint in (None, joint))
-
-
-def _stage_mm(
-    columns: tuple[Column, ...], places: Localisation, stage: str, joint: int | None, after: bool = False
-) -> float | None:
-    if stage not in STAGES_OF_JOINTS:
-        name = "stands" if stage == "structure" else "sees"
-        own = next((column for column in columns if column.name == name), None)
-        return None if own is None else (own.after_mm if after else own.before_mm)
-    there = [place for place in places.places if _is(place, stage, joint)]
-    return float(np.sqrt(sum(place.tcp_mm**2 for place in there))) if there else None
-
-
-def _is(place: Place, stage: str, joint: int | None) -> bool:
-    return place.stage == stage and place.regime == "all" and joint in (None, place.joint)
-
-
-def small_mm(columns: tuple[Column, ...]) -> float:
-    """A miss at the tool that nobody acts on [mm]."""
-    return max(SMALL_MM, SMALL_SHARE * _together(column.before_mm for column in columns))
-
-
-def stage_verdict(was: float | None, left: float | None, confirmed: bool, small: float) -> StageVerdict:
-    """One stage's word from its miss before and after [mm], and whether one of its effects is confirmed.
-
-    A miss that nobody acts on is none, however clear its cause is.
-    """
-    if was is None or left is None:
-        return "not_measured"
-    if was <= small:
-        return "none"
-    if confirmed:
-        done = left**2 <= (1.0 - EXPLAINED) * was**2 or left <= small
-        return "explained" if done else "partly"
-    return "unexplained"
-
-
-def verdict_of(
-    whole: Read,
-    lines: tuple[Line, ...],
-    columns: tuple[Column, ...],
-    stages: tuple[StageLine, ...],
-    fits: tuple[WholeFit, ...],
-    closing: Closing,
-) -> tuple[Verdict, str]:
-    """The overall verdict: the first row of the table that holds."""
-    open_stages = {line.stage for line in stages if line.verdict == "unexplained"}
-    shares = [row.closed[0] for parts in closing for row, _ in parts if row.stage in open_stages]
-    # with every effect, doubtful ones too
-    unexplained = any(share is not None and share < EXPLAINED for share in shares)
-    confirmed = any(stage.verdict in ("explained", "partly") for stage in stages)
-    squares = sum(column.before_mm**2 for column in columns)
-    left = sum(column.after_mm**2 for column in columns)
-    explained = 1.0 - left / squares if squares > 0.0 else 0.0
-    share = f"confirmed effects explain {100 * explained:.0f} % of it" if squares else "effects are confirmed"
-    done = explained >= EXPLAINED or float(np.sqrt(left)) <= small_mm(columns)
-    known = all(fit.cell.floor_known for fit in fits) and bool(fits)
-    likely = any(line.status != "doubtful" for line in lines)
-    gap = any(stage.verdict == "unexplained" for stage in stages)
-    unplaced = any(line.status == "confirmed" and not line.column for line in lines)
-    static = whole.tables is not None and whole.tables.static is not None
-    table: tuple[tuple[bool, Verdict, str], ...] = (
-        (not fits, "undecided", "no stage could be replayed"),
-        (stood_still(whole.stretches) and not static, "undecided", "no joint moved, and there are no poses at rest"),
-        (confirmed and done, "effects", share),
-        (confirmed, "partly", f"{share}; the rest has no cause yet"),
-        (unplaced, "effects", "effects are confirmed; nothing here says what they do at the tool"),
-        (gap and likely and not (known and unexplained), "undecided", "effects are likely, none is confirmed"),
-        (gap and known, "outside", "there is a gap, and no effect of the catalogue explains it"),
-        (gap, "undecided", "more is left than the noise was taken for, and the noise was never measured"),
-        (known, "none", "nothing stands out of the noise that matters at the tool"),
-        (True, "undecided", "nothing stands out, but the noise was never measured: repeat one command four times"),
-    )
-    return next((word, why) for holds, word, why in table if holds)

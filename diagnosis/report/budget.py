@@ -4,9 +4,9 @@ from html import escape
 from math import sqrt
 from typing import Any
 
-from diagnosis.budget import SMALL_MM
 from diagnosis.report.html import section, table, wide
 from diagnosis.report.text import place_text
+from diagnosis.verdict import SMALL_MM
 
 SIGNS = {"none": "✓", "effects": "✓", "partly": "◐", "outside": "✗", "undecided": "?"}
 COLUMNS = {"stands": "where the tool stands", "gets_there": "how it gets there", "sees": "what the camera sees"}

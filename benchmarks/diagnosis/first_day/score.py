@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnosis.first_day.runner import Scored
-from diagnosis.budget import CONFIRMED, LIKELY
+from diagnosis.verdict import CONFIRMED, LIKELY
 from diagnosis.whole_model.probability import FEATURES, probability_of
 from machine.rotations import Array
 

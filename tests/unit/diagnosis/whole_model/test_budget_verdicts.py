@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import pytest
 
-from diagnosis.budget import Column, Line, StageLine, stage_verdict, verdict_of
+from diagnosis.verdict import Column, Line, StageLine, stage_verdict, verdict_of
 
 
 def line_of(probability: float) -> Line:

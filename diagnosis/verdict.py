@@ -1,0 +1,219 @@
+"""What is said of the budget: every stage and joint judged by itself, and the overall verdict by one table."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from diagnosis.localise import Localisation, Place
+from diagnosis.reading.read import Read, stages_present
+from diagnosis.replay.stretches import stood_still
+from diagnosis.shrink import UNKNOWN, Shrink, Squares
+from diagnosis.whole_model.evidence import Evidence
+from diagnosis.whole_model.remainder import lead_of
+from diagnosis.whole_model.solve import WholeFit
+
+CONFIRMED = 0.9  # probability from which an effect is confirmed; below a half nothing is "found"
+LIKELY = 0.5
+SMALL_MM, SMALL_SHARE = 0.5, 0.05  # at the tool, of the whole miss: a remainder that nobody acts on
+EXPLAINED = 0.9  # of the squared miss: then the effects explain the gap
+
+Closing = tuple[tuple[tuple[Shrink, Squares], ...], ...]
+Status = Literal["confirmed", "likely", "doubtful"]
+Verdict = Literal["none", "effects", "partly", "outside", "undecided"]
+StageVerdict = Literal["none", "explained", "partly", "unexplained", "not_measured"]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One effect of the budget. `mm`: what it does at the tool by itself (RMS), with 90 % limits; `squares_mm2`: its
+    Shapley value in the column's mean square.
+    """
+
+    evidence: Evidence
+    column: str
+    mm: float
+    low_mm: float
+    high_mm: float
+    squares_mm2: float
+    share_frac: float
+    probability: float
+
+    @property
+    def status(self) -> Status:
+        """How sure it is, in a word."""
+        if self.probability >= CONFIRMED:
+            return "confirmed"
+        return "likely" if self.probability >= LIKELY else "doubtful"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """Where the tool stands, how it gets there, or what the camera sees: RMS miss of the nominal model, of the model
+    with the confirmed effects, and the noise [mm]. `measured`: whether the miss was measured, or the model says it.
+    """
+
+    name: str
+    before_mm: float
+    after_mm: float
+    floor_mm: float
+    measured: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StageLine:
+    """One stage, or one joint of it, judged by itself. `why`: what would measure it, or what the remainder follows."""
+
+    stage: str
+    joint: int | None
+    verdict: StageVerdict
+    before_mm: float | None
+    after_mm: float | None
+    why: str
+
+
+def together_mm(parts: Iterable[float]) -> float:
+    """Independent misses together (root of the sum of squares)."""
+    return float(np.sqrt(sum(part**2 for part in parts)))
+
+
+def has_baseline(whole: Read) -> bool:
+    """Whether the machine file knows what the machine usually leaves."""
+    return whole.nominal is not None and bool(whole.nominal.remainders)
+
+
+STAGES_OF_JOINTS = ("link", "controller", "actuator")
+WOULD_MEASURE = {
+    "link": "log the reference as sent and as received",
+    "controller": "log the received reference, the encoders and the valve command",
+    "actuator": "log the valve command and the encoders while the joint moves",
+    "structure": "measure points on the arm by a tracker, at rest in a dozen postures",
+    "camera": "look at a marker from a dozen postures",
+}
+
+
+def stages_of(
+    whole: Read,
+    lines: tuple[Line, ...],
+    columns: tuple[Column, ...],
+    places: tuple[Localisation, Localisation],
+    fits: tuple[WholeFit, ...],
+    closing: Closing,
+) -> tuple[StageLine, ...]:
+    """Every stage, and of those that drive joints every joint, judged by itself."""
+    beyond_noise = {
+        (row.stage, row.joint)
+        for parts in closing
+        for row, sums in parts
+        if row.closed != UNKNOWN and sums.before.sum() > sums.rows  # more than the least noise that is believed
+    }
+    before, after = places
+    present = stages_present(whole)
+    small = small_mm(columns)
+    out = []
+    for stage in WOULD_MEASURE:
+        if stage not in present:
+            out.append(StageLine(stage, None, "not_measured", None, None, WOULD_MEASURE[stage]))
+            continue
+        joints: Sequence[int | None] = [None]
+        if stage in STAGES_OF_JOINTS:
+            joints = sorted({place.joint for place in before.places if place.stage == stage and place.joint}) or [None]
+        for joint in joints:
+            confirmed = any(_belongs(line, stage, joint) for line in lines if _is_sure(line))
+            was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
+            matters = any(_belongs(line, stage, joint) and line.mm > SMALL_MM for line in lines if _is_sure(line))
+            seen = (
+                bool({(stage, joint), (stage, None)} & beyond_noise)
+                or matters
+                or (joint is None and not has_baseline(whole))
+            )
+            verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)
+            own = [fit for fit in fits if fit.cell.stage == stage and fit.cell.joint in (None, joint)]
+            lead = next(map(lead_of, own), "") if verdict in ("partly", "unexplained") else ""
+            out.append(StageLine(stage, joint, verdict, was, left, lead))
+    return tuple(out)
+
+
+def _is_sure(line: Line) -> bool:
+    return line.status == "confirmed"
+
+
+def _belongs(line: Line, stage: str, joint: int | None) -> bool:
+    effect = line.evidence.term.effect
+    own = {"joint": "structure", "time": "camera"}.get(effect.stage, effect.stage)
+    return own == stage and (joint is None or effect.joint in (None, joint))
+
+
+def _stage_mm(
+    columns: tuple[Column, ...], places: Localisation, stage: str, joint: int | None, after: bool = False
+) -> float | None:
+    if stage not in STAGES_OF_JOINTS:
+        name = "stands" if stage == "structure" else "sees"
+        own = next((column for column in columns if column.name == name), None)
+        return None if own is None else (own.after_mm if after else own.before_mm)
+    there = [place for place in places.places if _is(place, stage, joint)]
+    return float(np.sqrt(sum(place.tcp_mm**2 for place in there))) if there else None
+
+
+def _is(place: Place, stage: str, joint: int | None) -> bool:
+    return place.stage == stage and place.regime == "all" and joint in (None, place.joint)
+
+
+def small_mm(columns: tuple[Column, ...]) -> float:
+    """A miss at the tool that nobody acts on [mm]."""
+    return max(SMALL_MM, SMALL_SHARE * together_mm(column.before_mm for column in columns))
+
+
+def stage_verdict(was: float | None, left: float | None, confirmed: bool, small: float) -> StageVerdict:
+    """One stage's word from its miss before and after [mm], and whether one of its effects is confirmed.
+
+    A miss that nobody acts on is none, however clear its cause is.
+    """
+    if was is None or left is None:
+        return "not_measured"
+    if was <= small:
+        return "none"
+    if confirmed:
+        done = left**2 <= (1.0 - EXPLAINED) * was**2 or left <= small
+        return "explained" if done else "partly"
+    return "unexplained"
+
+
+def verdict_of(
+    whole: Read,
+    lines: tuple[Line, ...],
+    columns: tuple[Column, ...],
+    stages: tuple[StageLine, ...],
+    fits: tuple[WholeFit, ...],
+    closing: Closing,
+) -> tuple[Verdict, str]:
+    """The overall verdict: the first row of the table that holds."""
+    open_stages = {line.stage for line in stages if line.verdict == "unexplained"}
+    shares = [row.closed[0] for parts in closing for row, _ in parts if row.stage in open_stages]
+    # with every effect, doubtful ones too
+    unexplained = any(share is not None and share < EXPLAINED for share in shares)
+    confirmed = any(stage.verdict in ("explained", "partly") for stage in stages)
+    squares = sum(column.before_mm**2 for column in columns)
+    left = sum(column.after_mm**2 for column in columns)
+    explained = 1.0 - left / squares if squares > 0.0 else 0.0
+    share = f"confirmed effects explain {100 * explained:.0f} % of it" if squares else "effects are confirmed"
+    done = explained >= EXPLAINED or float(np.sqrt(left)) <= small_mm(columns)
+    known = all(fit.cell.floor_known for fit in fits) and bool(fits)
+    likely = any(line.status != "doubtful" for line in lines)
+    gap = any(stage.verdict == "unexplained" for stage in stages)
+    unplaced = any(line.status == "confirmed" and not line.column for line in lines)
+    static = whole.tables is not None and whole.tables.static is not None
+    table: tuple[tuple[bool, Verdict, str], ...] = (
+        (not fits, "undecided", "no stage could be replayed"),
+        (stood_still(whole.stretches) and not static, "undecided", "no joint moved, and there are no poses at rest"),
+        (confirmed and done, "effects", share),
+        (confirmed, "partly", f"{share}; the rest has no cause yet"),
+        (unplaced, "effects", "effects are confirmed; nothing here says what they do at the tool"),
+        (gap and likely and not (known and unexplained), "undecided", "effects are likely, none is confirmed"),
+        (gap and known, "outside", "there is a gap, and no effect of the catalogue explains it"),
+        (gap, "undecided", "more is left than the noise was taken for, and the noise was never measured"),
+        (known, "none", "nothing stands out of the noise that matters at the tool"),
+        (True, "undecided", "nothing stands out, but the noise was never measured: repeat one command four times"),
+    )
+    return next((word, why) for holds, word, why in table if holds)
