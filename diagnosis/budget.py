@@ -32,7 +32,7 @@ from diagnosis.whole_model.held_out import HeldOut, held_out
 from diagnosis.whole_model.linear import Term
 from diagnosis.whole_model.parts import fit_machine
 from diagnosis.whole_model.probability import probability
-from diagnosis.whole_model.solve import WholeFit, fit_of, only
+from diagnosis.whole_model.solve import WholeFit, fit_of, only, reduced
 from diagnosis.whole_model.tool_error import ToolError, tool_errors
 from machine.effects.entries import EffectEntry
 from machine.effects.layout import neutral_sets
@@ -95,8 +95,9 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     work = Work(progress)
     fits = fit_machine(whole, work, left_out)
     work.conclude("weighing", 0.0)
-    evidence = [found for fit in fits for found in evidence_of(fit)]
-    chance = {id(found.term): probability(found) for found in evidence}
+    weighed = [found for fit in fits for found in _weighed(fit)]
+    evidence = [found for found, _ in weighed]
+    chance = {id(found.term): likely for found, likely in weighed}
     sure, machine = (_machine_of(fits, chance, least) for least in (CONFIRMED, LIKELY))
     errors = tool_errors(whole, [found.term for found in evidence], [fit.cell for fit in fits], sure)
     work.conclude("localising", 0.6)
@@ -113,6 +114,20 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     stages = stages_of(whole, lines, columns, (before, after), fits, closing)
     verdict, why = verdict_of(whole, lines, columns, stages, fits, closing)
     return Budget(whole, fits, lines, machine, columns, stages, before, after, predicted, closing, verdict, why)
+
+
+def _weighed(fit: WholeFit) -> list[tuple[Evidence, float]]:
+    """The evidence of a part's effects, each with its probability.
+
+    Given a baseline, an effect has to hold without those that are doubtful as well: two of them may stand together for
+    something that the catalogue does not have. Without one, many small effects are truly there and yet doubtful.
+    """
+    found = [(one, probability(one)) for one in evidence_of(fit)]
+    held = [one.term for one, likely in found if likely >= LIKELY]
+    if fit.cell.usual is None or len(held) in (0, len(found)):
+        return found
+    again = {one.term.effect.variant: probability(one) for one in evidence_of(reduced(fit, held))}
+    return [(one, min(likely, again.get(one.term.effect.variant, likely))) for one, likely in found]
 
 
 def _machine_of(fits: Iterable[WholeFit], chance: dict[int, float], least: float) -> tuple[Term, ...]:

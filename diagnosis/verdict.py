@@ -129,6 +129,8 @@ def stages_of(
                 or (joint is None and not has_baseline(whole))
             )
             verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)
+            if verdict == "none" and confirmed and has_baseline(whole):
+                verdict = "explained"  # what is sure to have changed is reported, however little it does at the tool
             own = [fit for fit in fits if fit.cell.stage == stage and fit.cell.joint in (None, joint)]
             lead = next(map(lead_of, own), "") if verdict in ("partly", "unexplained") else ""
             out.append(StageLine(stage, joint, verdict, was, left, lead))

@@ -66,6 +66,11 @@ class Candidate:
         return self.name, self.joint, self.option, tuple(value for _, value in self.fixed)
 
     @property
+    def narrow(self) -> bool:
+        """Whether its valley is so narrow that a scanned size is better than where any slope leads."""
+        return self.name in NARROW
+
+    @property
     def vector(self) -> bool:
         """Whether its numbers are the components of a direction."""
         return len(self.slots) > 1 and self.slots[0].parameter == self.slots[1].parameter

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import costs
@@ -15,6 +16,7 @@ from machine.rotations import Array
 
 QUANTILE_95 = 1.6448536269514722
 FOUND_90_OF_98 = 3.3354  # deviations: found with 90 % probability at 2 % false alarms
+BY_CHANCE = 0.05  # share of the causes of one size that are said to scatter
 RANK = 1e-6  # of the largest power: below, columns of finite steps are the same to rounding
 QUARTERS, HALVES = (0.25, 0.5, 0.75), (0.5,)
 SHARING_MOST = 4  # terms in whose place an effect may stand: a longer list is of no use
@@ -167,7 +169,7 @@ def _with_open(term: Term, sd: Array) -> Array:
 
 def _rivals_of(fit: WholeFit, k: int) -> tuple[float, tuple[tuple[Term, ...], ...]]:
     """What the best set loses without an effect and its equals [nats], and these: terms with the same column, and what
-    takes its place where T is below 9, as often as something else does.
+    takes its place where T is below 9, as often as something else does. Sets of many terms are not listed.
     """
     problem, present, terms = fit.best.problem, fit.best.present, fit.best.terms
     equals: list[tuple[Term, ...]] = [(terms[out],) for kept, out in fit.twins if kept == k]
@@ -185,7 +187,8 @@ def _rivals_of(fit: WholeFit, k: int) -> tuple[float, tuple[tuple[Term, ...], ..
             distance = 2.0 * (problem.misfit(problem.estimate(members)[0]) - at)
         if distance >= EQUAL_T or not entered.any():
             break
-        equals.append(tuple(terms[t] for t in np.nonzero(entered)[0]))
+        if entered.sum() <= SHARING_MOST:
+            equals.append(tuple(terms[t] for t in np.nonzero(entered)[0]))
         allowed, rival = allowed & ~entered, None
     return gain, tuple(equals)
 
@@ -242,9 +245,9 @@ def _alone(fit: WholeFit, k: int, everything: tuple[Array, Array]) -> tuple[floa
 def _with_sharing(
     fit: WholeFit, equals: tuple[tuple[Term, ...], ...], sharing: tuple[int, ...]
 ) -> tuple[tuple[Term, ...], ...]:
-    """Equals, and each term that shares the evidence of an effect."""
-    known = {id(one[0]) for one in equals if len(one) == 1}
-    return (*equals, *((fit.best.terms[t],) for t in sharing if id(fit.best.terms[t]) not in known))
+    """Equals, and each term that shares the evidence of an effect; each set of names and joints is listed once."""
+    sets = (*equals, *((fit.best.terms[t],) for t in sharing))
+    return tuple({tuple(term.effect.key for term in members): members for members in reversed(sets)}.values())[::-1]
 
 
 def _cost(one: Fitted, fit: WholeFit) -> float:
@@ -255,17 +258,20 @@ def scatter(J: Array, residual: Array, own: NDArray[np.int64], groupings: Sequen
     """Standard deviation of a size between groups of rows beyond its noise, the largest of the groupings; 0 by chance.
 
     Model:  a number of their own in every group for columns `own` of J, against all of J common to all; their sum of
-            squares d'Wd has the mean df + tau^2 tr W if the sizes scatter by tau (method of moments).
+            squares d'Wd has the mean df + tau^2 tr W if the sizes scatter by tau (method of moments). A grouping counts
+            where chance does not explain it, at 5 % over all groupings: a contrast that the data hardly determine has
+            any tau by chance.
     Why projected: a fit stops short of its optimum and leans on its priors; what J can still explain is no difference.
     Source: invariance as a sign of a cause: Peters, Buehlmann, Meinshausen 2016; tau: DerSimonian, Laird 1986.
     """
     norm = np.sqrt((J**2).sum(axis=0))
     U, sizes, _ = np.linalg.svd(J[:, norm > 0.0] / norm[norm > 0.0], full_matrices=False)
     Q = U[:, sizes > RANK * sizes.max(initial=0.0)]
-    return max((_scatter(Q, J[:, own], residual, group) for group in groupings), default=0.0)
+    level = 1.0 - BY_CHANCE / max(1, len(groupings))
+    return max((_scatter(Q, J[:, own], residual, group, level) for group in groupings), default=0.0)
 
 
-def _scatter(Q: Array, columns: Array, residual: Array, group: NDArray[np.int64]) -> float:
+def _scatter(Q: Array, columns: Array, residual: Array, group: NDArray[np.int64], level: float) -> float:
     """Of one grouping; Q: orthonormal columns of what is common to all groups."""
     apart = (columns[:, None] * (group[:, None] == np.unique(group))[:, :, None]).reshape(len(residual), -1)
     power = float((apart**2).sum(axis=0).max())
@@ -276,8 +282,7 @@ def _scatter(Q: Array, columns: Array, residual: Array, group: NDArray[np.int64]
         return 0.0
     scores = vectors[:, kept].T @ (apart.T @ residual)
     squares, df = float((scores**2 / values[kept]).sum()), int(kept.sum())
-    beyond = max(0.0, squares - df - np.sqrt(2.0 * df))  # chance alone does not scatter
-    return float(np.sqrt(beyond / values[kept].sum()))
+    return float(np.sqrt((squares - df) / values[kept].sum())) if squares > float(chi2.ppf(level, df)) else 0.0
 
 
 def groupings_of(cell: Cell) -> list[NDArray[np.int64]]:

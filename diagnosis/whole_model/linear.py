@@ -23,6 +23,7 @@ SLAB = 3.0  # times the catalogue's prior scale: wide, so that a poor machine is
 SCANNED_AT_ONCE = 64  # parameter sets in one call, for memory
 CHANGED_SINCE = 0.02  # of the effects that a machine has: how many are expected to change between two diagnoses
 STEP_CYCLES = 10.0  # of a delay: many treads of its staircase, and little against any motion
+RANK = 1e-9  # of a column's power: less is rounding
 TWINS = 1e-5  # of the cosine between columns, by finite steps of different length
 
 
@@ -99,9 +100,10 @@ class Linearised:
 
     def problem(self, trust: Array) -> LinearProblem:
         """The choice among its terms. `trust`: (N,), at most 1, how far each row speaks for itself."""
-        w = self.weight * trust
-        H = (self.J * w[:, None]).T @ self.J
-        c = H @ self.x - self.J.T @ (w * self.residual)
+        w = np.sqrt(self.weight * trust)
+        white = self.J * w[:, None]
+        H = white.T @ white
+        c = H @ self.x - white.T @ (w * self.residual)
         shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
         nonnegative = np.concatenate([np.zeros(0, dtype=bool), *(_nonnegative(term) for term in shown)])
         return LinearProblem(H, c, self.slab, self.first, nonnegative, self.log_odds)
@@ -222,14 +224,12 @@ def _scanned(
     starts = _starts(term)
     there = _evaluated(cell, base, [(term.effect, row) for row in starts])
     columns = there - residual
-
-    def left(rows: Array) -> Array:
-        white = rows * w
-        return white - (white @ Q) @ Q.T
-
-    own, D = left(residual[None])[0], left(columns)
-    power = np.einsum("ij,ij->i", D, D)
-    gain = np.where(power > 0.0, np.maximum(-(D @ own), 0.0) ** 2 / np.maximum(power, 1e-12), 0.0)
+    white, own = columns * w, residual * w
+    own -= Q @ (Q.T @ own)
+    whole = np.einsum("ij,ij->i", white, white)
+    power = whole - ((white @ Q) ** 2).sum(axis=1)  # of what Q leaves of a column
+    shown = power > RANK * whole
+    gain = np.where(shown, np.maximum(-(white @ own), 0.0) ** 2 / np.where(shown, power, 1.0), 0.0)
     best = int(np.argmax(gain))
     size = 1.0 if term.limits else starts[best, 0]
     return Term(term.effect, starts[best], False), [columns[best] / size]

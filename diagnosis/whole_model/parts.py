@@ -25,8 +25,8 @@ from diagnosis.whole_model.subsets import best_set
 from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 
-OTHER_FORM = ("valve_deadband", "kept")  # the same as one that loses flow, together with a gain
-GAIN = "flow_gain_error"
+DEADBAND, GAIN = "valve_deadband", "flow_gain_error"
+OTHER_FORMS = {DEADBAND: "kept", "stiction": "at_reversals"}  # tried in place of the first one, never together with it
 
 
 def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...] = ()) -> tuple[WholeFit, ...]:
@@ -83,30 +83,34 @@ def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
     """A cell's effects, each in one form; beside a baseline's own with that one's shapes."""
-    return beside(cell.base, tuple(one for one in cell.candidates if (one.name, one.option) != OTHER_FORM))
+    return beside(cell.base, tuple(one for one in cell.candidates if OTHER_FORMS.get(one.name) != one.option))
 
 
 def _in_other_form(found: WholeFit) -> WholeFit:
-    """The fit with dead bands that keep the full flow, where such a one explains as much as one that loses flow and a
-    gain that makes up for it. With a gain besides, both forms are the same.
+    """The fit with effects in their other form where that explains more.
+
+    A dead band that keeps the full flow is the same as one that loses flow, together with a gain. So it takes the place
+    of both, and of none where a gain stays.
     """
-    kept = {one.joint: one for one in found.cell.candidates if (one.name, one.option) == OTHER_FORM}
+    forms = {one.key: one for one in found.cell.candidates if OTHER_FORMS.get(one.name) == one.option}
     for k, term in enumerate(found.best.terms):
-        joint = term.effect.joint
-        if not term.present or term.effect.name != OTHER_FORM[0] or joint not in kept:
+        form = forms.get(term.effect.key)
+        if not term.present or form is None or form == term.effect:
             continue
-        others = tuple(
-            replace(one, present=one.present and one.effect.key != (GAIN, joint)) for one in found.best.terms
-        )
-        if sum(one.present for one in others) == sum(one.present for one in found.best.terms):
+        gain = (GAIN, term.effect.joint) if term.effect.name == DEADBAND else None
+        if gain is not None and not _has(found.best.terms, gain):
             continue
-        terms = (*others[:k], replace(term, effect=kept[joint]), *others[k + 1 :])
-        tried = solve(found.cell, (), terms)
-        if any(one.present and one.effect.key == (GAIN, joint) for one in tried.best.terms):
+        others = tuple(replace(one, present=one.present and one.effect.key != gain) for one in found.best.terms)
+        tried = solve(found.cell, (), (*others[:k], replace(others[k], effect=form), *others[k + 1 :]))
+        if gain is not None and _has(tried.best.terms, gain):
             continue
         if score_at(tried.best.lin, found.trust) > score_at(found.best.lin, found.trust):
             found = tried
     return found
+
+
+def _has(terms: tuple[Term, ...], key: tuple[str, int | None]) -> bool:
+    return any(term.present and term.effect.key == key for term in terms)
 
 
 def with_found(base: ParameterSets, fits: list[WholeFit], names: tuple[str, ...] | None = None) -> ParameterSets:

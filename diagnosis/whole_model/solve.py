@@ -13,6 +13,7 @@ from diagnosis.whole_model.linear import Linearised, Term, about, linearised, pa
 from diagnosis.whole_model.subsets import (
     LinearProblem,
     Members,
+    best_addition,
     best_set,
     best_set_without,
 )
@@ -81,12 +82,8 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
     terms = start or _approached(cell, terms, own)
     trust = trusted(cell, terms)
     fitted = _fitted(cell, terms, trust)
-    if (
-        not start
-    ):  # from nothing upwards as well: a shape (a swing's period) may be seen only while little else is there
-        nothing = linearised(cell, tuple(replace(term, present=False) for term in terms))
-        even = nothing.problem(np.ones(cell.rows.count))
-        fitted, trust, _ = _better(cell, fitted, trust, nothing, best_set(even, np.zeros(len(terms), dtype=bool), own))
+    if not start:
+        fitted, trust = _grown(cell, fitted, trust, own)
     settled, rivals = False, dict[int, Fitted | None]()
     for _ in range(ROUNDS):
         problem = fitted.problem
@@ -103,6 +100,28 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
             break
         fitted = _fitted(cell, better.terms, trust)
     return WholeFit(cell, fitted, trust, rivals, twins, settled)
+
+
+def _grown(cell: Cell, fitted: Fitted, trust: Array, own: Members) -> tuple[Fitted, Array]:
+    """The best set from nothing upwards, where it is better than the one at hand; else that one.
+
+    Why: a shape (an oscillation's period) may be seen only while little else is there. Given a baseline, one or two
+    changes are expected, and the whole model may settle on several small ones in place of one with a narrow optimum:
+    then effects enter one at a time, each refitted before the next.
+    """
+    terms = tuple(replace(term, present=False) for term in fitted.terms)
+    grown, own_trust = _fitted(cell, terms, trusted(cell, terms)), trusted(cell, terms)
+    if cell.usual is None:
+        even = grown.lin.problem(np.ones(cell.rows.count))
+        return _better(cell, fitted, trust, grown.lin, best_set(even, grown.present, own))[:2]
+    for _ in range(int(own.sum())):
+        members = best_addition(grown.problem, grown.present, own)
+        if members is None:
+            break
+        grown, own_trust, better = _better(cell, grown, own_trust, grown.lin, members)
+        if not better:
+            break
+    return (grown, own_trust) if grown.score > score_at(fitted.lin, own_trust) else (fitted, trust)
 
 
 def _better(cell: Cell, fitted: Fitted, trust: Array, lin: Linearised, members: Members) -> tuple[Fitted, Array, bool]:
@@ -182,6 +201,15 @@ def only(fit: WholeFit, terms: Sequence[Term]) -> tuple[Term, ...]:
     return tuple(term for term in refined(fit.cell, alone, fit.trust) if term.present)
 
 
+def reduced(fit: WholeFit, terms: Sequence[Term]) -> WholeFit:
+    """A fit with some of its present terms only, fitted again, trusted as far as what they leave allows."""
+    kept = {id(term) for term in terms}
+    some = tuple(replace(term, present=id(term) in kept) for term in fit.best.terms)
+    some = refined(fit.cell, some, fit.trust)
+    trust = trusted(fit.cell, some)
+    return replace(fit, best=_fitted(fit.cell, some, trust), trust=trust, rivals={})
+
+
 def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:
     lin = linearised(cell, terms, absent=absent)
     return Fitted(lin, lin.problem(trust), score_at(lin, trust))
@@ -222,12 +250,15 @@ def _tangents(cell: Cell, fitted: Fitted) -> dict[int, Array]:
 
 
 def _chosen(lin: Linearised, problem: LinearProblem, members: Members) -> tuple[Term, ...]:
-    """The terms with the sizes that the linear model gives to a set's members; present thresholds and shapes stay."""
+    """The terms with the sizes that the linear model gives to a set's members; present thresholds and shapes stay, and
+    what is limited or narrow enters as it was scanned.
+    """
     x, _ = problem.estimate(members)
     out = []
     for k, term in enumerate(lin.terms):
         theta = term.theta.copy()
-        if members[k] and not term.limits and (term.smooth or not term.present):
+        scanned = term.limits or term.effect.narrow
+        if members[k] and not scanned and (term.smooth or not term.present):
             theta[: term.sizes] = x[lin.first[k] : lin.first[k] + term.sizes]
         out.append(Term(term.effect, _bounded(term, theta), bool(members[k])))
     return tuple(out)

@@ -70,6 +70,13 @@ def best_set_without(problem: LinearProblem, members: Members, term: int, allowe
     return best_set(problem, members, others)
 
 
+def best_addition(problem: LinearProblem, members: Members, allowed: Members) -> Members | None:
+    """A set with the one allowed term more that raises its score most; None where none raises it."""
+    tried = {problem.score(members | one): members | one for one in np.eye(problem.terms, dtype=bool)[allowed]}
+    best = max(tried, default=-np.inf)
+    return tried[best] if best > problem.score(members) else None
+
+
 @njit(cache=True)
 def _solved(H, c, slab, nonnegative, cols):
     """Log evidence, columns kept and their numbers in slabs; a number below its bound of 0 stays there, at a price."""
