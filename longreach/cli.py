@@ -79,9 +79,7 @@ COMMANDS = (
         "Tables 2, 3, 4 and Figures 5 to 9: fast over n machines, rendered over a few. Resumes where it was stopped.",
     ),
     Lazy(
-        "docs",
-        "longreach.reference.command:docs",
-        "Write the reference of REST, commands, settings, alarms and codes.",
+        "docs", "longreach.reference.command:docs", "Write the reference of REST, commands, settings, alarms and codes."
     ),
     Lazy("bench", "benchmarks.cli:app", "Measure; every figure in the README comes from here."),
     Lazy("machine", "longreach.machine_command:app", "A new machine file; a machine as URDF."),

@@ -233,11 +233,7 @@ def _earlier(path: Path | None) -> Report | None:
 
 
 def _with_options(
-    settings: ServerSettings,
-    plc: dict[str, object],
-    camera_url: str | None,
-    machine: str | None,
-    runs: Path | None,
+    settings: ServerSettings, plc: dict[str, object], camera_url: str | None, machine: str | None, runs: Path | None
 ) -> ServerSettings:
     data = settings.model_dump()
     data["plc"] |= {name: value for name, value in plc.items() if value is not None}

@@ -105,13 +105,7 @@ class JobClient:
     """Starts jobs on one server and follows them to their end, each under control of its own."""
 
     def __init__(
-        self,
-        url: str,
-        timeout_s: float = 10.0,
-        *,
-        owner: str = "longreach",
-        kind: str = "operator",
-        key: str = "",
+        self, url: str, timeout_s: float = 10.0, *, owner: str = "longreach", kind: str = "operator", key: str = ""
     ) -> None:
         headers = {"Authorization": f"Bearer {key}"} if key else {}
         self._http = SteadyClient(url, timeout_s, headers)

@@ -154,8 +154,7 @@ def hand_eye(
         Path | None, typer.Option("--camera", help="poses of the target in the camera, of the same times or names")
     ] = None,
     images: Annotated[
-        Path | None,
-        typer.Option("--images", help="instead of --camera: pictures of a board, named as the poses"),
+        Path | None, typer.Option("--images", help="instead of --camera: pictures of a board, named as the poses")
     ] = None,
     lens: Annotated[Path | None, typer.Option("--lens", help="of the pictures: ROS camera_info or OpenCV YAML")] = None,
     squares: Annotated[str, typer.Option(help="the board's squares across and down, such as 11x8")] = "",

@@ -202,12 +202,7 @@ def live_camera(url: str | None, settings_file: Path | None, nominal: Machine) -
 
 
 def _from_camera(
-    camera: "SourceSettings",
-    search: MarkerSearch,
-    task: TeachTask,
-    n_views: int,
-    timeout_s: float,
-    console: Console,
+    camera: "SourceSettings", search: MarkerSearch, task: TeachTask, n_views: int, timeout_s: float, console: Console
 ) -> list[TeachView]:
     """Guided: the operator moves the camera, rests, and hears what is still missing. Ctrl-C ends the collection."""
     from server.camera.sources.opening import open_source

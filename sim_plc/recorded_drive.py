@@ -213,15 +213,7 @@ def _run(one: Offline, t_s: Array, given: Array, q_start: Array, closed: bool) -
     rows = np.rint((t_s - t_s[0]) / STEP_S).astype(np.int64)
     q, u, angles = np.zeros((len(t_s), 6)), np.zeros((len(t_s), 6)), np.zeros((len(t_s), N_JOINTS))
     run_cycles(
-        plant.parameters,
-        plant.state,
-        _side(one),
-        closed,
-        np.ascontiguousarray(given, dtype=float),
-        rows,
-        q,
-        u,
-        angles,
+        plant.parameters, plant.state, _side(one), closed, np.ascontiguousarray(given, dtype=float), rows, q, u, angles
     )
     return Course(q, u, angles, plant.tree, one.bending)
 

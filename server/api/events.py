@@ -22,10 +22,7 @@ from server.jobs.service import JobService
 READERS_MAX = 200
 WATCH_S = 0.2
 STATE_EVERY = 5  # of WATCH_S: a state a second
-SSE: dict[int | str, dict[str, Any]] = {
-    200: EVENT_STREAM,
-    503: {"model": Problem, "description": "too many readers"},
-}
+SSE: dict[int | str, dict[str, Any]] = {200: EVENT_STREAM, 503: {"model": Problem, "description": "too many readers"}}
 
 
 def events_router(log: EventLog) -> APIRouter:

@@ -249,10 +249,7 @@ EXAMPLES: dict[str, Example] = {
     "DiagnosisView": {
         "diagnosis_id": "0a1b2c3d4e5f",
         "recording": "20261121T052553-position-6c4a5f3859a3.mcap",
-        "recordings": [
-            "20261121T052553-position-6c4a5f3859a3.mcap",
-            "20261121T054107-identify-c56f0b3a41d7.mcap",
-        ],
+        "recordings": ["20261121T052553-position-6c4a5f3859a3.mcap", "20261121T054107-identify-c56f0b3a41d7.mcap"],
         "job_id": JOB_ID,
         "state": "running",
         "reason": "",
@@ -395,7 +392,7 @@ FREE_FORM: dict[str, Example] = {
                 "costs": "nothing was measured behind the encoders: no camera, no tracker",
             }
         ],
-    },
+    }
 }
 
 

@@ -30,10 +30,7 @@ ExpiresHeader = Annotated[
     float,
     Header(ge=0, le=1e11, description="unix seconds of this server (GET /v1/time) after which not to start; 0: never"),
 ]
-STORY: dict[int | str, dict[str, Any]] = {
-    200: EVENT_STREAM,
-    404: {"model": Problem},
-}
+STORY: dict[int | str, dict[str, Any]] = {200: EVENT_STREAM, 404: {"model": Problem}}
 EVENT_POLL_S = 0.1
 
 

@@ -69,11 +69,7 @@ class FoxgloveFace:
         """
         try:
             self._server = self._library.start_server(
-                name="longreach",
-                host=self._host,
-                port=self._port,
-                context=self._context,
-                message_backlog_size=BACKLOG,
+                name="longreach", host=self._host, port=self._port, context=self._context, message_backlog_size=BACKLOG
             )
         except Exception as error:  # the library's own; it has no class for a port that is taken
             raise SettingsError(f"[foxglove] {self._host}:{self._port}: {error}; choose another port") from error

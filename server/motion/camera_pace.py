@@ -31,11 +31,7 @@ class CameraNeeds:
 
 
 def camera_paced(
-    machine: Machine,
-    plan: PathPlan,
-    pair_s: float,
-    needs: CameraNeeds,
-    settings: PlanSettings = DEFAULT_PLAN_SETTINGS,
+    machine: Machine, plan: PathPlan, pair_s: float, needs: CameraNeeds, settings: PlanSettings = DEFAULT_PLAN_SETTINGS
 ) -> PathPlan:
     """The plan, driven as slowly as a camera with a pair every `pair_s` needs; refused where that takes too long.
 

@@ -234,14 +234,7 @@ def _end_with_parent(server: uvicorn.Server, loop: asyncio.AbstractEventLoop) ->
 
 
 async def _serve(
-    world: World,
-    feed_name: str,
-    host: str,
-    port: int,
-    rate_hz: float,
-    jpeg_quality: int,
-    faults: bool,
-    time_code: bool,
+    world: World, feed_name: str, host: str, port: int, rate_hz: float, jpeg_quality: int, faults: bool, time_code: bool
 ) -> None:
     hub = FrameHub()
     switch = FaultSwitch()
