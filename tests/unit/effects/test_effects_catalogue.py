@@ -83,7 +83,7 @@ def test_names_stages_and_parameters_are_the_contracts() -> None:
 def test_every_file_of_the_catalogue_is_registered() -> None:
     files = [path for path in Path(catalogue.__path__[0]).glob("*.py") if path.stem != "__init__"]
     written = [
-        name for path in files for name in re.findall(r'^        name="(\w+)",$', path.read_text(), re.MULTILINE)
+        name for path in files for name in re.findall(r'^    Effect\(name="(\w+)"', path.read_text(), re.MULTILINE)
     ]
     assert sorted(written) == sorted(NAMES)
 
