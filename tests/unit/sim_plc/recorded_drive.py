@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from machine.description import Machine
 from machine.effects.entries import EffectEntry
 from machine.rotations import Array
-from sim_plc.command_side import NAMES as SIDE_NAMES
-from sim_plc.command_side import controller_settings, side_numbers
 from sim_plc.diagnosed import CHANGES, with_effects
 from sim_plc.draw_world import draw_world
 from sim_plc.plant.backlash import play
@@ -27,6 +25,8 @@ from sim_plc.plant.tree import MOTORS, N_JOINTS, Tree
 from sim_plc.plc.joint_control import valve_commands
 from sim_plc.presets import PresetError
 from sim_plc.world import World
+from tests.unit.sim_plc.command_side import NAMES as SIDE_NAMES
+from tests.unit.sim_plc.command_side import controller_settings, side_numbers
 
 PRESET, SEED = "ideal", 1  # the nominal model, nothing drawn
 SAG = "gravity_sag"
@@ -38,7 +38,7 @@ STEP_S = 1e-3
 
 
 class Side(NamedTuple):
-    """What acts between the controller and the spool, (n,) each: see `sim_plc.command_side`."""
+    """What acts between the controller and the spool, (n,) each: see `command_side`."""
 
     kp: Array
     pt1_share: Array
