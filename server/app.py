@@ -19,10 +19,9 @@ from server.access.gatekeeper import Gatekeeper
 from server.access.hosts import is_loopback
 from server.access.keys import KeyRing
 from server.api.application import Served, application
-from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog
+from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog, PatientProtocol
 from server.api.hold_rule import why_not_commissioned
 from server.api.panel import install_panel
-from server.api.slow_clients import PatientProtocol
 from server.api.state_view import result_data
 from server.camera.client import VisionClient
 from server.errors import SettingsError

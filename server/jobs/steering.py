@@ -14,7 +14,7 @@ from server.calibration.contracts import Array
 from server.camera.contracts import FrameReport
 from server.errors import JobFailedError
 from server.jobs.cell import Cell
-from server.jobs.steer_requests import Correct, NextPair, PairSeen
+from server.jobs.requests import Correct, NextPair, PairSeen
 from server.link.contracts import MotionEnded
 from server.link.errors import LinkRefusedError
 from server.motion.contracts import JointTrajectory

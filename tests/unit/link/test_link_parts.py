@@ -12,7 +12,7 @@ from protocol.errors import LocalProtocolError
 from protocol.framing import EapFraming, RawFraming
 from protocol.messages import State
 from recording.clock import mono_ns
-from server.api.panel_figures import link_figures
+from server.api.panel_view import link_figures
 from server.link import udp_end
 from server.link.client import LinkClient
 from server.link.contracts import (

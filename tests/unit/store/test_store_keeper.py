@@ -9,9 +9,8 @@ import pytest
 from server.access.errors import LeaseLostError
 from server.access.lease import LeaseKind
 from server.access.roles import Caller
-from server.jobs.commands import Command, began
 from server.jobs.engine import JobEngine, JobState
-from server.jobs.keeper import Keeper
+from server.jobs.keeper import Command, Keeper, began
 from server.jobs.requests import Settle
 from server.store.audit_rows import AuditEntry, read_audit
 from server.store.database import Database
