@@ -12,10 +12,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from longreach.board_pictures import board_of
 from longreach.hand_eye_files import Mount, sigmas, write_mount
-from longreach.hand_eye_pictures import poses_of_pictures, read_lens
-from longreach.hand_eye_poses import HandEyeError, PoseTable, paired, read_poses
+from longreach.hand_eye_poses import HandEyeError, PoseTable, paired, poses_of_pictures, read_lens, read_poses
+from longreach.target_sources import board_of
 from machine.effects.arm_urdf import arm_from_urdf
 from machine.effects.layout import neutral_sets
 from machine.effects.structure import tcp_poses

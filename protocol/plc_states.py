@@ -68,10 +68,7 @@ ARMED_STATES = frozenset({_H, _R, _S})
 
 
 def next_state(state: PlcState, event: PlcEvent) -> PlcState:
-    """The state after an event.
-
-    Raises: IllegalTransitionError naming both; the caller's state is unchanged.
-    """
+    """The state after an event. Raises: IllegalTransitionError naming both; the caller's state is unchanged."""
     try:
         return TRANSITIONS[state, event]
     except KeyError:

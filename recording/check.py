@@ -116,10 +116,7 @@ _TIMES: tuple[tuple[type[Row], str], ...] = (
 
 
 def check_recording(path: Path) -> CheckReport:
-    """Check the recording at this path.
-
-    Raises: RecordingError when it cannot be read at all.
-    """
+    """Check the recording at this path. Raises: RecordingError when it cannot be read at all."""
     recording = read_run(path)
     signals = [_signal(row_type, name, recording) for row_type, name in _TIMES if recording.of(row_type)]
     static = recording.of(StaticPoint)

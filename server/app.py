@@ -73,10 +73,7 @@ def build_cell(settings: ServerSettings) -> Cell:
 
 
 def gatekeeper_of(http: HttpSettings) -> Gatekeeper:
-    """Who may call.
-
-    Raises: SettingsError: reachable from other computers without a key in force.
-    """
+    """Who may call. Raises: SettingsError: reachable from other computers without a key in force."""
     keys = KeyRing(Path(http.keys_file) if http.keys_file else None)
     if not is_loopback(http.host) and (keys.path is None or keys.empty):
         raise SettingsError(

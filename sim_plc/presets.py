@@ -137,10 +137,7 @@ _ROWS = {row.name: row for row in PRESET_TABLE}
 
 
 def spread_of(preset: str, name: str) -> Spread:
-    """What a preset draws for one number.
-
-    Raises:  PresetError: no such preset. KeyError: no such number.
-    """
+    """What a preset draws for one number. Raises: PresetError: no such preset. KeyError: no such number."""
     row, checked = _ROWS[name], checked_preset(preset)
     if checked == "nominal":
         return NOMINAL.get(name, row.ideal)
@@ -150,10 +147,7 @@ def spread_of(preset: str, name: str) -> Spread:
 
 
 def checked_preset(preset: str) -> str:
-    """The preset itself.
-
-    Raises:  PresetError: no such preset.
-    """
+    """The preset itself. Raises: PresetError: no such preset."""
     if preset not in PRESET_NAMES:
         raise PresetError(f"preset '{preset}' does not exist; choose one of {', '.join(PRESET_NAMES)}")
     return preset

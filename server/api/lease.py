@@ -48,10 +48,7 @@ class ControlLog:
             self._keeper.check()
 
     async def given(self, request: Request, lease: Lease, action: str, detail: str = "") -> JSONResponse:
-        """201 with the lease, once it is on disk.
-
-        Raises: StoreError: it is not; the lease is withdrawn then.
-        """
+        """201 with the lease, once it is on disk. Raises: StoreError: it is not; the lease is withdrawn then."""
         self._desk.vouch(admission_of(request))
         if self._keeper is not None:
             try:

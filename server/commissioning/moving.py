@@ -70,10 +70,7 @@ async def arm(site: Site) -> None:
 
 
 async def reading(site: Site) -> Reading:
-    """Encoders and reference now.
-
-    Raises: NotReadyError: no fresh state within a second.
-    """
+    """Encoders and reference now. Raises: NotReadyError: no fresh state within a second."""
 
     def fresh() -> list[PlcSample]:
         return site.link.samples_since(mono_ns() - int(_READING_S * 1e9))
@@ -85,10 +82,7 @@ async def reading(site: Site) -> Reading:
 
 
 async def rest(site: Site, timeout_s: float = REST_TIMEOUT_S) -> Reading:
-    """Wait until encoders and reference stand still.
-
-    Raises: NotReadyError: they do not in time.
-    """
+    """Wait until encoders and reference stand still. Raises: NotReadyError: they do not in time."""
     deadline_s = mono_s() + timeout_s
     while mono_s() < deadline_s:
         if at_rest(site.link.samples_since(mono_ns() - int(_REST_WINDOW_S * 1e9))):

@@ -63,10 +63,7 @@ class FoxgloveFace:
         return self._server.port
 
     def start(self) -> None:
-        """Listen.
-
-        Raises: SettingsError: the port is taken.
-        """
+        """Listen. Raises: SettingsError: the port is taken."""
         try:
             self._server = self._library.start_server(
                 name="longreach", host=self._host, port=self._port, context=self._context, message_backlog_size=BACKLOG
@@ -152,10 +149,7 @@ def check_foxglove(settings: FoxgloveSettings) -> None:
 
 
 def load_library() -> Any:
-    """Foxglove's SDK.
-
-    Raises: SettingsError: it is not installed.
-    """
+    """Foxglove's SDK. Raises: SettingsError: it is not installed."""
     try:
         return importlib.import_module("foxglove")
     except ImportError as error:
@@ -166,10 +160,7 @@ def load_library() -> Any:
 
 @asynccontextmanager
 async def foxglove_face(service: JobService, settings: FoxgloveSettings) -> AsyncIterator[FoxgloveFace | None]:
-    """Inside it the stream is up, if it is wanted.
-
-    Raises: SettingsError: it is wanted and cannot be.
-    """
+    """Inside it the stream is up, if it is wanted. Raises: SettingsError: it is wanted and cannot be."""
     if not settings.enabled:
         yield None
         return

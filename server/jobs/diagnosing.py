@@ -12,10 +12,10 @@ from typing import Any
 from uuid import uuid4
 
 from recording.clock import mono_s
+from recording.spawn import ONE_THREAD
 from server.errors import BusyError, ServerError
 
 NICE = "10"
-ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 TIMEOUT_S = 3600.0
 KEPT = 50
 COMMAND = (sys.executable, "-P", "-m", "longreach.cli", "diagnose")

@@ -180,10 +180,7 @@ class Keeper:
     # --- commands: written before they are carried out or answered --------------------------------------------------
 
     async def begin(self, began: Began) -> None:
-        """Job, audit and answer in one transaction.
-
-        Raises: StoreError: nothing was written, nothing may begin.
-        """
+        """Job, audit and answer in one transaction. Raises: StoreError: nothing was written, nothing may begin."""
         self.check()
 
         def rows(db: sqlite3.Connection) -> None:

@@ -95,10 +95,7 @@ class Steering:
         self._tail = asyncio.create_task(self._cell.link.correct(request.trajectory, request.first), name="new-tail")
 
     async def end(self) -> None:
-        """Wait for the motion's end.
-
-        Raises: JobFailedError: it ended early. LinkError: it was refused.
-        """
+        """Wait for the motion's end. Raises: JobFailedError: it ended early. LinkError: it was refused."""
         motion, self._motion = self._motion, None
         if motion is None:
             raise JobFailedError("no motion was started", "motion_ended_early")

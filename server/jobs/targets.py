@@ -69,10 +69,7 @@ class TargetChoice:
         return target if isinstance(target, TaughtObject) else None
 
     def use_object(self, taught: TaughtObject) -> None:
-        """Use a taught object as the object of interest.
-
-        Raises: BusyError: a job is running.
-        """
+        """Use a taught object as the object of interest. Raises: BusyError: a job is running."""
         self._require_idle()
         self.candidate = None
         self._use(taught)
@@ -118,10 +115,7 @@ class TargetChoice:
         return found
 
     def clear(self) -> None:
-        """Use the markers again.
-
-        Raises: BusyError: a job is running.
-        """
+        """Use the markers again. Raises: BusyError: a job is running."""
         self._require_idle()
         self.candidate = None
         self._use(None)
@@ -216,10 +210,7 @@ class Teaching:
         return found
 
     def remove(self, name: str) -> None:
-        """Forget a taught object.
-
-        Raises: JobFailedError: there is none of that name, or it is in use.
-        """
+        """Forget a taught object. Raises: JobFailedError: there is none of that name, or it is in use."""
         if name not in self.names():
             raise JobFailedError(f"no object '{name}' has been taught; see the list", "no_such_object")
         if name == self.in_use:

@@ -32,10 +32,7 @@ class OpcUaFace:
         self._nodes: dict[tuple[str, ...], Any] = {}
 
     async def start(self) -> None:
-        """Listen.
-
-        Raises: SettingsError: the port is taken.
-        """
+        """Listen. Raises: SettingsError: the port is taken."""
         server = self._server = self._library.Server()
         await server.init()
         server.set_endpoint(self._endpoint)
@@ -120,10 +117,7 @@ def load_library() -> Any:
 
 @asynccontextmanager
 async def opcua_face(service: JobService, settings: OpcUaSettings) -> AsyncIterator[OpcUaFace | None]:
-    """Inside it the face is up, if it is wanted.
-
-    Raises: SettingsError: it is wanted and cannot be.
-    """
+    """Inside it the face is up, if it is wanted. Raises: SettingsError: it is wanted and cannot be."""
     if not settings.enabled:
         yield None
         return

@@ -72,10 +72,7 @@ class Database:
         return done
 
     def write(self, work: Work[T]) -> T:
-        """Run one transaction and wait for it.
-
-        Raises: StoreError: it was not written.
-        """
+        """Run one transaction and wait for it. Raises: StoreError: it was not written."""
         try:
             return self.submit(work).result(WRITE_S)
         except TimeoutError:
@@ -142,10 +139,7 @@ class Database:
     # --- reading ----------------------------------------------------------------------------------------------------
 
     def read(self, work: Work[T]) -> T:
-        """Run a query alongside the writer, on what was committed last.
-
-        Raises: StoreError: the file cannot be read.
-        """
+        """Run a query alongside the writer, on what was committed last. Raises: StoreError: the file cannot be read."""
         if self.path is None:
             return self.write(work)
         try:

@@ -8,8 +8,7 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from longreach.fleet_client import TTL_S, JobClient
-from longreach.fleet_connection import IDLE_S, SteadyClient
+from longreach.fleet_client import IDLE_S, TTL_S, JobClient, SteadyClient
 from server.api import connection_limit
 from server.api.connection_limit import ExhaustionLog, most_connections, one_to_close
 from server.app import config_of
