@@ -12,8 +12,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from longreach.hand_eye_files import Mount, sigmas, write_mount
-from longreach.hand_eye_poses import HandEyeError, PoseTable, paired, poses_of_pictures, read_lens, read_poses
+from longreach.hand_eye_poses import (
+    HandEyeError,
+    Mount,
+    PoseTable,
+    paired,
+    poses_of_pictures,
+    read_lens,
+    read_poses,
+    sigmas,
+    write_mount,
+)
 from longreach.target_sources import board_of
 from machine.effects.arm_urdf import arm_from_urdf
 from machine.effects.layout import neutral_sets

@@ -31,7 +31,7 @@ ERROR_MODULES = (
     "server.api.hold_rule",
     "server.api.job_commands",
     "server.errors",
-    "server.store.errors",
+    "server.store.database",
     "server.store.idempotency",
 )
 

@@ -16,7 +16,7 @@ from server.api.callers import admission_of, caller_of, request_id_of
 from server.api.views import ControlView, Problem, Strict, View
 from server.jobs.keeper import Keeper
 from server.store.audit_rows import AuditEntry
-from server.store.errors import StoreError
+from server.store.database import StoreError
 
 # Control and the audit: fencing number and audit line are on disk together before the new holder gets an answer.
 

@@ -11,7 +11,7 @@ from pydantic import Field
 from server.api.lease import leased
 from server.api.problems import problem
 from server.api.views import Problem, Strict, View
-from server.compensation.errors import CompensationError
+from server.compensation.compensation import CompensationError
 from server.compensation.versions import FoundEffect, MachineVersion
 from server.errors import ServerError
 from server.jobs.identification import Identification

@@ -11,7 +11,7 @@ from recording.clock import mono_ns, mono_s
 from server.commissioning.site import Site
 from server.link.contracts import LinkPhase, MotionEnded, PlcSample
 from server.link.errors import LinkError
-from server.link.standing import stood_still
+from server.link.samples import stood_still
 from server.motion.contracts import JointTrajectory, PathPlan
 from server.motion.point_to_point import plan_joint_move
 from server.motion.settings import PlanSettings

@@ -17,13 +17,19 @@ from server.calibration.calibration_life import LocalCalibration
 from server.jobs.cell import Cell
 from server.jobs.engine import Job, JobEvent, JobState
 from server.jobs.knowledge import PreviewedPlan
-from server.store.audit_rows import AuditEntry, add_audit, forget_old_audit
-from server.store.database import Database, Work
-from server.store.errors import StoreError
-from server.store.finding_rows import add_calibration, add_plan
+from server.store.audit_rows import (
+    AuditEntry,
+    add_audit,
+    add_calibration,
+    add_plan,
+    forget_old_audit,
+    read_fencing,
+    read_operating_time,
+    save_fencing,
+    save_operating_time,
+)
+from server.store.database import Database, StoreError, Work
 from server.store.idempotency import Answered, forget_answer, save_answer
-from server.store.lease_rows import read_fencing, save_fencing
-from server.store.operating_time import read_operating_time, save_operating_time
 
 # A command as the store keeps it: who sent it, with which key, and what they were answered.
 

@@ -42,7 +42,7 @@ from server.jobs.requests import (
 )
 from server.jobs.steering import Steering
 from server.link.contracts import LinkPhase, PlcSample, measured_oil_c
-from server.link.standing import stood_still
+from server.link.samples import stood_still
 from server.motion.contracts import JointTrajectory
 from server.vision.contracts import OdometryStatus, PairObservation
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
 from server.access.lease import Lease
-from server.compensation.errors import CompensationError
+from server.compensation.compensation import CompensationError
 from server.compensation.reading import compensation_from
 from server.compensation.versions import MachineVersions
 from server.disk_space import DiskSpace

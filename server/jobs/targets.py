@@ -19,7 +19,7 @@ from server.jobs.performer import SILENT_S
 from server.jobs.plans.reach import ReachPreview, reach_preview
 from server.jobs.plans.unmoved import moved_since_look
 from server.jobs.requests import MachineReading
-from server.store.errors import StoreError
+from server.store.database import StoreError
 from server.targets.contracts import AnchoredTarget, SurfacePatch, TargetSettings
 from server.targets.taught import ObjectBox, TaughtObject, TaughtView, teach_object
 from server.targets.taught_files import SUFFIX, TaughtFileError, load_taught, save_taught

@@ -7,10 +7,9 @@ import numpy as np
 from machine.chain import chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_poses
-from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
+from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus, evaluate, sample
 from server.motion.refusal import Refusal, refused_plan
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
-from server.motion.trajectory import evaluate, sample
 
 SAMPLE_S = 0.05
 

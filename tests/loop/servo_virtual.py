@@ -29,7 +29,7 @@ from server.jobs.requests import (
     StopMove,
     TakeLook,
 )
-from server.link.knots import knots_from, knots_of
+from server.link.samples import knots_from, knots_of
 from server.settings import ServerSettings, read_machine
 from server.vision.contracts import Look, LookStatus, ObjectPose, PoseStatus
 from sim_plc.draw_world import draw_world

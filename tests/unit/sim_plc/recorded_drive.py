@@ -16,13 +16,12 @@ from machine.effects.entries import EffectEntry
 from machine.rotations import Array
 from sim_plc.diagnosed import CHANGES, with_effects
 from sim_plc.draw_world import draw_world
-from sim_plc.plant.backlash import play
-from sim_plc.plant.hydraulics import opening
+from sim_plc.plant.hydraulics import opening, play
 from sim_plc.plant.kernel import OUTPUT, Parameters, State, advance_rigid
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import frames, gravity_torques
 from sim_plc.plant.tree import MOTORS, N_JOINTS, Tree
-from sim_plc.plc.joint_control import valve_commands
+from sim_plc.plc.status import valve_commands
 from sim_plc.presets import PresetError
 from sim_plc.world import World
 from tests.unit.sim_plc.command_side import NAMES as SIDE_NAMES
