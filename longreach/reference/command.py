@@ -24,16 +24,12 @@ from server.settings import RecordingSettings, ServerSettings
 
 # The REST endpoints with their roles, and every code that an error can carry.
 
+# fmt: off
 ERROR_MODULES = (
-    "server.access.errors",
-    "server.access.gatekeeper",
-    "server.api.guard",
-    "server.api.hold_rule",
-    "server.api.job_commands",
-    "server.errors",
-    "server.store.database",
-    "server.store.idempotency",
+    "server.access.errors", "server.access.gatekeeper", "server.api.guard", "server.api.hold_rule",
+    "server.api.job_commands", "server.errors", "server.store.database", "server.store.idempotency",
 )
+# fmt: on
 
 
 def document() -> dict[str, Any]:

@@ -27,21 +27,11 @@ TIME = {"t", "time", "timestamp", "stamp", "zeit", "sec", "seconds", "elapsed", 
 VELOCITY = {"qd", "dq", "vel", "velocity", "speed", "dot", "ds", "dtheta", "w", "omega"}
 REFERENCE = {"ref", "reference", "target", "desired", "des", "cmd", "command", "commanded", "set", "setpoint", "goal"}
 REFERENCE |= {"action", "soll", "sp", "leader"}
+# fmt: off
 POSITION = {
-    "q",
-    "pos",
-    "position",
-    "angle",
-    "theta",
-    "joint",
-    "enc",
-    "encoder",
-    "actual",
-    "state",
-    "stroke",
-    "s",
-    "ist",
+    "q", "pos", "position", "angle", "theta", "joint", "enc", "encoder", "actual", "state", "stroke", "s", "ist",
 }
+# fmt: on
 COMMAND = {"u", "valve", "spool", "control", "pwm", "duty", "opening"}
 OTHER = {"tau", "torque", "effort", "current", "acc", "accel", "acceleration", "qdd", "ddq", "temp", "temperature"}
 OTHER |= {"moment", "force", "pressure", "p", "pa", "pb", "xt", "mode", "voltage", "error", "err", "index", "frame"}

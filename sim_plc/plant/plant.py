@@ -24,32 +24,16 @@ def flex_damping(truth: PlantTruth, tree: Tree, q: Array) -> Array:
 
 def _joint_rows(truth: PlantTruth) -> Array:
     valve, actuator, friction, kinematics = truth.valve, truth.actuator, truth.friction, truth.kinematics
+    # fmt: off
     columns = (
-        2.0 * np.pi * valve.frequency_hz,
-        valve.damping,
-        valve.rate_limit_1_s,
-        valve.dead_band_frac,
-        valve.hysteresis_frac,
-        valve.flow_gain_m3_s_sqrt_pa,
-        actuator.area_a,
-        actuator.area_b,
-        actuator.dead_volume_a_m3,
-        actuator.dead_volume_b_m3,
-        actuator.stroke,
-        actuator.leakage_m3_s_pa,
-        friction.coulomb,
-        friction.static,
-        friction.viscous,
-        friction.stribeck,
-        friction.bristle_stiffness,
-        friction.bristle_damping,
-        kinematics.q_stop_low_rad,
-        kinematics.q_stop_high_rad,
-        0.5 * kinematics.backlash_rad,
-        actuator.table_q0_rad,
-        actuator.table_step_rad,
-        truth.velocity_gain_rad_s,
+        2.0 * np.pi * valve.frequency_hz, valve.damping, valve.rate_limit_1_s, valve.dead_band_frac,
+        valve.hysteresis_frac, valve.flow_gain_m3_s_sqrt_pa, actuator.area_a, actuator.area_b,
+        actuator.dead_volume_a_m3, actuator.dead_volume_b_m3, actuator.stroke, actuator.leakage_m3_s_pa,
+        friction.coulomb, friction.static, friction.viscous, friction.stribeck, friction.bristle_stiffness,
+        friction.bristle_damping, kinematics.q_stop_low_rad, kinematics.q_stop_high_rad, 0.5 * kinematics.backlash_rad,
+        actuator.table_q0_rad, actuator.table_step_rad, truth.velocity_gain_rad_s,
     )
+    # fmt: on
     return np.ascontiguousarray(np.stack(columns, axis=1))
 
 
