@@ -25,7 +25,8 @@ from server.api.panel import install_panel
 from server.api.state_view import result_data
 from server.camera.client import VisionClient
 from server.errors import SettingsError
-from server.foxglove.face import check_foxglove, foxglove_face
+from server.faces.foxglove import check_foxglove, foxglove_face
+from server.faces.opcua import check_opcua, opcua_face
 from server.inner_faults import PART_FAILED
 from server.jobs.calibration_store import FILE_NAME, CalibrationStore
 from server.jobs.cell import Cell
@@ -34,7 +35,6 @@ from server.jobs.keeper import Keeper
 from server.jobs.performer import Performer
 from server.jobs.service import JobService
 from server.link.client import LinkClient
-from server.opcua.face import check_opcua, opcua_face
 from server.recorder import Recorder
 from server.settings import HttpSettings, ServerSettings, read_machine_text
 from server.settings_source import machine_text_with, source_and_machine

@@ -2,19 +2,114 @@
 
 import asyncio
 import importlib
-import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from enum import IntEnum
 from typing import Any
 
-from server.access.hosts import is_loopback
-from server.errors import SettingsError
-from server.jobs.service import JobService
-from server.opcua.values import Shown, shown
-from server.settings import OpcUaSettings
+import numpy as np
 
-log = logging.getLogger(__name__)
+from protocol.codes import FaultBit
+from recording.clock import mono_ns
+from server.errors import SettingsError
+from server.faces.shell import extra, require_own_computer, running
+from server.jobs.cell import Cell
+from server.jobs.service import JobService
+from server.settings import OpcUaSettings
+from server.version import __version__
+
+# What is shown over OPC UA, by browse path: the names of OPC 40010-1, our values. Pure but for reading the cell.
+
+Value = str | bool | int | float
+STALE_S = 0.25  # an older PLC state is shown with the status BadNoCommunication
+SYSTEM, DEVICE, CONTROLLER, SAFETY = "MotionDeviceSystem", "MotionDevice_1", "Controller_1", "SafetyState_1"
+
+
+class OperationalMode(IntEnum):
+    """OperationalModeEnumeration of OPC 40010-1."""
+
+    OTHER = 0
+    MANUAL_REDUCED_SPEED = 1
+    MANUAL_HIGH_SPEED = 2
+    AUTOMATIC = 3
+    AUTOMATIC_EXTERNAL = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """One variable. `fresh` False: the PLC has not reported it for too long. `unit` is UNECE's code, or empty."""
+
+    path: tuple[str, ...]
+    value: Value
+    unit: str = ""
+    fresh: bool = True
+
+
+def shown(service: JobService, now_ns: int | None = None) -> list[Shown]:
+    """All variables at this moment; always the same paths in the same order."""
+    cell = service.cell
+    latest = cell.link.latest
+    now_ns = mono_ns() if now_ns is None else now_ns
+    fresh = latest is not None and (now_ns - latest.t_mono_ns) * 1e-9 <= STALE_S
+    return [*_identity(cell), *_axes(cell, fresh), *_device(service, fresh), *_safety(cell, fresh)]
+
+
+def _identity(cell: Cell) -> list[Shown]:
+    device, controller = (SYSTEM, "MotionDevices", DEVICE), (SYSTEM, "Controllers", CONTROLLER)
+    return [
+        Shown((*device, "Manufacturer"), "longreach"),
+        Shown((*device, "Model"), cell.machine.name),
+        Shown((*device, "SerialNumber"), cell.machine.serial),
+        Shown((*controller, "Software", "SoftwareRevision"), __version__),
+    ]
+
+
+def _axes(cell: Cell, fresh: bool) -> list[Shown]:
+    latest, found = cell.link.latest, []
+    for i, joint in enumerate(cell.machine.joints):
+        axis = (SYSTEM, "MotionDevices", DEVICE, "Axes", f"Axis_{i + 1}")
+        position, speed = (latest.q_rad[i], latest.qd_rad_s[i]) if latest is not None else (0.0, 0.0)
+        found += [
+            Shown((*axis, "AssetId"), joint.name),
+            Shown((*axis, "MotionProfile"), 1),  # ROTARY
+            Shown((*axis, "ParameterSet", "ActualPosition"), _degrees(position), "DD", fresh),
+            Shown((*axis, "ParameterSet", "ActualSpeed"), _degrees(speed), "E96", fresh),
+        ]
+    return found
+
+
+def _device(service: JobService, fresh: bool) -> list[Shown]:
+    latest, job = service.cell.link.latest, service.engine.current
+    running = job is not None and not job.ended
+    parameters = (SYSTEM, "MotionDevices", DEVICE, "ParameterSet")
+    tasks = (SYSTEM, "Controllers", CONTROLLER, "TaskControls", "TaskControl_1", "ParameterSet")
+    return [
+        Shown((*parameters, "InControl"), latest is not None and latest.plc_state == "RUN", "", fresh),
+        Shown((*parameters, "OnPath"), latest is not None and latest.plc_state == "RUN", "", fresh),
+        Shown((*tasks, "TaskProgramLoaded"), running),
+        Shown((*tasks, "TaskProgramName"), job.kind if job is not None and running else ""),
+    ]
+
+
+def _safety(cell: Cell, fresh: bool) -> list[Shown]:
+    """Shown for information: no safety function reads it (the emergency stop is hardware)."""
+    latest, phase = cell.link.latest, cell.link.health.phase.value
+    bits = FaultBit(latest.fault_bits) if latest is not None else FaultBit(0)
+    parameters = (SYSTEM, "SafetyStates", SAFETY, "ParameterSet")
+    mode = OperationalMode.OTHER if phase == "local" else OperationalMode.AUTOMATIC_EXTERNAL
+    return [
+        Shown((*parameters, "EmergencyStop"), FaultBit.ESTOP in bits, "", fresh),
+        Shown((*parameters, "OperationalMode"), int(mode)),
+        Shown((*parameters, "ProtectiveStop"), bool(bits & ~FaultBit.ESTOP), "", fresh),
+    ]
+
+
+def _degrees(radians: float) -> float:
+    return round(float(np.rad2deg(radians)), 4)
+
+
 NAMESPACE = "urn:longreach:robotics"  # the names are those of http://opcfoundation.org/UA/Robotics/, the nodes our own
 PERIOD_S = 0.2
 STOP_S = 3.0
@@ -90,12 +185,8 @@ def check_opcua(settings: OpcUaSettings) -> None:
 
     Raises: SettingsError: no library, or reachable from other computers without leave.
     """
-    if settings.enabled and not is_loopback(settings.host) and not settings.without_keys:
-        raise SettingsError(
-            f"[opcua] host = '{settings.host}' is reachable from other computers, and OPC UA requires no key: "
-            "listen on 127.0.0.1, or set [opcua] without_keys = true"
-        )
     if settings.enabled:
+        require_own_computer("opcua", settings, "OPC UA")
         load_library()
 
 
@@ -104,12 +195,7 @@ def load_library() -> Any:
 
     Raises: SettingsError: it is not installed.
     """
-    try:
-        library = importlib.import_module("asyncua")
-    except ImportError as error:
-        raise SettingsError(
-            "[opcua] enabled = true, and asyncua is not installed: pip install 'longreach[opcua]'"
-        ) from error
+    library = extra("opcua", "asyncua", "asyncua")
     with suppress(ImportError):  # a version that keeps it elsewhere is only slower to start
         importlib.import_module(SPACE)
     return library
@@ -124,17 +210,8 @@ async def opcua_face(service: JobService, settings: OpcUaSettings) -> AsyncItera
     await asyncio.to_thread(load_library)  # already there when the settings were checked
     face = OpcUaFace(service, settings.host, settings.port)
     await face.start()
-    running = asyncio.create_task(face.run(), name="opcua")
-    running.add_done_callback(_log_end)
     try:
-        yield face
+        async with running("opcua", face.run(), "opcua: values are no longer updated"):  # clients see old time stamps
+            yield face
     finally:
-        running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
         await face.stop()
-
-
-def _log_end(done: "asyncio.Task[None]") -> None:
-    """A face that ends by itself is a defect; the machine goes on without it, and its clients see old time stamps."""
-    if not done.cancelled() and (error := done.exception()) is not None:
-        log.error("opcua: values are no longer updated", exc_info=error)
