@@ -26,43 +26,22 @@ if TYPE_CHECKING:
     from server.settings import read_machine
     from server.vision.aruco_source import ArucoPoseSource
 
+# fmt: off
 _PLACES = {
-    "ArucoPoseSource": "server.vision.aruco_source",
-    "Budget": "diagnosis.budget",
-    "Chain": "machine.chain",
-    "ClientLink": "protocol.client_link",
-    "JobClient": "longreach.fleet_client",
-    "Machine": "machine.description",
-    "PlcLink": "protocol.plc_link",
-    "PlcLinkSettings": "protocol.plc_link",
-    "Recording": "recording.content",
-    "chain_of": "machine.chain",
-    "diagnose": "longreach.diagnosing",
-    "inverse_nearest": "machine.inverse",
-    "read_machine": "server.settings",
-    "read_recording": "recording.opening:read_run",
-    "tcp_jacobian": "machine.kinematics",
-    "tcp_pose": "machine.kinematics",
+    "ArucoPoseSource": "server.vision.aruco_source", "Budget": "diagnosis.budget", "Chain": "machine.chain",
+    "ClientLink": "protocol.client_link", "JobClient": "longreach.fleet_client", "Machine": "machine.description",
+    "PlcLink": "protocol.plc_link", "PlcLinkSettings": "protocol.plc_link", "Recording": "recording.content",
+    "chain_of": "machine.chain", "diagnose": "longreach.diagnosing", "inverse_nearest": "machine.inverse",
+    "read_machine": "server.settings", "read_recording": "recording.opening:read_run",
+    "tcp_jacobian": "machine.kinematics", "tcp_pose": "machine.kinematics",
 }
 
 __all__ = [
-    "ArucoPoseSource",
-    "Budget",
-    "Chain",
-    "ClientLink",
-    "JobClient",
-    "Machine",
-    "PlcLink",
-    "PlcLinkSettings",
-    "Recording",
-    "chain_of",
-    "diagnose",
-    "inverse_nearest",
-    "read_machine",
-    "read_recording",
-    "tcp_jacobian",
+    "ArucoPoseSource", "Budget", "Chain", "ClientLink", "JobClient", "Machine", "PlcLink", "PlcLinkSettings",
+    "Recording", "chain_of", "diagnose", "inverse_nearest", "read_machine", "read_recording", "tcp_jacobian",
     "tcp_pose",
 ]
+# fmt: on
 
 
 def __getattr__(name: str) -> Any:

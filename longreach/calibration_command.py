@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from longreach.fleet_connection import SteadyClient, by_proxy, reason_in
+from longreach.fleet_client import SteadyClient, by_proxy, reason_in
 from recording.files import read_text, write_durably
 from server.calibration.calibration_export import as_ros, as_yaml
 from server.calibration.calibration_file import CalibrationFileError, SavedCalibration, parse_calibration

@@ -118,10 +118,7 @@ def _with_calibration(camera: CameraSettings, calibration: list[str] | None, eye
 
 
 def camera_settings_of(text: str) -> CameraSettings:
-    """The source that a word on the command line means.
-
-    Raises: SettingsError: nothing that it could mean is there.
-    """
+    """The source that a word on the command line means. Raises: SettingsError: nothing that it could mean is there."""
     path = Path(text)
     if text.startswith("http://"):
         return HttpCameraSettings(url=text)

@@ -18,71 +18,36 @@ from longreach.signals import end_as_by_ctrl_c, exit_code
 from machine.errors import MachineError
 from server.errors import ServerError
 
+# fmt: off
 COMMANDS = (
     Lazy("serve", "longreach.serve_command:serve", "Start the server: panel, REST, link and vision processes."),
     Lazy("sim", "longreach.sim_command:sim", "Start the simulated machine in real time, until Ctrl-C."),
-    Lazy(
-        "relay",
-        "longreach.relay_command:relay",
-        "Pass datagrams between PC and PLC, and drop, duplicate, delay or corrupt some; Ctrl-C prints the counts.",
-    ),
-    Lazy(
-        "export-plc",
-        "longreach.export_command:export_plc",
-        "Write the TwinCAT program, EAP sheet, Wireshark dissector, C header, golden vectors and guides.",
-    ),
-    Lazy(
-        "commission",
-        "longreach.commission_command:commission",
-        "Go through the check list of a new machine. Exit code 0: all checks passed, 1: a check failed, 3: a check was "
-        "inconclusive.",
-    ),
-    Lazy(
-        "position",
-        "longreach.position:position",
-        "Position the tool on its target: look, orient, calibrate, then look and move until inside tolerance.",
-    ),
-    Lazy(
-        "identify",
-        "longreach.identify_command:identify",
-        "Identify this machine: one test drive, its error budget, and the effects to use.",
-    ),
-    Lazy(
-        "compare",
-        "longreach.compare_command:compare",
-        "Replay a recording against machine files: the tool error over time [mm] for each.",
-    ),
-    Lazy(
-        "hand-eye",
-        "longreach.hand_eye_command:hand_eye",
-        "Hand-eye calibration from poses of hand and target. Exit code 0: found, 1: not found; the reason is printed.",
-    ),
-    Lazy(
-        "compile",
-        "longreach.compile_command:compile_numerics",
-        "Compile the numerics once, so that no start waits for them.",
-    ),
+    Lazy("relay", "longreach.relay_command:relay",
+        "Pass datagrams between PC and PLC, and drop, duplicate, delay or corrupt some; Ctrl-C prints the counts."),
+    Lazy("export-plc", "longreach.export_command:export_plc",
+        "Write the TwinCAT program, EAP sheet, Wireshark dissector, C header, golden vectors and guides."),
+    Lazy("commission", "longreach.commission_command:commission",
+        "Go through the check list of a new machine. Exit code 0: all checks passed, 1: a check failed, 3: a check "
+            "was inconclusive."),
+    Lazy("position", "longreach.position:position",
+        "Position the tool on its target: look, orient, calibrate, then look and move until inside tolerance."),
+    Lazy("identify", "longreach.identify_command:identify",
+        "Identify this machine: one test drive, its error budget, and the effects to use."),
+    Lazy("compare", "longreach.compare_command:compare",
+        "Replay a recording against machine files: the tool error over time [mm] for each."),
+    Lazy("hand-eye", "longreach.hand_eye_command:hand_eye",
+        "Hand-eye calibration from poses of hand and target. Exit code 0: found, 1: not found; the reason is printed."),
+    Lazy("compile", "longreach.compile_command:compile_numerics",
+        "Compile the numerics once, so that no start waits for them."),
     Lazy("demo", "longreach.demo:demo", "Start everything on this computer and show where the panel is."),
-    Lazy(
-        "diagnose",
-        "longreach.diagnose_command:diagnose",
-        "Diagnose the gap between a recording and its nominal machine. A ROS bag or a table is converted first.",
-    ),
-    Lazy(
-        "diagnose-fleet",
-        "longreach.diagnose_fleet_command:diagnose_fleet",
-        "Diagnose every recording below a folder, and write what the machines share and how it drifts.",
-    ),
-    Lazy(
-        "reproduce",
-        "benchmarks.reproduce.command:reproduce",
-        "Tables 2, 3, 4 and Figures 5 to 9: fast over n machines, rendered over a few. Resumes where it was stopped.",
-    ),
-    Lazy(
-        "docs",
-        "longreach.reference.command:docs",
-        "Write the reference of REST, commands, settings, alarms and codes.",
-    ),
+    Lazy("diagnose", "longreach.diagnose_command:diagnose",
+        "Diagnose the gap between a recording and its nominal machine. A ROS bag or a table is converted first."),
+    Lazy("diagnose-fleet", "longreach.diagnose_fleet_command:diagnose_fleet",
+        "Diagnose every recording below a folder, and write what the machines share and how it drifts."),
+    Lazy("reproduce", "benchmarks.reproduce.command:reproduce",
+        "Tables 2, 3, 4 and Figures 5 to 9: fast over n machines, rendered over a few. Resumes where it was stopped."),
+    Lazy("docs", "longreach.reference.command:docs",
+        "Write the reference of REST, commands, settings, alarms and codes."),
     Lazy("bench", "benchmarks.cli:app", "Measure; every figure in the README comes from here."),
     Lazy("machine", "longreach.machine_command:app", "A new machine file; a machine as URDF."),
     Lazy("settings", "longreach.settings_command:app", "A new settings file."),
@@ -93,6 +58,7 @@ COMMANDS = (
     Lazy("keys", "longreach.keys_command:app", "API keys: make, list, revoke."),
     Lazy("recording", "longreach.record_command:app", "Check, convert and recover recordings."),
 )
+# fmt: on
 
 
 # What a command's process, and all that it starts, need of their surroundings: set before anything else.

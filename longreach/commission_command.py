@@ -13,8 +13,8 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from longreach.addresses import Address, require_bindable
 from longreach.commission_operator import TerminalOperator, read_answers
+from longreach.processes import Address, require_bindable
 from machine.chain import chain_of
 from machine.description import Machine, parse_machine_toml
 from protocol.layout import LAYOUT_ID, VERSION_MAJOR, VERSION_MINOR
@@ -233,11 +233,7 @@ def _earlier(path: Path | None) -> Report | None:
 
 
 def _with_options(
-    settings: ServerSettings,
-    plc: dict[str, object],
-    camera_url: str | None,
-    machine: str | None,
-    runs: Path | None,
+    settings: ServerSettings, plc: dict[str, object], camera_url: str | None, machine: str | None, runs: Path | None
 ) -> ServerSettings:
     data = settings.model_dump()
     data["plc"] |= {name: value for name, value in plc.items() if value is not None}

@@ -15,10 +15,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.status import Status
 
-from longreach.addresses import Address, require_bindable
 from longreach.compile_command import is_compiled
 from longreach.fleet_client import JobClient, JobRefusedError
-from longreach.processes import Stack, StackPorts
+from longreach.processes import Address, Stack, StackPorts, require_bindable
 from server.errors import SettingsError
 
 _SERVER = "server does not answer"

@@ -1,5 +1,6 @@
 """`longreach diagnose-fleet`: many recordings over processes of this computer, or over a Dask cluster."""
 
+import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -17,12 +18,26 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from diagnosis.fleet.page import fleet_page
 from diagnosis.fleet.run import diagnose_all, recordings_below
 from diagnosis.fleet.summary import summary_of
-from longreach.code_mark import code_mark
-from longreach.one_thread import ONE_THREAD
 from longreach.shipped_machine import file_of_machine, text_of_machine
 from machine.errors import MachineFileError
 from recording.files import write_durably
+from recording.spawn import ONE_THREAD
 from server.version import __version__
+
+# Fingerprint of the code that produced stored results, so that results of two versions are never mixed.
+
+ENDINGS = (".py", ".json")
+
+
+def code_mark(root: Path, sources: tuple[str, ...]) -> str:
+    """Fingerprint of the code below these folders of `root`."""
+    digest = hashlib.sha256()
+    files = (file for folder in sources for file in (root / folder).rglob("*") if file.suffix in ENDINGS)
+    for file in sorted(files):
+        digest.update(str(file.relative_to(root)).encode())
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
 
 BAD_INPUT = 2
 ROOT = Path(__file__).parents[1]

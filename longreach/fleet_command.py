@@ -10,8 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.fleet_client import Finished, JobClient, JobRefusedError, read_key
-from longreach.fleet_connection import SteadyClient, by_proxy
+from longreach.fleet_client import Finished, JobClient, JobRefusedError, SteadyClient, by_proxy, read_key
 
 app = typer.Typer(no_args_is_help=True)
 console = Console()

@@ -12,10 +12,18 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from longreach.board_pictures import board_of
-from longreach.hand_eye_files import Mount, sigmas, write_mount
-from longreach.hand_eye_pictures import poses_of_pictures, read_lens
-from longreach.hand_eye_poses import HandEyeError, PoseTable, paired, read_poses
+from longreach.hand_eye_poses import (
+    HandEyeError,
+    Mount,
+    PoseTable,
+    paired,
+    poses_of_pictures,
+    read_lens,
+    read_poses,
+    sigmas,
+    write_mount,
+)
+from longreach.target_sources import board_of
 from machine.effects.arm_urdf import arm_from_urdf
 from machine.effects.layout import neutral_sets
 from machine.effects.structure import tcp_poses
@@ -154,8 +162,7 @@ def hand_eye(
         Path | None, typer.Option("--camera", help="poses of the target in the camera, of the same times or names")
     ] = None,
     images: Annotated[
-        Path | None,
-        typer.Option("--images", help="instead of --camera: pictures of a board, named as the poses"),
+        Path | None, typer.Option("--images", help="instead of --camera: pictures of a board, named as the poses")
     ] = None,
     lens: Annotated[Path | None, typer.Option("--lens", help="of the pictures: ROS camera_info or OpenCV YAML")] = None,
     squares: Annotated[str, typer.Option(help="the board's squares across and down, such as 11x8")] = "",

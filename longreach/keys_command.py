@@ -20,9 +20,7 @@ DEFAULT = Path("keys.json")
 
 @app.command()
 def add(
-    name: Name,
-    role: Annotated[Role, typer.Option(help="what the key may do")] = Role.OPERATOR,
-    file: File = DEFAULT,
+    name: Name, role: Annotated[Role, typer.Option(help="what the key may do")] = Role.OPERATOR, file: File = DEFAULT
 ) -> None:
     """Make a key and print it once; only its SHA-256 is stored."""
     secret = new_key()

@@ -43,8 +43,7 @@ def convert(
     mapping: MappingFile = None,
     yes: Yes = False,
     mapping_out: Annotated[
-        Path | None,
-        typer.Option("--mapping-out", help="write the guesses here, as a mapping file to correct"),
+        Path | None, typer.Option("--mapping-out", help="write the guesses here, as a mapping file to correct")
     ] = None,
 ) -> None:
     """Convert MCAP to a folder of CSV files or back, or a ROS bag or a table to a folder."""

@@ -41,10 +41,7 @@ def rerun(
 
 
 def convert(recording: Path, target: Path) -> None:
-    """Rerun's own conversion.
-
-    Raises: RerunError: it is not there, or it failed.
-    """
+    """Rerun's own conversion. Raises: RerunError: it is not there, or it failed."""
     installed = Path(sys.executable).with_name("rerun")
     program = str(installed) if installed.exists() else shutil.which("rerun")
     if program is None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from longreach.addresses import Address
+    from longreach.processes import Address
     from server.settings import ServerSettings
 
 SettingsFile = Annotated[Path | None, typer.Option("--settings", help="TOML settings file; defaults when absent")]
@@ -36,7 +36,7 @@ def serve(
     from rich.console import Console  # all of this here: --help needs none of it, and it takes seconds
     from rich.markup import escape
 
-    from longreach.addresses import require_bindable
+    from longreach.processes import require_bindable
     from server.access.keys import first_key as make_first_key
     from server.access.roles import Role
     from server.settings import read_settings
@@ -65,7 +65,7 @@ def serve(
 
 def addresses_of(settings: "ServerSettings") -> "tuple[Address, ...]":
     """All that the server listens on."""
-    from longreach.addresses import Address
+    from longreach.processes import Address
 
     http, plc = settings.http, settings.plc
     taken_by = "another program, perhaps another server or `longreach commission`; give another one"

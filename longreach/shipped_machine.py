@@ -17,10 +17,7 @@ def file_of_machine(given: Path | None) -> Path | None:
 
 
 def text_of_machine(path: Path) -> str:
-    """The text of a machine file.
-
-    Raises: MachineFileError: it is not there, cannot be read, or is not UTF-8 text.
-    """
+    """The text of a machine file. Raises: MachineFileError: it is not there, cannot be read, or is not UTF-8 text."""
     try:
         return read_text(path)
     except OSError as error:

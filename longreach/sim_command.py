@@ -49,7 +49,7 @@ def sim(
     truth_log: Annotated[Path | None, typer.Option(help="folder for the truth, which the server never sees")] = None,
 ) -> None:
     """Start the simulated machine in real time, until Ctrl-C."""
-    from longreach.addresses import Address, require_bindable
+    from longreach.processes import Address, require_bindable
     from sim_plc.presets import PresetError, checked_preset
     from sim_plc.process import (  # here, so that the server's process never loads the simulator
         SimSettings,

@@ -11,8 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.status import Status
 
-from longreach.target_page import Page, pdf_of, png_of, svg_of
-from longreach.target_prints import PAPERS_MM, board_page, marker_page
+from longreach.target_page import PAPERS_MM, Page, board_page, marker_page, pdf_of, png_of, svg_of
 from longreach.target_report import layout_json, layout_table, layout_toml, sides_table, verdict_text
 from longreach.target_sources import MarkerSearch, TargetError, live_views, stored_pairs, stored_views
 from machine.boards import board_marker_ids
@@ -202,12 +201,7 @@ def live_camera(url: str | None, settings_file: Path | None, nominal: Machine) -
 
 
 def _from_camera(
-    camera: "SourceSettings",
-    search: MarkerSearch,
-    task: TeachTask,
-    n_views: int,
-    timeout_s: float,
-    console: Console,
+    camera: "SourceSettings", search: MarkerSearch, task: TeachTask, n_views: int, timeout_s: float, console: Console
 ) -> list[TeachView]:
     """Guided: the operator moves the camera, rests, and hears what is still missing. Ctrl-C ends the collection."""
     from server.camera.sources.opening import open_source

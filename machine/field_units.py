@@ -1,28 +1,12 @@
 """Unit of a field from the suffix of its name, for messages and tables."""
 
+# fmt: off
 UNITS = {
-    "_mm": "mm",
-    "_m": "m",
-    "_deg": "deg",
-    "_rad": "rad",
-    "_ms": "ms",
-    "_s": "s",
-    "_h": "h",
-    "_hz": "Hz",
-    "_k": "K",
-    "_kg": "kg",
-    "_px": "px",
-    "_frac": "0..1",
-    "_pct": "%",
-    "_mm_s": "mm/s",
-    "_m_s": "m/s",
-    "_deg_s": "deg/s",
-    "_rad_s": "rad/s",
-    "_m_s2": "m/s^2",
-    "_deg_s2": "deg/s^2",
-    "_rad_s2": "rad/s^2",
-    "_per_rad": "1/rad",
+    "_mm": "mm", "_m": "m", "_deg": "deg", "_rad": "rad", "_ms": "ms", "_s": "s", "_h": "h", "_hz": "Hz", "_k": "K",
+    "_kg": "kg", "_px": "px", "_frac": "0..1", "_pct": "%", "_mm_s": "mm/s", "_m_s": "m/s", "_deg_s": "deg/s",
+    "_rad_s": "rad/s", "_m_s2": "m/s^2", "_deg_s2": "deg/s^2", "_rad_s2": "rad/s^2", "_per_rad": "1/rad",
 }
+# fmt: on
 _LONGEST_FIRST = sorted(UNITS, key=len, reverse=True)
 
 

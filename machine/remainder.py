@@ -14,20 +14,11 @@ if TYPE_CHECKING:
 OLD_KEYS = {"swing_rad": "oscillation_rad"}  # old name, read for one release
 STAGES = ("link", "controller", "actuator", "structure", "camera")
 LARGEST = 1e12  # of any number here: squares and sums of more leave what a float holds
+# fmt: off
 KEYS = {
-    "stage",
-    "joint",
-    "on",
-    "sigma",
-    "rms",
-    "ar",
-    "usual",
-    "by_axis",
-    "oscillation_rad",
-    "form",
-    "form_most",
-    "wander",
+    "stage", "joint", "on", "sigma", "rms", "ar", "usual", "by_axis", "oscillation_rad", "form", "form_most", "wander",
 }
+# fmt: on
 Form = tuple[tuple[str, tuple[float, ...]], ...]
 
 

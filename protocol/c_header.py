@@ -13,19 +13,12 @@ _C_TYPES = {
     "REAL": "float",
     "LREAL": "double",
 }
+# fmt: off
 _ENUMS: tuple[type[Enum], ...] = (
-    codes.MessageType,
-    codes.Mode,
-    codes.PlcState,
-    codes.LinkState,
-    codes.Interp,
-    codes.RejectCode,
-    codes.HeaderFlag,
-    codes.CommandFlag,
-    codes.FaultBit,
-    codes.WarnBit,
-    codes.AxisBit,
+    codes.MessageType, codes.Mode, codes.PlcState, codes.LinkState, codes.Interp, codes.RejectCode, codes.HeaderFlag,
+    codes.CommandFlag, codes.FaultBit, codes.WarnBit, codes.AxisBit,
 )
+# fmt: on
 
 
 def c_header() -> str:

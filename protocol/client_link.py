@@ -184,10 +184,7 @@ class ClientLink:
         self._servo().set(q, qd, t_mono_ns)
 
     def finish_servo(self) -> None:
-        """Come to rest on the newest target and hold.
-
-        Raises: LocalProtocolError: servo mode is not under way.
-        """
+        """Come to rest on the newest target and hold. Raises: LocalProtocolError: servo mode is not under way."""
         self._servo().ending = True
 
     def request_stop(self, reason: str, quick: bool = False) -> None:

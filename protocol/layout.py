@@ -88,118 +88,45 @@ def _block(name: str, end: int, *fields: Field) -> Block:
     return Block(name, fields, struct.Struct("<" + "".join(field.format for field in fields)))
 
 
-HEADER = _block(
-    "header",
-    32,
-    Field(0, "UDINT", "magic"),
-    Field(4, "USINT", "ver_major"),
-    Field(5, "USINT", "ver_minor"),
-    Field(6, "USINT", "msg_type"),
-    Field(7, "USINT", "hdr_len"),
-    Field(8, "UINT", "payload_len"),
-    Field(10, "UINT", "flags"),
-    Field(12, "UDINT", "layout_id"),
-    Field(16, "UDINT", "session"),
-    Field(20, "UDINT", "seq"),
-    Field(24, "ULINT", "t_send_ns"),
-)
+# fmt: off
+HEADER = _block("header", 32, Field(0, "UDINT", "magic"), Field(4, "USINT", "ver_major"),
+    Field(5, "USINT", "ver_minor"), Field(6, "USINT", "msg_type"), Field(7, "USINT", "hdr_len"),
+    Field(8, "UINT", "payload_len"), Field(10, "UINT", "flags"), Field(12, "UDINT", "layout_id"),
+    Field(16, "UDINT", "session"), Field(20, "UDINT", "seq"), Field(24, "ULINT", "t_send_ns"))
 
-COMMAND_BODY = _block(
-    "command",
-    80,
-    Field(32, "UDINT", "arm_nonce"),
-    Field(36, "UDINT", "ack_plc_seq"),
-    Field(40, "ULINT", "t_plc_echo_ns"),
-    Field(48, "UINT", "mode"),
-    Field(50, "UINT", "axis_mask"),
-    Field(52, "UDINT", "cfg_id"),
-    Field(56, "UDINT", "traj_id"),
-    Field(60, "UDINT", "knot_first"),
-    Field(64, "USINT", "knot_count"),
-    Field(65, "USINT", "interp"),
-    Field(66, "UINT", "cmd_flags"),
-    Field(68, "UDINT", "timeout_us"),
-    Field(72, "LREAL", "speed_override"),
-)
+COMMAND_BODY = _block("command", 80, Field(32, "UDINT", "arm_nonce"), Field(36, "UDINT", "ack_plc_seq"),
+    Field(40, "ULINT", "t_plc_echo_ns"), Field(48, "UINT", "mode"), Field(50, "UINT", "axis_mask"),
+    Field(52, "UDINT", "cfg_id"), Field(56, "UDINT", "traj_id"), Field(60, "UDINT", "knot_first"),
+    Field(64, "USINT", "knot_count"), Field(65, "USINT", "interp"), Field(66, "UINT", "cmd_flags"),
+    Field(68, "UDINT", "timeout_us"), Field(72, "LREAL", "speed_override"))
 
-KNOT = _block(
-    "knot",
-    KNOT_SIZE,
-    Field(0, "ULINT", "t_ns"),
-    Field(8, "LREAL", "q", AXES),
-    Field(72, "LREAL", "qd", AXES),
-    Field(136, "LREAL", "qdd", AXES),
-)
+KNOT = _block("knot", KNOT_SIZE, Field(0, "ULINT", "t_ns"), Field(8, "LREAL", "q", AXES),
+    Field(72, "LREAL", "qd", AXES), Field(136, "LREAL", "qdd", AXES))
 
-COMMAND_TAIL = _block(
-    "command tail",
-    COMMAND_SIZE,
-    Field(1280, "USINT", "auth_tag", 16),
-    Field(1296, "UDINT", "reserved"),
-    Field(1300, "UDINT", "crc"),
-)
+COMMAND_TAIL = _block("command tail", COMMAND_SIZE, Field(1280, "USINT", "auth_tag", 16),
+    Field(1296, "UDINT", "reserved"), Field(1300, "UDINT", "crc"))
 
-STATE_BODY = _block(
-    "state",
-    STATE_SIZE,
-    Field(32, "UDINT", "nonce"),
-    Field(36, "UDINT", "ack_seq"),
-    Field(40, "ULINT", "t_pc_echo_ns"),
-    Field(48, "UDINT", "rx_age_us"),
-    Field(52, "UDINT", "plc_cycle"),
-    Field(56, "UINT", "plc_cycle_us"),
-    Field(58, "USINT", "plc_state"),
-    Field(59, "USINT", "link_state"),
-    Field(60, "UINT", "mode_active"),
-    Field(62, "UINT", "axis_mask"),
-    Field(64, "ULINT", "fault_bits"),
-    Field(72, "ULINT", "warn_bits"),
-    Field(80, "UDINT", "cfg_id"),
-    Field(84, "UINT", "reject_code"),
-    Field(86, "UINT", "reject_count"),
-    Field(88, "UDINT", "reject_seq"),
-    Field(92, "UDINT", "traj_id"),
-    Field(96, "UDINT", "knot_playing"),
-    Field(100, "UDINT", "knot_last"),
-    Field(104, "ULINT", "t_play_ns"),
-    Field(112, "UDINT", "buffer_us"),
-    Field(116, "UDINT", "underruns"),
-    Field(120, "UDINT", "rx_ok"),
-    Field(124, "UDINT", "rx_lost"),
-    Field(128, "UDINT", "rx_dup"),
-    Field(132, "UDINT", "rx_late"),
-    Field(136, "UDINT", "rx_bad"),
-    Field(140, "UDINT", "wd_trips"),
-    Field(144, "LREAL", "q", AXES),
-    Field(208, "LREAL", "qd", AXES),
-    Field(272, "LREAL", "q_ref", AXES),
-    Field(336, "LREAL", "qd_ref", AXES),
-    Field(400, "REAL", "valve_cmd", AXES),
-    Field(432, "REAL", "p_a", AXES),
-    Field(464, "REAL", "p_b", AXES),
-    Field(496, "UDINT", "axis_status", AXES),
-    Field(528, "REAL", "p_supply"),
-    Field(532, "REAL", "p_tank"),
-    Field(536, "REAL", "t_oil"),
-    Field(540, "REAL", "speed_scale"),
-    Field(544, "USINT", "auth_tag", 16),
-    Field(560, "UDINT", "reject_offset", first_name="reserved"),
-    Field(564, "UDINT", "crc"),
-)
+STATE_BODY = _block("state", STATE_SIZE, Field(32, "UDINT", "nonce"), Field(36, "UDINT", "ack_seq"),
+    Field(40, "ULINT", "t_pc_echo_ns"), Field(48, "UDINT", "rx_age_us"), Field(52, "UDINT", "plc_cycle"),
+    Field(56, "UINT", "plc_cycle_us"), Field(58, "USINT", "plc_state"), Field(59, "USINT", "link_state"),
+    Field(60, "UINT", "mode_active"), Field(62, "UINT", "axis_mask"), Field(64, "ULINT", "fault_bits"),
+    Field(72, "ULINT", "warn_bits"), Field(80, "UDINT", "cfg_id"), Field(84, "UINT", "reject_code"),
+    Field(86, "UINT", "reject_count"), Field(88, "UDINT", "reject_seq"), Field(92, "UDINT", "traj_id"),
+    Field(96, "UDINT", "knot_playing"), Field(100, "UDINT", "knot_last"), Field(104, "ULINT", "t_play_ns"),
+    Field(112, "UDINT", "buffer_us"), Field(116, "UDINT", "underruns"), Field(120, "UDINT", "rx_ok"),
+    Field(124, "UDINT", "rx_lost"), Field(128, "UDINT", "rx_dup"), Field(132, "UDINT", "rx_late"),
+    Field(136, "UDINT", "rx_bad"), Field(140, "UDINT", "wd_trips"), Field(144, "LREAL", "q", AXES),
+    Field(208, "LREAL", "qd", AXES), Field(272, "LREAL", "q_ref", AXES), Field(336, "LREAL", "qd_ref", AXES),
+    Field(400, "REAL", "valve_cmd", AXES), Field(432, "REAL", "p_a", AXES), Field(464, "REAL", "p_b", AXES),
+    Field(496, "UDINT", "axis_status", AXES), Field(528, "REAL", "p_supply"), Field(532, "REAL", "p_tank"),
+    Field(536, "REAL", "t_oil"), Field(540, "REAL", "speed_scale"), Field(544, "USINT", "auth_tag", 16),
+    Field(560, "UDINT", "reject_offset", first_name="reserved"), Field(564, "UDINT", "crc"))
 
-LIMITS = _block(
-    "limits",
-    288,
-    Field(0, "UDINT", "n_axes"),
-    Field(4, "UDINT", "reserved"),
-    Field(8, "ULINT", "spacing_min_ns"),
-    Field(16, "ULINT", "spacing_max_ns"),
-    Field(24, "LREAL", "start_tolerance"),
-    Field(32, "LREAL", "q_min", AXES),
-    Field(96, "LREAL", "q_max", AXES),
-    Field(160, "LREAL", "qd_max", AXES),
-    Field(224, "LREAL", "qdd_max", AXES),
-)  # never sent: what cfg_id is the CRC-32 of
+LIMITS = _block("limits", 288, Field(0, "UDINT", "n_axes"), Field(4, "UDINT", "reserved"),
+    Field(8, "ULINT", "spacing_min_ns"), Field(16, "ULINT", "spacing_max_ns"), Field(24, "LREAL", "start_tolerance"),
+    Field(32, "LREAL", "q_min", AXES), Field(96, "LREAL", "q_max", AXES), Field(160, "LREAL", "qd_max", AXES),
+    Field(224, "LREAL", "qdd_max", AXES))  # never sent: what cfg_id is the CRC-32 of
+# fmt: on
 
 BLOCKS = (HEADER, COMMAND_BODY, KNOT, COMMAND_TAIL, STATE_BODY)
 

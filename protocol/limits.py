@@ -61,10 +61,7 @@ class LimitTable:
 
 
 def limits_of(joints: Iterable[JointLimits]) -> LimitTable:
-    """The table of a machine's joints.
-
-    Raises: LocalProtocolError: not 1..8 joints.
-    """
+    """The table of a machine's joints. Raises: LocalProtocolError: not 1..8 joints."""
     axes = tuple(AxisLimits(j.name, j.q_min_rad, j.q_max_rad, j.qd_max_rad_s, j.qdd_max_rad_s2) for j in joints)
     if not 1 <= len(axes) <= AXES:
         raise LocalProtocolError(f"machine: {len(axes)} joints, the link carries 1..{AXES}; leave the others out")

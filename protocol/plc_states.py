@@ -30,74 +30,45 @@ class PlcEvent(Enum):
     LOCAL_OFF = "local lever released"
 
 
+_E = PlcEvent
 _B, _D, _L, _H = PlcState.BOOT, PlcState.DISARMED, PlcState.LINKED, PlcState.HOLD
 _R, _S, _F, _O = PlcState.RUN, PlcState.STOPPING, PlcState.FAULT, PlcState.LOCAL
 
-TRANSITIONS = MappingProxyType(
-    {
-        (_B, PlcEvent.BOOTED): _D,
-        (_B, PlcEvent.FAULT): _F,
-        (_D, PlcEvent.HELLO): _L,
-        (_D, PlcEvent.FAULT): _F,
-        (_D, PlcEvent.LOCAL_ON): _O,
-        (_L, PlcEvent.HELLO): _L,
-        (_L, PlcEvent.ARM): _H,
-        (_L, PlcEvent.SOFT_STOP): _L,
-        (_L, PlcEvent.QUICK_STOP): _L,
-        (_L, PlcEvent.DISARM): _D,
-        (_L, PlcEvent.VOID): _D,
-        (_L, PlcEvent.FAULT): _F,
-        (_L, PlcEvent.LOCAL_ON): _O,
-        (_H, PlcEvent.ARM): _H,  # the PC repeats ARM until it sees HOLD
-        (_H, PlcEvent.START): _R,
-        (_H, PlcEvent.SOFT_STOP): _H,
-        (_H, PlcEvent.QUICK_STOP): _H,
-        (_H, PlcEvent.AT_REST): _H,
-        (_H, PlcEvent.DISARM): _D,
-        (_H, PlcEvent.VOID): _D,
-        (_H, PlcEvent.FAULT): _F,
-        (_H, PlcEvent.LOCAL_ON): _O,
-        (_R, PlcEvent.END): _H,
-        (_R, PlcEvent.SOFT_STOP): _S,
-        (_R, PlcEvent.QUICK_STOP): _S,
-        (_R, PlcEvent.DISARM): _S,  # ramp first; the PC repeats DISARM, which then meets HOLD
-        (_R, PlcEvent.VOID): _S,
-        (_R, PlcEvent.FAULT): _F,
-        (_R, PlcEvent.LOCAL_ON): _O,
-        (_S, PlcEvent.AT_REST): _H,
-        (_S, PlcEvent.SOFT_STOP): _S,
-        (_S, PlcEvent.QUICK_STOP): _S,
-        (_S, PlcEvent.DISARM): _S,
-        (_S, PlcEvent.VOID): _S,
-        (_S, PlcEvent.FAULT): _F,
-        (_S, PlcEvent.LOCAL_ON): _O,
-        (_F, PlcEvent.HELLO): _F,  # a session may be opened to look and to reset
-        (_F, PlcEvent.SOFT_STOP): _F,
-        (_F, PlcEvent.QUICK_STOP): _F,
-        (_F, PlcEvent.DISARM): _F,
-        (_F, PlcEvent.AT_REST): _F,
-        (_F, PlcEvent.VOID): _F,
-        (_F, PlcEvent.FAULT): _F,
-        (_F, PlcEvent.RESET): _D,
-        (_O, PlcEvent.HELLO): _O,
-        (_O, PlcEvent.SOFT_STOP): _O,
-        (_O, PlcEvent.QUICK_STOP): _O,
-        (_O, PlcEvent.DISARM): _O,
-        (_O, PlcEvent.AT_REST): _O,
-        (_O, PlcEvent.VOID): _O,
-        (_O, PlcEvent.FAULT): _F,
-        (_O, PlcEvent.LOCAL_OFF): _D,
-    }
-)
+# fmt: off
+_TABLE = {
+    _B: {_E.BOOTED: _D, _E.FAULT: _F},
+    _D: {_E.HELLO: _L, _E.FAULT: _F, _E.LOCAL_ON: _O},
+    _L: {
+        _E.HELLO: _L, _E.ARM: _H, _E.SOFT_STOP: _L, _E.QUICK_STOP: _L, _E.DISARM: _D, _E.VOID: _D, _E.FAULT: _F,
+        _E.LOCAL_ON: _O,
+    },
+    _H: {  # the PC repeats ARM until it sees HOLD
+        _E.ARM: _H, _E.START: _R, _E.SOFT_STOP: _H, _E.QUICK_STOP: _H, _E.AT_REST: _H, _E.DISARM: _D, _E.VOID: _D,
+        _E.FAULT: _F, _E.LOCAL_ON: _O,
+    },
+    _R: {  # DISARM: ramp first; the PC repeats DISARM, which then meets HOLD
+        _E.END: _H, _E.SOFT_STOP: _S, _E.QUICK_STOP: _S, _E.DISARM: _S, _E.VOID: _S, _E.FAULT: _F, _E.LOCAL_ON: _O,
+    },
+    _S: {
+        _E.AT_REST: _H, _E.SOFT_STOP: _S, _E.QUICK_STOP: _S, _E.DISARM: _S, _E.VOID: _S, _E.FAULT: _F, _E.LOCAL_ON: _O,
+    },
+    _F: {  # HELLO: a session may be opened to look and to reset
+        _E.HELLO: _F, _E.SOFT_STOP: _F, _E.QUICK_STOP: _F, _E.DISARM: _F, _E.AT_REST: _F, _E.VOID: _F, _E.FAULT: _F,
+        _E.RESET: _D,
+    },
+    _O: {
+        _E.HELLO: _O, _E.SOFT_STOP: _O, _E.QUICK_STOP: _O, _E.DISARM: _O, _E.AT_REST: _O, _E.VOID: _O, _E.FAULT: _F,
+        _E.LOCAL_OFF: _D,
+    },
+}
+# fmt: on
+TRANSITIONS = MappingProxyType({(state, event): after for state, row in _TABLE.items() for event, after in row.items()})
 
 ARMED_STATES = frozenset({_H, _R, _S})
 
 
 def next_state(state: PlcState, event: PlcEvent) -> PlcState:
-    """The state after an event.
-
-    Raises: IllegalTransitionError naming both; the caller's state is unchanged.
-    """
+    """The state after an event. Raises: IllegalTransitionError naming both; the caller's state is unchanged."""
     try:
         return TRANSITIONS[state, event]
     except KeyError:

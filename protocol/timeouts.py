@@ -16,83 +16,40 @@ class Timeout:
     reason: str
 
 
-COMMAND_PERIOD = Timeout(
-    "command period",
-    "PC",
-    20 * MS,
-    "next command is sent",
-    "50 Hz: ten may be lost within the 300 ms of knots in one command",
-)
-HELLO_PERIOD = Timeout(
-    "hello period", "PC", 100 * MS, "HELLO again", "quick to connect, 10 datagrams a second while waiting"
-)
-ARM_PERIOD = Timeout(
-    "arm period", "PC", 100 * MS, "ARM or RESET again", "heartbeats in between keep the session while it is refused"
-)
+# fmt: off
+COMMAND_PERIOD = Timeout("command period", "PC", 20 * MS, "next command is sent",
+    "50 Hz: ten may be lost within the 300 ms of knots in one command")
+HELLO_PERIOD = Timeout("hello period", "PC", 100 * MS, "HELLO again",
+    "quick to connect, 10 datagrams a second while waiting")
+ARM_PERIOD = Timeout("arm period", "PC", 100 * MS, "ARM or RESET again",
+    "heartbeats in between keep the session while it is refused")
 STATE_PERIOD = Timeout("state period", "PLC", 10 * MS, "next state is sent", "the PLC's log cycle")
-COMMAND_LATE = Timeout(
-    "command late", "PLC", 100 * MS, "warning LINK_LATE", "five commands missing: visible before it hurts"
-)
-COMMAND_LOST = Timeout(
-    "command lost",
-    "PLC",
-    250 * MS,
-    "RUN -> STOPPING -> HOLD",
-    "shorter than the 300 ms of knots: the ramp starts on the path",
-)
-SESSION_VOID = Timeout(
-    "session void",
-    "PLC",
-    1000 * MS,
-    "HOLD, LINKED -> DISARMED",
-    "a restarted PC gets in again after a second; motion needs ARM",
-)
-ECHO_STALE = Timeout(
-    "echo stale",
-    "PLC",
-    250 * MS,
-    "command refused, RUN -> STOPPING",
-    "a PC that does not see the machine must not move it",
-)
+COMMAND_LATE = Timeout("command late", "PLC", 100 * MS, "warning LINK_LATE",
+    "five commands missing: visible before it hurts")
+COMMAND_LOST = Timeout("command lost", "PLC", 250 * MS, "RUN -> STOPPING -> HOLD",
+    "shorter than the 300 ms of knots: the ramp starts on the path")
+SESSION_VOID = Timeout("session void", "PLC", 1000 * MS, "HOLD, LINKED -> DISARMED",
+    "a restarted PC gets in again after a second; motion needs ARM")
+ECHO_STALE = Timeout("echo stale", "PLC", 250 * MS, "command refused, RUN -> STOPPING",
+    "a PC that does not see the machine must not move it")
 STATE_LATE = Timeout("state late", "PC", 100 * MS, "no new knots, heartbeats only", "ten states missing")
 STATE_LOST = Timeout("state lost", "PC", 250 * MS, "STOP is sent, link counts as offline", "same bound as the PLC's")
-SERVO_STALE = Timeout(
-    "servo target stale",
-    "PC, PLC",
-    60 * MS,
-    "target stands still",
-    "three commands: a target may move on for this long without news of it",
-)
-SERVO_LOST = Timeout(
-    "servo target lost", "PC", 250 * MS, "STOP is sent", "the steering client is gone: same bound as for commands"
-)
-LINK_CLOSED = Timeout(
-    "link closed", "PC", 1000 * MS, "session given up, HELLO with a new one", "same bound as the PLC's"
-)
-START_WAIT = Timeout(
-    "start wait", "PC", 1000 * MS, "trajectory counts as not started, STOP is sent", "fifty commands unanswered"
-)
-STOP_ON_EXIT = Timeout(
-    "stop on exit", "PC", 500 * MS, "process ends", "a ramp takes less; the PLC's watchdog follows anyway"
-)
+SERVO_STALE = Timeout("servo target stale", "PC, PLC", 60 * MS, "target stands still",
+    "three commands: a target may move on for this long without news of it")
+SERVO_LOST = Timeout("servo target lost", "PC", 250 * MS, "STOP is sent",
+    "the steering client is gone: same bound as for commands")
+LINK_CLOSED = Timeout("link closed", "PC", 1000 * MS, "session given up, HELLO with a new one",
+    "same bound as the PLC's")
+START_WAIT = Timeout("start wait", "PC", 1000 * MS, "trajectory counts as not started, STOP is sent",
+    "fifty commands unanswered")
+STOP_ON_EXIT = Timeout("stop on exit", "PC", 500 * MS, "process ends",
+    "a ramp takes less; the PLC's watchdog follows anyway")
 
 ALL = (
-    COMMAND_PERIOD,
-    HELLO_PERIOD,
-    ARM_PERIOD,
-    STATE_PERIOD,
-    COMMAND_LATE,
-    COMMAND_LOST,
-    SESSION_VOID,
-    ECHO_STALE,
-    STATE_LATE,
-    STATE_LOST,
-    SERVO_STALE,
-    SERVO_LOST,
-    LINK_CLOSED,
-    START_WAIT,
-    STOP_ON_EXIT,
+    COMMAND_PERIOD, HELLO_PERIOD, ARM_PERIOD, STATE_PERIOD, COMMAND_LATE, COMMAND_LOST, SESSION_VOID, ECHO_STALE,
+    STATE_LATE, STATE_LOST, SERVO_STALE, SERVO_LOST, LINK_CLOSED, START_WAIT, STOP_ON_EXIT,
 )
+# fmt: on
 
 GOOD_COMMANDS_TO_ARM = 25  # half a second of a working link before the machine may be armed
 SEQUENCE_JUMP = 1000  # 20 s of commands: a larger step is not loss but another sender

@@ -58,62 +58,53 @@ def _link_side(recording: Recording) -> bool:
     return bool(recording.of(MarkerCorners) or recording.of(TrackerPoint) or recording.of(StaticPoint))
 
 
+# fmt: off
 _NEEDS: tuple[tuple[str, Callable[[Recording], bool], str, str], ...] = (
     (
-        "sent.csv",
-        lambda recording: bool(recording.of(Sent)),
+        "sent.csv", lambda recording: bool(recording.of(Sent)),
         "the link stage cannot be examined: delay and loss between PC and PLC stay unknown",
         "log the reference as the PC sends it",
     ),
     (
-        "plc.csv q_ref",
-        lambda recording: _has(recording, "q_ref_rad"),
+        "plc.csv q_ref", lambda recording: _has(recording, "q_ref_rad"),
         "stages link and controller merge, and the actuator with them where no valve command is logged",
         "log the reference that the PLC works with",
     ),
     (
-        "plc.csv q",
-        lambda recording: _has(recording, "q_rad"),
+        "plc.csv q", lambda recording: _has(recording, "q_rad"),
         "controller and actuator cannot be examined, nor points and object markers in motion; poses at rest can",
         "log the encoders",
     ),
     (
-        "plc.csv u",
-        lambda recording: _has(recording, "u_frac"),
+        "plc.csv u", lambda recording: _has(recording, "u_frac"),
         "stages controller and actuator merge: dead band and controller gain cannot be distinguished",
         "log the valve commands",
     ),
     (
-        "markers.csv, tracker.csv or static.csv",
-        _link_side,
+        "markers.csv, tracker.csv or static.csv", _link_side,
         "stages joint, structure and camera cannot be examined: nothing was measured behind the encoders",
         "record the camera or an external tracker",
     ),
     (
-        "tracker.csv or static.csv",
-        lambda recording: bool(recording.of(TrackerPoint) or recording.of(StaticPoint)),
+        "tracker.csv or static.csv", lambda recording: bool(recording.of(TrackerPoint) or recording.of(StaticPoint)),
         "stages structure and camera merge: the camera alone cannot separate its own errors from those of the boom",
         "measure a few poses at rest by an external tracker",
     ),
     (
-        "odometry.csv",
-        lambda recording: bool(recording.of(OdometryRow)),
-        "the camera motion is known only while markers are visible",
-        "switch odometry on, or keep the wall in view",
+        "odometry.csv", lambda recording: bool(recording.of(OdometryRow)),
+        "the camera motion is known only while markers are visible", "switch odometry on, or keep the wall in view",
     ),
     (
-        "segments with repeat_of",
-        lambda recording: any(segment.repeat_of for segment in recording.run.segments),
+        "segments with repeat_of", lambda recording: any(segment.repeat_of for segment in recording.run.segments),
         "the noise floor must be assumed: no command was repeated",
         "drive at least one command four times and name its runs in run.toml",
     ),
     (
-        "machine.toml",
-        lambda recording: bool(recording.machine_toml),
-        "there is no nominal machine to compare with",
+        "machine.toml", lambda recording: bool(recording.machine_toml), "there is no nominal machine to compare with",
         "add the nominal machine file to the recording",
     ),
 )
+# fmt: on
 
 _TIMES: tuple[tuple[type[Row], str], ...] = (
     (Sent, "t_pc_s"),
@@ -125,10 +116,7 @@ _TIMES: tuple[tuple[type[Row], str], ...] = (
 
 
 def check_recording(path: Path) -> CheckReport:
-    """Check the recording at this path.
-
-    Raises: RecordingError when it cannot be read at all.
-    """
+    """Check the recording at this path. Raises: RecordingError when it cannot be read at all."""
     recording = read_run(path)
     signals = [_signal(row_type, name, recording) for row_type, name in _TIMES if recording.of(row_type)]
     static = recording.of(StaticPoint)

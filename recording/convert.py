@@ -105,11 +105,7 @@ def _in_turn(recording: Recording) -> Iterator[tuple[int, Row]]:
 
 def pc_time_ns(row: Row, run: RunInfo) -> int:
     """A row's time on the PC's clock [ns], never below 0; 0 for rows without a time."""
-    clocks = {
-        "t_pc_s": 0.0,
-        "t_camera_s": run.camera_to_pc_offset_s or 0.0,
-        "t_plc_s": run.plc_to_pc_offset_s or 0.0,
-    }
+    clocks = {"t_pc_s": 0.0, "t_camera_s": run.camera_to_pc_offset_s or 0.0, "t_plc_s": run.plc_to_pc_offset_s or 0.0}
     own = [getattr(row, name) + offset_s for name, offset_s in clocks.items() if hasattr(row, name)]
     t_s = own[0] if own else 0.0
     return round(max(t_s, 0.0) * 1e9) if math.isfinite(t_s) else 0

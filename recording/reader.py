@@ -25,18 +25,12 @@ from recording.writer import IMAGE_TOPIC, LOG_TOPIC
 
 # What the MCAP reader raises on bytes that end or are damaged; its decompressors have errors of their own. Overflow and
 # memory: a damaged size of a chunk, which they believe. LZ4 raises plain runtime errors.
+# fmt: off
 CUT_ERRORS = (
-    McapError,
-    EOFError,
-    struct.error,
-    zlib.error,
-    ValueError,
-    KeyError,
-    OSError,
-    OverflowError,
-    MemoryError,
+    McapError, EOFError, struct.error, zlib.error, ValueError, KeyError, OSError, OverflowError, MemoryError,
     RuntimeError,
 )
+# fmt: on
 
 LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 

@@ -225,20 +225,12 @@ class Finding(Row):
 
 
 #: Every numeric channel.
+# fmt: off
 ROW_TYPES: tuple[type[Row], ...] = (
-    Sent,
-    PlcState,
-    MarkerCorners,
-    OdometryRow,
-    TrackerPoint,
-    StaticPoint,
-    MarkerPose,
-    CameraState,
-    LookRow,
-    CalibrationRow,
-    PlanRow,
-    Finding,
+    Sent, PlcState, MarkerCorners, OdometryRow, TrackerPoint, StaticPoint, MarkerPose, CameraState, LookRow,
+    CalibrationRow, PlanRow, Finding,
 )
+# fmt: on
 
 #: The channels that have a CSV form.
 CSV_ROW_TYPES = tuple(row_type for row_type in ROW_TYPES if row_type.file)

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from multiprocessing import resource_tracker
 
 TERMINAL = (signal.SIGINT, signal.SIGHUP)
+#: The environment of a process that computes in one thread.
+ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
 @contextlib.contextmanager

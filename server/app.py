@@ -19,14 +19,14 @@ from server.access.gatekeeper import Gatekeeper
 from server.access.hosts import is_loopback
 from server.access.keys import KeyRing
 from server.api.application import Served, application
-from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog
+from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog, PatientProtocol
 from server.api.hold_rule import why_not_commissioned
 from server.api.panel import install_panel
-from server.api.slow_clients import PatientProtocol
 from server.api.state_view import result_data
 from server.camera.client import VisionClient
 from server.errors import SettingsError
-from server.foxglove.face import check_foxglove, foxglove_face
+from server.faces.foxglove import check_foxglove, foxglove_face
+from server.faces.opcua import check_opcua, opcua_face
 from server.inner_faults import PART_FAILED
 from server.jobs.calibration_store import FILE_NAME, CalibrationStore
 from server.jobs.cell import Cell
@@ -35,7 +35,6 @@ from server.jobs.keeper import Keeper
 from server.jobs.performer import Performer
 from server.jobs.service import JobService
 from server.link.client import LinkClient
-from server.opcua.face import check_opcua, opcua_face
 from server.recorder import Recorder
 from server.settings import HttpSettings, ServerSettings, read_machine_text
 from server.settings_source import machine_text_with, source_and_machine
@@ -74,10 +73,7 @@ def build_cell(settings: ServerSettings) -> Cell:
 
 
 def gatekeeper_of(http: HttpSettings) -> Gatekeeper:
-    """Who may call.
-
-    Raises: SettingsError: reachable from other computers without a key in force.
-    """
+    """Who may call. Raises: SettingsError: reachable from other computers without a key in force."""
     keys = KeyRing(Path(http.keys_file) if http.keys_file else None)
     if not is_loopback(http.host) and (keys.path is None or keys.empty):
         raise SettingsError(

@@ -100,13 +100,7 @@ class Recorder:
             self._late.append(writer)
 
     @_noted
-    def start(
-        self,
-        run_id: str,
-        settings_json: str,
-        machine_toml: str,
-        seed: int | None = None,
-    ) -> None:
+    def start(self, run_id: str, settings_json: str, machine_toml: str, seed: int | None = None) -> None:
         """Begin a run's file; a run that is on is closed first."""
         self.stop()
         now = datetime.now(UTC)

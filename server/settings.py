@@ -16,27 +16,14 @@ from server.errors import SettingsError
 from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings, Strict
 from server.shown_address import without_password
 
+# fmt: off
 __all__ = [
-    "CalibrationSettings",
-    "CameraSettings",
-    "ClosedLoopSettings",
-    "CompensationSettings",
-    "DeviceCameraSettings",
-    "FileCameraSettings",
-    "FoxgloveSettings",
-    "HttpCameraSettings",
-    "HttpSettings",
-    "JogSettings",
-    "LookSettings",
-    "OpcUaSettings",
-    "PlcSettings",
-    "PositionSettings",
-    "RecordingSettings",
-    "ServerSettings",
-    "read_machine",
-    "read_machine_text",
-    "read_settings",
+    "CalibrationSettings", "CameraSettings", "ClosedLoopSettings", "CompensationSettings", "DeviceCameraSettings",
+    "FileCameraSettings", "FoxgloveSettings", "HttpCameraSettings", "HttpSettings", "JogSettings", "LookSettings",
+    "OpcUaSettings", "PlcSettings", "PositionSettings", "RecordingSettings", "ServerSettings", "read_machine",
+    "read_machine_text", "read_settings",
 ]
+# fmt: on
 
 
 Port = Annotated[int, Field(ge=1, le=65535)]

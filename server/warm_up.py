@@ -21,9 +21,9 @@ from server.calibration.kinematic_errors import error_model, tcp_poses_with_erro
 from server.calibration.trajectory_matching import estimate_camera_rotation
 from server.motion.approach import plan_approach
 from server.motion.calibration_paths import plan_calibration_path
+from server.motion.contracts import sample
 from server.motion.lost_motion import first_stall, onto_reference, plan_trim
 from server.motion.settings import DEFAULT_PLAN_SETTINGS
-from server.motion.trajectory import sample
 
 
 async def warmed_up(machine: Machine, chain: Chain) -> None:

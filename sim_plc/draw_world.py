@@ -1,6 +1,6 @@
 """One world per preset and seed: draws machine, camera, posture and wall; rejects scenes that cannot work."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from sim_plc.draw_camera import draw_camera, draw_mount
 from sim_plc.draw_plant import draw_plant
 from sim_plc.draw_scene import draw_posture, draw_scene, draw_start, draw_structure, draw_tool
 from sim_plc.plant.plant import Plant
-from sim_plc.presets import PRESET_NAMES, PresetError
+from sim_plc.presets import PresetError, checked_preset
 from sim_plc.world import CameraTruth, SceneTruth, World, rng_for
 
 STAND_OFF_M = 0.100  # of the goal the scene is judged by
@@ -33,33 +33,17 @@ JOINT_STEP_MAX_RAD = np.deg2rad(30.0)  # between neighbouring poses: more means 
 ATTEMPTS_MAX = 2000
 
 
-@dataclass(frozen=True, slots=True)
-class DrawReport:
-    """How often a draw was refused, by reason, until one was accepted."""
-
-    attempts: int
-    refused: dict[str, int]
-
-
 def draw_world(machine: Machine, preset: str, seed: int) -> World:
     """The world of one preset and seed; the same arguments give the same world.
 
+    Mount, tool marker, posture and start are drawn again in every attempt.
     Raises:  PresetError: no such preset, or no usable scene in ATTEMPTS_MAX draws.
     """
-    return draw_world_reported(machine, preset, seed)[0]
-
-
-def draw_world_reported(machine: Machine, preset: str, seed: int) -> tuple[World, DrawReport]:
-    """The world, and how many draws it took. Mount, tool marker, posture and start are drawn again in every attempt.
-
-    Raises:  PresetError: no such preset, or no usable scene in ATTEMPTS_MAX draws.
-    """
-    if preset not in PRESET_NAMES:
-        raise PresetError(f"preset '{preset}' does not exist; choose one of {', '.join(PRESET_NAMES)}")
+    checked_preset(preset)
     plant = draw_plant(machine, preset, seed)
     streams = {name: rng_for(seed, name) for name in ("posture", "start", "mount", "tool_marker")}
     refused: dict[str, int] = {}
-    for attempt in range(1, ATTEMPTS_MAX + 1):
+    for _ in range(ATTEMPTS_MAX):
         q_start = draw_posture(machine, preset, streams["posture"])
         T_ooi_tool = draw_start(preset, streams["start"])
         T_tcp_cam_left = draw_mount(machine, preset, streams["mount"])
@@ -72,8 +56,7 @@ def draw_world_reported(machine: Machine, preset: str, seed: int) -> tuple[World
             camera = draw_camera(machine, preset, seed, T_tcp_cam_left)
             reason = scene_fault(machine, q_start, T_base_tcp, scene, camera)
             if reason is None:
-                world = World(machine, preset, seed, plant, camera, scene, q_start)
-                return world, DrawReport(attempt, refused)
+                return World(machine, preset, seed, plant, camera, scene, q_start)
         refused[str(reason)] = refused.get(str(reason), 0) + 1
     raise PresetError(
         f"no usable scene in {ATTEMPTS_MAX} draws of preset '{preset}', seed {seed}; refused for {refused}"

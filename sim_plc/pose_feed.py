@@ -72,10 +72,7 @@ class PoseFeed:
         _COUNT.pack_into(self._buffer, 0, number + 1)
 
     def latest_t_ns(self) -> int:
-        """PLC time of the newest pose.
-
-        Raises: PoseFeedError while the feed is empty.
-        """
+        """PLC time of the newest pose. Raises: PoseFeedError while the feed is empty."""
         for _ in range(_RETRIES):
             count = _COUNT.unpack_from(self._buffer, 0)[0]
             if count == 0:

@@ -67,15 +67,10 @@ class Row:
 
 # E: read in a source or measured, K: general knowledge, A: assumption of this project (docs/plant.md).
 _TABLE_7 = "preset table"
+# fmt: off
 PRESET_TABLE: tuple[Row, ...] = (
-    Row(
-        "rigid",
-        "flag",
-        Exact(1.0),
-        Exact(0.0),
-        None,
-        f"{_TABLE_7}; ideal is the nominal model, without structure or oil",
-    ),
+    Row("rigid", "flag", Exact(1.0), Exact(0.0), None,
+        f"{_TABLE_7}; ideal is the nominal model, without structure or oil"),
     Row("dh_length", "m", Exact(0.0), Normal(3.5e-3), None, f"{_TABLE_7}, A; a1 d1 a2 a3 d3 d4 d6"),
     Row("joint_zero", "deg", Exact(0.0), Normal(0.25), None, f"{_TABLE_7}, A"),
     Row("spring_lift", "N m/rad", Exact(1.5e6), Uniform(0.6e6, 1.5e6), None, f"{_TABLE_7}, A, bounded by E (boom FEM)"),
@@ -87,14 +82,8 @@ PRESET_TABLE: tuple[Row, ...] = (
     Row("backlash_wrist", "deg peak to peak", Exact(0.0), Uniform(0.05, 0.3), None, f"{_TABLE_7}, A"),
     Row("dead_band", "% of full command, half width", Exact(0.0), Uniform(1.0, 3.0), Exact(3.0), f"{_TABLE_7}, A"),
     Row("hysteresis", "% of full command, half width", Exact(0.0), Exact(0.5), Exact(0.5), f"{_TABLE_7}, A"),
-    Row(
-        "friction_scale",
-        "factor on the default",
-        Exact(0.0),
-        Uniform(0.5, 1.5),
-        None,
-        f"{_TABLE_7}; ideal: viscous only",
-    ),
+    Row("friction_scale", "factor on the default", Exact(0.0), Uniform(0.5, 1.5), None,
+        f"{_TABLE_7}; ideal: viscous only"),
     Row("supply_ripple", "Pa", Exact(0.0), Exact(0.5e6), None, "default plant, K/A"),
     Row("encoder", "bit", Exact(18.0), Exact(18.0), Exact(18.0), f"{_TABLE_7}; must equal the machine file"),
     Row("mount_angle", "deg", Exact(0.0), Uniform(0.0, 5.0), Exact(5.0), f"{_TABLE_7}; paper: about camera x"),
@@ -124,25 +113,14 @@ PRESET_TABLE: tuple[Row, ...] = (
     Row("start_rotation", "deg, each axis", Uniform(-8.0, 8.0), Uniform(-8.0, 8.0), None, _TABLE_7),
     Row("slew", "deg", Uniform(-40.0, 40.0), Uniform(-40.0, 40.0), None, _TABLE_7),
     Row("reach", "m, tcp to the slew axis, horizontal", Uniform(2.5, 4.3), Uniform(2.5, 4.3), None, _TABLE_7),
-    Row(
-        "theta5",
-        "deg",
-        Uniform(-90.0, -20.0),
-        Uniform(-90.0, -20.0),
-        None,
-        f"{_TABLE_7}: |theta5|; negative looks level",
-    ),
-    Row(
-        "tool_pitch",
-        "deg",
-        Uniform(-20.0, 20.0),
-        Uniform(-20.0, 20.0),
-        None,
-        "A: the tool looks roughly level at a wall",
-    ),
+    Row("theta5", "deg", Uniform(-90.0, -20.0), Uniform(-90.0, -20.0), None,
+        f"{_TABLE_7}: |theta5|; negative looks level"),
+    Row("tool_pitch", "deg", Uniform(-20.0, 20.0), Uniform(-20.0, 20.0), None,
+        "A: the tool looks roughly level at a wall"),
     Row("theta4", "deg", Uniform(-20.0, 20.0), Uniform(-20.0, 20.0), None, "A"),
     Row("theta6", "deg", Uniform(-10.0, 10.0), Uniform(-10.0, 10.0), None, "A: small"),
 )
+# fmt: on
 
 STIFF = Exact(3e7)  # N m/rad: 1 mm of the tip, where real booms give 30
 #: Where the nominal model with oil and structure differs from `ideal`: the plant for a machine file's own effects.
@@ -159,10 +137,7 @@ _ROWS = {row.name: row for row in PRESET_TABLE}
 
 
 def spread_of(preset: str, name: str) -> Spread:
-    """What a preset draws for one number.
-
-    Raises:  PresetError: no such preset. KeyError: no such number.
-    """
+    """What a preset draws for one number. Raises: PresetError: no such preset. KeyError: no such number."""
     row, checked = _ROWS[name], checked_preset(preset)
     if checked == "nominal":
         return NOMINAL.get(name, row.ideal)
@@ -172,10 +147,7 @@ def spread_of(preset: str, name: str) -> Spread:
 
 
 def checked_preset(preset: str) -> str:
-    """The preset itself.
-
-    Raises:  PresetError: no such preset.
-    """
+    """The preset itself. Raises: PresetError: no such preset."""
     if preset not in PRESET_NAMES:
         raise PresetError(f"preset '{preset}' does not exist; choose one of {', '.join(PRESET_NAMES)}")
     return preset

@@ -70,11 +70,7 @@ class RealTimeLoop:
     """Keeps a machine at the pace of the PLC's clock, t_plc = monotonic clock + epoch offset."""
 
     def __init__(
-        self,
-        machine: MachineLoop,
-        udp: UdpPort,
-        epoch_offset_ns: int,
-        clock: Callable[[], int] = mono_ns,
+        self, machine: MachineLoop, udp: UdpPort, epoch_offset_ns: int, clock: Callable[[], int] = mono_ns
     ) -> None:
         self.health = LoopHealth()
         self._machine, self._udp, self._offset_ns, self._clock = machine, udp, epoch_offset_ns, clock

@@ -15,24 +15,13 @@ from sim_plc.world import World
 PERIOD_NS = 20_000_000
 FLUSH_ROWS = 25
 _LISTED = 64  # longer arrays (actuator tables) are derived from shorter ones and only named
+# fmt: off
 COLUMNS = [
-    "t_plc_s",
-    "t_plc_ns",
-    "x_ooi_tool_m",
-    "y_ooi_tool_m",
-    "z_ooi_tool_m",
-    "qw_ooi_tool",
-    "qx_ooi_tool",
-    "qy_ooi_tool",
-    "qz_ooi_tool",
-    "error_x_mm",
-    "error_y_mm",
-    "error_z_mm",
-    "error_rotation_deg",
-    "x_base_tcp_m",
-    "y_base_tcp_m",
+    "t_plc_s", "t_plc_ns", "x_ooi_tool_m", "y_ooi_tool_m", "z_ooi_tool_m", "qw_ooi_tool", "qx_ooi_tool", "qy_ooi_tool",
+    "qz_ooi_tool", "error_x_mm", "error_y_mm", "error_z_mm", "error_rotation_deg", "x_base_tcp_m", "y_base_tcp_m",
     "z_base_tcp_m",
 ]
+# fmt: on
 
 
 class TruthLog:

@@ -11,7 +11,7 @@ from benchmarks.reproduce.true_error import euler_deg
 from machine.chain import chain_of
 from machine.kinematics import tcp_poses
 from machine.rotations import Array
-from server.jobs.watching import USABLE
+from server.jobs.requests import USABLE
 
 RATE_HZ = 5.0
 

@@ -30,12 +30,14 @@ from server.jobs.requests import (
     Record,
     Request,
     Settle,
+    Sighted,
     StartOdometry,
+    StartWatching,
     StopOdometry,
+    StopWatching,
     TakeLook,
     TimePairs,
 )
-from server.jobs.watching import Sighted, StartWatching, StopWatching
 from server.settings import ServerSettings
 from server.vision.contracts import Look
 from sim_plc.world import World, rng_for

@@ -9,8 +9,7 @@ from benchmarks.reproduce.fast_servo import STEP_S, follow, resting_servo, servo
 from benchmarks.reproduce.fast_structure import Structure
 from machine.rotations import Array
 from server.jobs.performer import REST_SPEED_RAD_S, REST_WINDOW_S
-from server.motion.contracts import JointTrajectory
-from server.motion.trajectory import evaluate
+from server.motion.contracts import JointTrajectory, evaluate
 from sim_plc.world import World
 
 NOTE_EVERY = 2  # steps: a row of the trace every 10 ms, as often as the PLC sends

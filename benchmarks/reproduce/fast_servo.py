@@ -11,8 +11,7 @@ from numba import njit
 
 from machine.description import Machine
 from machine.rotations import Array
-from sim_plc.plant.backlash import play
-from sim_plc.plant.hydraulics import opening
+from sim_plc.plant.hydraulics import opening, play
 from sim_plc.plant.truth import PlantTruth
 
 STEP_S = 0.005

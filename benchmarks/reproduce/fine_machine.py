@@ -5,11 +5,10 @@ import numpy as np
 from benchmarks.reproduce.fast_machine import SETTLE_MAX_S, Trace
 from machine.rotations import Array
 from server.jobs.performer import REST_SPEED_RAD_S, REST_WINDOW_S
-from server.motion.contracts import JointTrajectory
-from server.motion.trajectory import evaluate
+from server.motion.contracts import JointTrajectory, evaluate
 from sim_plc.plant.plant import Plant
-from sim_plc.plc.joint_control import JointControl
 from sim_plc.plc.settings import plc_settings
+from sim_plc.plc.status import JointControl
 from sim_plc.world import World
 
 NOTE_EVERY_MS = 10

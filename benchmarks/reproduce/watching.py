@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks.reproduce.fast_camera import FastCamera, Source
 from benchmarks.reproduce.fast_machine import Trace
-from server.jobs.watching import Sighted, sighted_of
+from server.jobs.requests import Sighted, sighted_of
 
 RATE_HZ = 10.0
 

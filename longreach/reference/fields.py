@@ -1,6 +1,6 @@
 """Every field of the settings file with its bounds and default, from the models that read it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
@@ -8,8 +8,25 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from longreach.reference.markdown import code, table
 from server.settings import ServerSettings
+
+# Tables in Markdown.
+
+
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table; cells on one line, bars escaped."""
+    lines = [_row(headings), _row(["---"] * len(headings)), *(_row(cells) for cells in rows)]
+    return "\n".join(lines)
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells) + " |"
+
+
+def code(text: str) -> str:
+    """As code; empty stays empty."""
+    return f"`{text}`" if text else ""
+
 
 _BOUNDS = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less than", "pattern": "like"}
 

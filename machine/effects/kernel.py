@@ -268,13 +268,7 @@ def _gains(p: Array, velocity_gain: float) -> Gains:
 
 @njit(cache=True, nogil=True)
 def _alone(
-    p: Array,
-    payload: float,
-    nominal: Array,
-    given: Given,
-    kept: NDArray[np.int64],
-    late: Late,
-    out: Traced,
+    p: Array, payload: float, nominal: Array, given: Given, kept: NDArray[np.int64], late: Late, out: Traced
 ) -> None:
     """A joint run by itself, by one set: p (JOINT_COLUMNS,), nominal (5,). `_together` in scalars, for speed."""
     (first, last), (cycle_s, substeps, decimate), (sent, latest, ref_in, enc_in, u_in), loads, begin = given
@@ -341,13 +335,7 @@ def _alone(
 
 @njit(cache=True, nogil=True)
 def _together(
-    P: Array,
-    G: Array,
-    nominal: Array,
-    given: Given,
-    kept: NDArray[np.int64],
-    late: Late,
-    out: Traced,
+    P: Array, G: Array, nominal: Array, given: Given, kept: NDArray[np.int64], late: Late, out: Traced
 ) -> None:
     """All joints of one set, step by step, since they may share what the pump gives: P (joints, JOINT_COLUMNS)."""
     (first, last), (cycle_s, substeps, decimate), (sent, latest, ref_in, enc_in, u_in), loads, begin = given

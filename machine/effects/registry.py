@@ -4,13 +4,7 @@ from machine.effects.catalogue import camera, drives, joint, structure, timing
 from machine.effects.spec import Effect, Stage
 from machine.errors import MachineError
 
-EFFECTS: tuple[Effect, ...] = (
-    *timing.EFFECTS,
-    *drives.EFFECTS,
-    *joint.EFFECTS,
-    *structure.EFFECTS,
-    *camera.EFFECTS,
-)
+EFFECTS: tuple[Effect, ...] = (*timing.EFFECTS, *drives.EFFECTS, *joint.EFFECTS, *structure.EFFECTS, *camera.EFFECTS)
 _BY_NAME = {effect.name: effect for effect in EFFECTS}
 NAMES: tuple[str, ...] = tuple(_BY_NAME)
 

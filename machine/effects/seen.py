@@ -45,12 +45,6 @@ def true_times(sets: ParameterSets, t_camera_s: Array, t_start_s: float, which: 
     return (stamps - G[CLOCK_OFFSET] - G[LATENCY] + rate * t_zero_s) / (1.0 + rate)
 
 
-def sampled(t_s: Array, values: Array, t_wanted_s: Array) -> Array:
-    """Rows of an evenly or unevenly sampled signal (k, n) at other times (m,), linear; ends are held."""
-    values = np.asarray(values, dtype=float)
-    return np.stack([np.interp(t_wanted_s, t_s, values[:, j]) for j in range(values.shape[1])], axis=1)
-
-
 def camera_mount(sets: ParameterSets, T_tcp_cam_left: Array, which: int = 0) -> Array:
     """True T_tcp_cam_left (4, 4): turned about its own axes, moved along the tcp's."""
     G = sets.machine[which]

@@ -61,16 +61,6 @@ class Parameter:
         inside = self.low <= value <= self.admitted and (not self.integer or value == round(value))
         return inside or (self.role == "size" and value == self.neutral)
 
-    def log_prior(self, value: float) -> float:
-        """Log density at a value, bounds left out (half a normal is twice as dense)."""
-        if self.prior.kind == "log_uniform":
-            return -math.log(value * math.log(self.high / self.low)) if value > 0.0 else -math.inf
-        if self.prior.kind == "uniform":
-            return -math.log(self.high - self.low)
-        fold = math.log(2.0) if self.prior.kind == "half_normal" else 0.0
-        sd = self.prior.scale
-        return fold - 0.5 * (value / sd) ** 2 - math.log(sd * math.sqrt(2.0 * math.pi))
-
     def draw(self, rng: np.random.Generator) -> float:
         """A value from the prior, inside the bounds."""
         if self.prior.kind == "log_uniform":

@@ -11,12 +11,7 @@ from machine.poses import pose
 from machine.rotations import Array, rotation_about
 
 Kind = Literal["revolute", "prismatic", "fixed"]
-KINDS: dict[str, Kind] = {
-    "revolute": "revolute",
-    "continuous": "revolute",
-    "prismatic": "prismatic",
-    "fixed": "fixed",
-}
+KINDS: dict[str, Kind] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
 LINKS_SHOWN = 12
 
 

@@ -32,10 +32,7 @@ class Pou:
 
 
 def parse_pou(text: str) -> Pou:
-    """Take one source file apart.
-
-    Raises: LocalProtocolError: not one POU with its END, or a method without its own.
-    """
+    """Take one source file apart. Raises: LocalProtocolError: not one POU with its END, or a method without its own."""
     head = _HEAD.search(_without_comments(text))
     if head is None:
         raise LocalProtocolError(f"ST source: none of {', '.join(_KINDS)} found; one POU a file")

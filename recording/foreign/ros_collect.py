@@ -22,7 +22,6 @@ DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 ARRAY = "std_msgs/msg/Float64MultiArray"
 TF = "tf2_msgs/msg/TFMessage"
-NUMERIC = (JOINT_STATE, DYNAMIC_STATE, CONTROLLER_STATE, TRAJECTORY, ARRAY)
 
 
 @dataclass(slots=True)

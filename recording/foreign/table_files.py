@@ -196,30 +196,16 @@ def _plain(path: Path, rows: Iterator[list[str]], separator: str) -> list[TableC
     return _columns(names, table.arrays(), units or [""] * len(names))
 
 
+# fmt: off
+_KNOWN_UNITS = {
+    "s", "ms", "us", "ns", "rad", "deg", "°", "m", "mm", "-", "%", "rad/s", "deg/s", "bar", "pa", "v", "a", "c", "nm",
+}
+# fmt: on
+
+
 def _are_units(cells: Sequence[str]) -> bool:
-    known = {
-        "s",
-        "ms",
-        "us",
-        "ns",
-        "rad",
-        "deg",
-        "°",
-        "m",
-        "mm",
-        "-",
-        "%",
-        "rad/s",
-        "deg/s",
-        "bar",
-        "pa",
-        "v",
-        "a",
-        "c",
-        "nm",
-    }
     filled = [cell.strip("[]() ").lower() for cell in cells if cell]
-    return bool(filled) and 2 * sum(cell in known for cell in filled) >= len(filled)
+    return bool(filled) and 2 * sum(cell in _KNOWN_UNITS for cell in filled) >= len(filled)
 
 
 def _columns(names: Sequence[str], arrays: Sequence[Array], units: Sequence[str]) -> list[TableColumn]:

@@ -12,52 +12,26 @@ from recording.errors import RecordingError
 from recording.foreign.mapping import ColumnSignal
 
 #: Factor to s, rad, m, rad/s, m/s or a share; by how a unit is written.
+# fmt: off
 UNITS: dict[str, tuple[str, float]] = {
-    "s": ("time", 1.0),
-    "sec": ("time", 1.0),
-    "ms": ("time", 1e-3),
-    "us": ("time", 1e-6),
-    "µs": ("time", 1e-6),
-    "ns": ("time", 1e-9),
-    "rad": ("angle", 1.0),
-    "mrad": ("angle", 1e-3),
-    "deg": ("angle", math.pi / 180.0),
-    "degree": ("angle", math.pi / 180.0),
-    "degrees": ("angle", math.pi / 180.0),
-    "grad": ("angle", math.pi / 180.0),
-    "°": ("angle", math.pi / 180.0),
-    "m": ("length", 1.0),
-    "cm": ("length", 1e-2),
-    "mm": ("length", 1e-3),
-    "rad/s": ("angle", 1.0),
-    "deg/s": ("angle", math.pi / 180.0),
-    "°/s": ("angle", math.pi / 180.0),
-    "m/s": ("length", 1.0),
-    "mm/s": ("length", 1e-3),
-    "%": ("share", 1e-2),
-    "percent": ("share", 1e-2),
-    "pct": ("share", 1e-2),
-    "frac": ("share", 1.0),
+    "s": ("time", 1.0), "sec": ("time", 1.0), "ms": ("time", 1e-3), "us": ("time", 1e-6), "µs": ("time", 1e-6),
+    "ns": ("time", 1e-9), "rad": ("angle", 1.0), "mrad": ("angle", 1e-3), "deg": ("angle", math.pi / 180.0),
+    "degree": ("angle", math.pi / 180.0), "degrees": ("angle", math.pi / 180.0), "grad": ("angle", math.pi / 180.0),
+    "°": ("angle", math.pi / 180.0), "m": ("length", 1.0), "cm": ("length", 1e-2), "mm": ("length", 1e-3),
+    "rad/s": ("angle", 1.0), "deg/s": ("angle", math.pi / 180.0), "°/s": ("angle", math.pi / 180.0),
+    "m/s": ("length", 1.0), "mm/s": ("length", 1e-3), "%": ("share", 1e-2), "percent": ("share", 1e-2),
+    "pct": ("share", 1e-2), "frac": ("share", 1.0),
 }
+# fmt: on
 TIME = {"t", "time", "timestamp", "stamp", "zeit", "sec", "seconds", "elapsed", "clock"}
 VELOCITY = {"qd", "dq", "vel", "velocity", "speed", "dot", "ds", "dtheta", "w", "omega"}
 REFERENCE = {"ref", "reference", "target", "desired", "des", "cmd", "command", "commanded", "set", "setpoint", "goal"}
 REFERENCE |= {"action", "soll", "sp", "leader"}
+# fmt: off
 POSITION = {
-    "q",
-    "pos",
-    "position",
-    "angle",
-    "theta",
-    "joint",
-    "enc",
-    "encoder",
-    "actual",
-    "state",
-    "stroke",
-    "s",
-    "ist",
+    "q", "pos", "position", "angle", "theta", "joint", "enc", "encoder", "actual", "state", "stroke", "s", "ist",
 }
+# fmt: on
 COMMAND = {"u", "valve", "spool", "control", "pwm", "duty", "opening"}
 OTHER = {"tau", "torque", "effort", "current", "acc", "accel", "acceleration", "qdd", "ddq", "temp", "temperature"}
 OTHER |= {"moment", "force", "pressure", "p", "pa", "pb", "xt", "mode", "voltage", "error", "err", "index", "frame"}

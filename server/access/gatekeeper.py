@@ -110,10 +110,7 @@ class Gatekeeper:
         return self.keys.path is None
 
     def admit(self, request: Credentials, now_s: float) -> Caller:
-        """Who it is.
-
-        Raises: HostError, OriginError, LockedOutError, KeyRequiredError, RoleError.
-        """
+        """Who it is. Raises: HostError, OriginError, LockedOutError, KeyRequiredError, RoleError."""
         if not host_allowed(request.host, self._hosts):
             raise HostError(f"host '{request.host[:64]}' is not one of this server's names")
         if request.method not in SAFE_METHODS and not origin_allowed(request.origin, request.host):

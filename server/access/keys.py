@@ -60,10 +60,7 @@ def found_by_digest(keys: tuple[ApiKey, ...], sha256: str) -> ApiKey | None:
 
 
 def with_key(keys: tuple[ApiKey, ...], name: str, role: Role, secret: str, t_unix_s: float) -> tuple[ApiKey, ...]:
-    """One key more.
-
-    Raises: KeysError: the name is in use, empty or too long.
-    """
+    """One key more. Raises: KeysError: the name is in use, empty or too long."""
     if not 0 < len(name) <= NAME_MAX or not name.isprintable():
         raise KeysError(f"key name {name[:NAME_MAX]!r}: give 1 to {NAME_MAX} printable characters")
     if any(key.name == name and key.revoked_unix_s is None for key in keys):
@@ -72,10 +69,7 @@ def with_key(keys: tuple[ApiKey, ...], name: str, role: Role, secret: str, t_uni
 
 
 def without_key(keys: tuple[ApiKey, ...], name: str, t_unix_s: float) -> tuple[ApiKey, ...]:
-    """The key of that name revoked; it stays in the list.
-
-    Raises: KeysError: there is none.
-    """
+    """The key of that name revoked; it stays in the list. Raises: KeysError: there is none."""
     if not any(key.name == name and key.revoked_unix_s is None for key in keys):
         raise KeysError(f"no valid key '{name}'; `longreach keys list` shows all")
     return tuple(
@@ -85,10 +79,7 @@ def without_key(keys: tuple[ApiKey, ...], name: str, t_unix_s: float) -> tuple[A
 
 
 def read_keys(path: Path) -> tuple[ApiKey, ...]:
-    """The keys of a file; none when it does not exist.
-
-    Raises: KeysError: it cannot be read or is not a key file.
-    """
+    """The keys of a file; none when it does not exist. Raises: KeysError: it cannot be read or is not a key file."""
     try:
         rows = json.loads(read_text(path))["keys"]
         return tuple(ApiKey(**{**row, "role": Role(row["role"])}) for row in rows)

@@ -14,22 +14,19 @@ from recording.clock import mono_s
 from server.access.gatekeeper import Gatekeeper
 from server.api.calibration import calibration_router
 from server.api.diagnoses import diagnoses_router
-from server.api.event_log import EventLog
-from server.api.events import EventFeed, events_router
+from server.api.events import EventFeed, EventLog, events_router
 from server.api.findings import LookLog, findings_router
 from server.api.guard import Guard
-from server.api.identification import identification_router
 from server.api.jobs import jobs_router
 from server.api.lease import lease_router
-from server.api.machine_versions import machine_router
+from server.api.machine_versions import identification_router, machine_router
 from server.api.metrics import metrics_router
 from server.api.openapi import install_openapi
 from server.api.oversight import oversight_router
 from server.api.problems import install_problem_handlers
 from server.api.runs import runs_router
 from server.api.session import session_router
-from server.api.state import state_router
-from server.api.state_cache import StateCache, straight_route
+from server.api.state import StateCache, state_router, straight_route
 from server.api.targets import target_router
 from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
 from server.jobs.diagnosing import Diagnoses

@@ -10,7 +10,7 @@ from fastapi.responses import FileResponse, JSONResponse, Response
 from pydantic import Field
 
 from server.api.problems import problem
-from server.api.run_files import RUN_ID, inside, run_path
+from server.api.runs import RUN_ID, inside, run_path
 from server.api.views import Problem, Strict, View
 from server.jobs.diagnosing import Diagnoses, Diagnosis
 

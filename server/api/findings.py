@@ -13,7 +13,7 @@ from server.api.views import ErrorView, Problem, View
 from server.jobs.engine import Job, JobEvent
 from server.jobs.records import LookRecord
 from server.jobs.service import JobService
-from server.store.finding_rows import read_calibrations, read_plan
+from server.store.audit_rows import read_calibrations, read_plan
 
 LOOKS_KEPT = 200
 PlanHash = Annotated[str, Path(pattern=r"^[0-9a-f]{16}$", description="as returned by the preview")]

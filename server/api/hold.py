@@ -18,14 +18,13 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from recording.clock import mono_ns
-from server.api.callers import caller_of, request_id_of
+from server.api.callers import accepted, caller_of, request_id_of
 from server.api.hold_rule import mode_of, require_commissioned
 from server.api.panel_memory import PanelMemory
-from server.api.panel_origin import accepted
 from server.errors import ServerError
-from server.jobs.commands import Command
 from server.jobs.engine import Job
 from server.jobs.hold import HoldToRun
+from server.jobs.keeper import Command
 from server.jobs.request_bodies import ExecuteRequest
 from server.jobs.service import JobBody, JobService
 from server.link.errors import LinkError

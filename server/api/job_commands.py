@@ -13,8 +13,8 @@ from server.access.roles import Caller
 from server.api.hold_rule import mode_of, require_hold
 from server.api.state_view import job_view
 from server.errors import ServerError
-from server.jobs.commands import Command
 from server.jobs.engine import Job, JobState
+from server.jobs.keeper import Command
 from server.jobs.service import JobBody, JobService
 from server.link.errors import LinkError
 from server.store.audit_rows import AuditEntry

@@ -1,23 +1,54 @@
 """Jobs over REST: one POST per kind of job, its state, and its story as server-sent events."""
 
 import asyncio
+import contextlib
 import json
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Depends, Header, Request
+from fastapi import APIRouter, Body, Depends, Header, Request, WebSocket, WebSocketDisconnect
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
 from recording.clock import mono_s
-from server.api.callers import caller_of, request_id_of
+from server.api.callers import accepted, caller_of, request_id_of
 from server.api.job_commands import JobCommands, Sent
 from server.api.lease import FencingHeader, LeaseHeader, leased
 from server.api.problems import problem
 from server.api.state_view import job_view
-from server.api.stop_line import stop_line_router
 from server.api.views import EVENT_STREAM, JobView, Problem
+from server.errors import ServerError
 from server.jobs.engine import Job
 from server.jobs.service import JobBody, JobService
+from server.link.errors import LinkError
+
+# STOP over a socket that is open already: a browser sends no seventh request to a host while six have no answer.
+
+STOPPED, NOT_CONFIRMED = "stopped", "not confirmed"
+
+
+def stop_line_router(service: JobService, commands: JobCommands) -> APIRouter:
+    """Socket /v1/stop: whatever the page says stops, and is answered when it has; POST /v1/stop is the same."""
+    router = APIRouter()
+
+    @router.websocket("/stop")
+    async def line(socket: WebSocket) -> None:
+        if not await accepted(socket):
+            return
+        with contextlib.suppress(WebSocketDisconnect):
+            while (await socket.receive())["type"] != "websocket.disconnect":
+                commands.stopped(caller_of(socket), "")
+                await socket.send_text(await _stopped(service))
+
+    return router
+
+
+async def _stopped(service: JobService) -> str:
+    try:
+        await service.engine.stop("stopped in the panel")
+    except (ServerError, LinkError):
+        return NOT_CONFIRMED
+    return STOPPED
+
 
 AnyJobRequest = Annotated[JobBody, Body(discriminator="kind")]
 KeyHeader = Annotated[
@@ -30,10 +61,7 @@ ExpiresHeader = Annotated[
     float,
     Header(ge=0, le=1e11, description="unix seconds of this server (GET /v1/time) after which not to start; 0: never"),
 ]
-STORY: dict[int | str, dict[str, Any]] = {
-    200: EVENT_STREAM,
-    404: {"model": Problem},
-}
+STORY: dict[int | str, dict[str, Any]] = {200: EVENT_STREAM, 404: {"model": Problem}}
 EVENT_POLL_S = 0.1
 
 

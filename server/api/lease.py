@@ -1,19 +1,134 @@
 """Control over REST: who has it, acquire, keep alive, release, take, ask, grant."""
 
+import time
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Header, Path, Request
 from fastapi.responses import JSONResponse, Response
 from pydantic import Field
 
 from server.access.desk import TTL_S, LeaseDesk
+from server.access.errors import AccessError, RoleError
 from server.access.lease import Lease, LeaseKind
-from server.api.callers import admission_of
-from server.api.lease_log import ControlLog
-from server.api.lease_views import Kind, LeaseView, control_view, lease_view
-from server.api.views import ControlView, Problem, Strict
+from server.access.roles import Role
+from server.api.callers import admission_of, caller_of, request_id_of
+from server.api.views import ControlView, Problem, Strict, View
 from server.jobs.keeper import Keeper
+from server.store.audit_rows import AuditEntry
+from server.store.database import StoreError
+
+# Control and the audit: fencing number and audit line are on disk together before the new holder gets an answer.
+
+KINDS_OF_ROLE = {
+    Role.OPERATOR: ("operator",),
+    Role.FLEET: ("fleet",),
+    Role.ENGINEER: ("operator", "engineer"),
+    Role.ADMIN: ("operator", "engineer"),
+}
+WITHOUT_KEY = ("operator", "fleet")  # for users of this computer: a person, or one of their programs
+
+
+class ControlLog:
+    """Writes what happens to control. Without a keeper nothing is written."""
+
+    def __init__(self, desk: LeaseDesk, keeper: Keeper | None) -> None:
+        self._desk, self._keeper = desk, keeper
+
+    def check(self, request: Request, kind: str) -> None:
+        """Whether this caller may have control of that kind now.
+
+        Raises: RoleError: not with this role. StoreError: it could not be written down.
+        """
+        caller = caller_of(request)
+        role = caller.role
+        if kind not in (KINDS_OF_ROLE.get(Role(role), ()) if caller.by_key else WITHOUT_KEY):
+            raise RoleError(f"role {role} may not hold control as {kind}", {"role": role, "kind": kind})
+        if self._keeper is not None:
+            self._keeper.check()
+
+    async def given(self, request: Request, lease: Lease, action: str, detail: str = "") -> JSONResponse:
+        """201 with the lease, once it is on disk. Raises: StoreError: it is not; the lease is withdrawn then."""
+        self._desk.vouch(admission_of(request))
+        if self._keeper is not None:
+            try:
+                await self._keeper.control(self._entry(request, lease, action, detail))
+            except StoreError:
+                self._withdraw(lease)
+                raise
+        headers = {"Cache-Control": "no-store"}
+        return JSONResponse(lease_view(self._desk, lease).model_dump(), status_code=201, headers=headers)
+
+    def note(self, request: Request, lease: Lease | None, action: str, detail: str = "") -> None:
+        """A line about what happened already."""
+        if self._keeper is not None and lease is not None:
+            self._keeper.audit(self._entry(request, lease, action, detail))
+
+    def _withdraw(self, lease: Lease) -> None:
+        try:
+            self._desk.release(lease.lease_id)
+        except AccessError:
+            return  # another client holds it by now
+
+    def _entry(self, request: Request, lease: Lease, action: str, detail: str) -> AuditEntry:
+        who = caller_of(request)
+        return AuditEntry(
+            t_unix_s=time.time(),
+            who=who.name,
+            role=who.role,
+            address=who.address,
+            action=action,
+            lease_owner=lease.owner,
+            fencing=lease.fencing,
+            request_id=request_id_of(request),
+            detail=detail,
+        )
+
+
+# Control as it is shown: to everybody without, to its holder with the secret.
+
+Kind = Literal["operator", "fleet", "engineer"]
+
+
+class LeaseView(View):
+    """A lease as only its holder sees it: `lease_id` is the secret that commands carry."""
+
+    lease_id: str
+    fencing: int
+    owner: str
+    kind: Kind
+    ttl_s: float
+    expires_in_s: float
+
+
+def control_view(desk: LeaseDesk) -> ControlView:
+    """Who has control, for everybody."""
+    held = desk.held
+    if held is None:
+        return ControlView(fencing=desk.book.fencing)
+    offered = held.offered_to if held.offered(held.offered_to, desk.now_s) else ""
+    return ControlView(
+        owner=held.owner,
+        kind=held.kind.value,
+        fencing=held.fencing,
+        expires_in_s=round(held.expires_in_s(desk.now_s), 1),
+        stale=held.stale(desk.now_s),
+        asked_by=list(held.asked_by),
+        offered_to=offered,
+    )
+
+
+def lease_view(desk: LeaseDesk, lease: Lease) -> LeaseView:
+    """For the holder's eyes only."""
+    return LeaseView(
+        lease_id=lease.lease_id,
+        fencing=lease.fencing,
+        owner=lease.owner,
+        kind=lease.kind.value,
+        ttl_s=lease.ttl_s,
+        expires_in_s=round(lease.expires_in_s(desk.now_s), 1),
+    )
+
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Ttl = Annotated[float, Field(ge=1.0, le=120.0, description="the lease goes stale when not renewed for this long")]

@@ -7,8 +7,8 @@ import logging
 
 from fastapi import APIRouter, WebSocket
 
+from server.api.callers import accepted
 from server.api.panel_memory import PanelMemory
-from server.api.panel_origin import accepted
 
 log = logging.getLogger(__name__)
 

@@ -11,9 +11,10 @@ from pydantic import Field
 from server.api.lease import leased
 from server.api.problems import problem
 from server.api.views import Problem, Strict, View
-from server.compensation.errors import CompensationError
+from server.compensation.compensation import CompensationError
 from server.compensation.versions import FoundEffect, MachineVersion
 from server.errors import ServerError
+from server.jobs.identification import Identification
 from server.jobs.service import JobService
 
 Id = Annotated[str, InPath(pattern=r"^[0-9a-f]{12}$")]
@@ -178,3 +179,35 @@ def _effect(one: FoundEffect) -> FoundEffectView:
         does=one.does,
         on=one.on,
     )
+
+
+# How far an identification is, over REST: what is driven, what is left, and what to do next.
+
+
+class IdentificationView(View):
+    """The identification of this life of the server. `next_step`: empty where there is nothing to do."""
+
+    parts_done: list[str]
+    parts_left: list[str]
+    recordings: list[str]
+    diagnosis_id: str
+    next_step: str
+
+
+def identification_router(identification: Identification) -> APIRouter:
+    """Route /v1/identification."""
+    router = APIRouter(prefix="/v1/identification", tags=["machine"])
+
+    @router.get("", response_model=IdentificationView)
+    async def read_identification() -> IdentificationView:
+        """Completed and remaining parts of the last identification."""
+        session = identification.session
+        return IdentificationView(
+            parts_done=[] if session is None else session.done,
+            parts_left=[] if session is None else list(session.left),
+            recordings=[] if session is None else [path.name for path in session.recordings],
+            diagnosis_id="" if session is None else session.diagnosis_id,
+            next_step=identification.next_step,
+        )
+
+    return router

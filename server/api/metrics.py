@@ -12,7 +12,7 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST
 from prometheus_client.registry import Collector
 
 from recording.clock import mono_ns
-from server.api.fault_list import fault_views
+from server.api.oversight import fault_views
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.jobs.engine import Job, JobEvent
 from server.jobs.service import JobService

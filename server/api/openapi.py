@@ -67,9 +67,7 @@ LINKS: dict[tuple[str, str], tuple[dict[str, str], tuple[str, ...]]] = {
 
 def completed(document: dict[str, Any]) -> dict[str, Any]:
     """The document with what the guard adds."""
-    document["components"]["securitySchemes"] = {
-        "key": {"type": "http", "scheme": "bearer", "description": KEY_HEADER},
-    }
+    document["components"]["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer", "description": KEY_HEADER}}
     for name in ("HTTPValidationError", "ValidationError"):
         document["components"]["schemas"].pop(name, None)
     _describe_files(document["paths"])

@@ -1,16 +1,105 @@
 """Faults, audit and time."""
 
 import time
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query
 
 from recording.clock import mono_ns
-from server.api.fault_list import FaultView, fault_views
 from server.api.findings import Before
+from server.api.state_view import CAMERA_SILENT_MS
 from server.api.views import Problem, View
+from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
 from server.jobs.service import JobService
 from server.store.audit_rows import read_audit
+
+# What is wrong with the machine now: one constant id per cause. A refused request is not a fault.
+
+
+class FaultView(View):
+    """One fault. URGENT: no new motion; WARNING: goes on."""
+
+    fault_id: str
+    level: Literal["WARNING", "URGENT"]
+    text: str
+    hint: str
+
+
+def fault_views(service: JobService) -> list[FaultView]:
+    """All of them, most severe first."""
+    found = [
+        *_link(service),
+        *_inner(service),
+        *_store(service),
+        *_camera(service),
+        *_recorder(service),
+        *_disk(service),
+    ]
+    return sorted(found, key=lambda fault: fault.level != "URGENT")
+
+
+def _link(service: JobService) -> list[FaultView]:
+    health = service.cell.link.health
+    phase = health.phase.value
+    texts = {
+        "offline": (
+            "plc_silent",
+            "the PLC does not answer",
+            health.error or "check its program, cable and address, and that no other PC holds it",
+        ),
+        "fault": ("plc_fault", "the PLC reports a fault", "remove its cause, then POST /v1/reset"),
+        "local": ("plc_local", "the machine is in local (lever) control", "switch it back to remote at the machine"),
+    }
+    other = health.other_pc
+    hint = "one server commands one PLC: end the other server, or give this one another PLC in [plc]"
+    found = [FaultView(fault_id="plc_contested", level="WARNING", text=other, hint=hint)] if other else []
+    if phase in texts:
+        fault_id, text, hint = texts[phase]
+        found.append(FaultView(fault_id=fault_id, level="URGENT", text=text, hint=hint))
+    return found
+
+
+def _inner(service: JobService) -> list[FaultView]:
+    hints = {
+        KEYS_UNREADABLE: "make the file readable to the server's user, or write it again with `longreach keys`",
+        PART_FAILED: "see the server's log and report it; restart the server if it goes on",
+    }
+    active = service.inner_faults.active
+    return [
+        FaultView(fault_id=fault_id, level="URGENT", text=active[fault_id], hint=hint)
+        for fault_id, hint in hints.items()
+        if fault_id in active
+    ]
+
+
+def _store(service: JobService) -> list[FaultView]:
+    problem = service.store_problem
+    hint = "free space, or make the folder writable; a damaged database is moved away by hand"
+    return [FaultView(fault_id="store", level="URGENT", text=problem, hint=hint)] if problem else []
+
+
+def _camera(service: JobService) -> list[FaultView]:
+    report = service.cell.vision.latest
+    age_ms = None if report is None else (mono_ns() - report.t_receive_mono_ns) * 1e-6
+    if age_ms is not None and age_ms < CAMERA_SILENT_MS:
+        return []
+    text = "no image yet" if age_ms is None else "the camera delivers no new images"
+    return [
+        FaultView(fault_id="camera_silent", level="URGENT", text=text, hint="check the camera, its cable, [camera]")
+    ]
+
+
+def _recorder(service: JobService) -> list[FaultView]:
+    problem = service.recording_problem
+    hint = "free space in the recordings folder, and make it writable; then start the job again"
+    return [FaultView(fault_id="recorder", level="WARNING", text=problem, hint=hint)] if problem else []
+
+
+def _disk(service: JobService) -> list[FaultView]:
+    problem = service.disk.problem
+    hint = "move old recordings away: without space nothing is recorded, and motion is refused in the end"
+    text = f"the disk is nearly full: {problem}"
+    return [FaultView(fault_id="disk_low", level="WARNING", text=text, hint=hint)] if problem else []
 
 
 class AuditView(View):

@@ -10,7 +10,6 @@ from recording.clock import mono_ns, mono_s
 from server.api.hold_rule import mode_of
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.api.panel_alarms import Alarm, AlarmBook, Surroundings, active_alarms, unknown_alarms
-from server.api.panel_figures import calibration_figures, link_figures, loss_pct, safety_view, vision_figures
 from server.api.panel_view import (
     AlarmView,
     GoalView,
@@ -20,6 +19,11 @@ from server.api.panel_view import (
     LiveView,
     PanelView,
     SceneState,
+    calibration_figures,
+    link_figures,
+    loss_pct,
+    safety_view,
+    vision_figures,
 )
 from server.api.state_view import error_view, state_view
 from server.api.views import StateView

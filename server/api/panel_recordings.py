@@ -11,7 +11,7 @@ from fastapi import APIRouter
 from fastapi.responses import FileResponse, JSONResponse, Response
 
 from server.api.problems import problem
-from server.api.run_files import GrowingFile, run_path
+from server.api.runs import GrowingFile, run_path
 from server.api.views import View
 from server.jobs.service import JobService
 

@@ -12,8 +12,8 @@ from fastapi import APIRouter, Request, Response, WebSocket, WebSocketDisconnect
 from machine.poses import inverse_pose, transform_points
 from machine.rotations import Array
 from recording.clock import mono_s
+from server.api.callers import same_origin
 from server.api.panel_memory import PanelMemory
-from server.api.panel_origin import same_origin
 from server.jobs.knowledge import PreviewedPlan
 from server.jobs.plans.looking import mount_rotation
 from server.jobs.service import JobService

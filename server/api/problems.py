@@ -13,7 +13,7 @@ from server.api.views import Problem
 from server.camera.errors import CameraError
 from server.errors import BusyError, JobFailedError, PlanRefusedError, ServerError
 from server.link.errors import LinkError
-from server.store.errors import StoreError
+from server.store.database import StoreError
 
 log = logging.getLogger(__name__)
 STATUS = {CameraError: 503, BusyError: 409, PlanRefusedError: 409, JobFailedError: 409}

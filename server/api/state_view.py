@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from recording.clock import mono_ns
-from server.api.calibration_view import calibration_view
+from server.api.calibration import calibration_view
 from server.api.hold_rule import jog_refused, mode_of
-from server.api.lease_views import control_view
+from server.api.lease import control_view
 from server.api.views import (
     CameraView,
     CompensationView,

@@ -218,10 +218,7 @@ class StateView(View):
     steps: dict[str, str] = Field(description="why a step's button is disabled; empty text = enabled")
 
 
-EVENT_STREAM: dict[str, Any] = {
-    "description": "server-sent events; data is JSON",
-    "content": {"text/event-stream": {}},
-}
+EVENT_STREAM: dict[str, Any] = {"description": "server-sent events; data is JSON", "content": {"text/event-stream": {}}}
 
 
 class Problem(View):

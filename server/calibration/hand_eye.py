@@ -8,20 +8,8 @@ from numpy.typing import NDArray
 from server.calibration.checks import CalibrationInputError, require_covariance
 from server.calibration.contracts import Array, CalibrationStatus
 from server.calibration.hand_eye_contracts import HandEyeEstimate, HandEyeSettings, refused
-from server.calibration.hand_eye_linear import (
-    Indices,
-    inverse_poses,
-    motions_between,
-    rotation_vectors,
-    start_ax_yb,
-)
-from server.calibration.hand_eye_models import (
-    HandEyeUnknowns,
-    HandTrack,
-    PoseModel,
-    WeightedModel,
-    whiteners_of,
-)
+from server.calibration.hand_eye_linear import Indices, inverse_poses, motions_between, rotation_vectors, start_ax_yb
+from server.calibration.hand_eye_models import HandEyeUnknowns, HandTrack, PoseModel, WeightedModel, whiteners_of
 from server.calibration.hand_eye_refinement import Refined, refine
 from server.calibration.trajectory_matching_refusals import usable_poses
 

@@ -63,12 +63,7 @@ def _posterior(square: Array, cosines: Array, sigma2: float, kappa: float, log_o
 
 
 def register_poses(
-    points_x: Array,
-    Rs_x: Array,
-    points_y: Array,
-    Rs_y: Array,
-    settings: MixtureSettings,
-    R_start: Array | None = None,
+    points_x: Array, Rs_x: Array, points_y: Array, Rs_y: Array, settings: MixtureSettings, R_start: Array | None = None
 ) -> MixtureMatch:
     """Rigid motion that lays pose set y onto pose set x without known pairs.
 

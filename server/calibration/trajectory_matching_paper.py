@@ -7,13 +7,7 @@ from machine.rotations import geodesic_angle, nearest_rotation
 from server.calibration.checks import require_rotation
 from server.calibration.chord_covariance import observability, rotation_information
 from server.calibration.chords import arc_lengths
-from server.calibration.contracts import (
-    Array,
-    CalibrationStatus,
-    CameraRotationEstimate,
-    CameraTrack,
-    EncoderTrack,
-)
+from server.calibration.contracts import Array, CalibrationStatus, CameraRotationEstimate, CameraTrack, EncoderTrack
 from server.calibration.hybrid_mixture import MixtureMatch, MixtureSettings, register_poses
 from server.calibration.trajectory_matching_refusals import Refusal, require_track_shape, time_refusal, usable_poses
 
@@ -33,10 +27,7 @@ def coarse_frame_alignment(R_base_tcp: Array, R_tcp_cam_assumed: Array, R_vo_cam
 
 
 def estimate_camera_rotation_paper(
-    camera: CameraTrack,
-    encoder: EncoderTrack,
-    R_tcp_cam_assumed: Array,
-    settings: MixtureSettings = DEFAULT_SETTINGS,
+    camera: CameraTrack, encoder: EncoderTrack, R_tcp_cam_assumed: Array, settings: MixtureSettings = DEFAULT_SETTINGS
 ) -> CameraRotationEstimate:
     """The camera's rotation against the TCP by the paper's point set matching: no time offset, no lever arm.
 

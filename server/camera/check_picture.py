@@ -50,10 +50,7 @@ def check_sharpness(pairs: Sequence[tuple[Image, Image]]) -> CheckFinding:
     known = [np.array(blur)[np.isfinite(blur)] for blur in blurs]
     if any(len(blur) == 0 for blur in known):
         return CheckFinding(
-            "sharpness",
-            Level.WARN,
-            "inconclusive: no edge in view",
-            "point it at something with edges, and light it",
+            "sharpness", Level.WARN, "inconclusive: no edge in view", "point it at something with edges, and light it"
         )
     medians = [float(np.median(blur)) for blur in known]
     level = level_of(max(medians), BLUR_WARN_PX, BLUR_FAIL_PX)

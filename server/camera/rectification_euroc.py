@@ -4,13 +4,7 @@ import numpy as np
 
 from machine.poses import inverse_pose
 from machine.rotations import Array
-from server.camera.rectification_rig import (
-    CalibrationFileError,
-    EyeCalibration,
-    LensModel,
-    RigCalibration,
-    checked_rig,
-)
+from server.camera.rectification_rig import CalibrationFileError, EyeCalibration, LensModel, RigCalibration, checked_rig
 from server.camera.rectification_yaml import Tree, mapping, matrix, numbers, text_of
 
 MODELS: dict[str, LensModel] = {

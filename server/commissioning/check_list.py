@@ -288,9 +288,4 @@ async def _need_camera(site: Site, name: str) -> StepResult | None:
     return inconclusive(name, f"no images: {vision.stream_text or 'camera is silent'}", "check the camera's settings")
 
 
-_NEEDS = {
-    Need.PLC: _need_plc,
-    Need.VALVES: _need_valves,
-    Need.LEAVE: _need_leave,
-    Need.CAMERA: _need_camera,
-}
+_NEEDS = {Need.PLC: _need_plc, Need.VALVES: _need_valves, Need.LEAVE: _need_leave, Need.CAMERA: _need_camera}

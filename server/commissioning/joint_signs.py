@@ -208,10 +208,7 @@ async def _direction(site: Site, key: str, question: str) -> str | None:
 
 
 def jog_step(site: Site, q: Array, index: int) -> float:
-    """A step that can be seen, to the side where there is room [rad].
-
-    Raises: NotReadyError: room on neither side.
-    """
+    """A step that can be seen, to the side where there is room [rad]. Raises: NotReadyError: room on neither side."""
     lever_m = float(np.linalg.norm(tcp_jacobian(site.chain, q)[:3, index]))
     size = min(max(STEP_MIN_RAD, TIP_M / max(lever_m, 1e-6)), STEP_MAX_RAD)
     for step in (size, -size):

@@ -27,8 +27,7 @@ from server.commissioning.site import Site
 from server.commissioning.stop_figures import stop_figures
 from server.commissioning.stopping import EndedByItselfError, StopKind, by_itself, rest_figures, run_and_stop
 from server.link.contracts import LinkPhase, PlcSample
-from server.motion.contracts import JointTrajectory
-from server.motion.trajectory import evaluate
+from server.motion.contracts import JointTrajectory, evaluate
 
 NAME = "link dry run"
 REMEDY = "see docs/plc-link.md for the time limits and reject codes; nothing may be moved before this step passes"

@@ -19,20 +19,14 @@ _TIMEOUT_S = 15.0
 
 
 def camera_of(site: Site) -> VisionClient:
-    """The vision process' handle.
-
-    Raises: NotReadyError: none was started.
-    """
+    """The vision process' handle. Raises: NotReadyError: none was started."""
     if site.vision is None:
         raise NotReadyError("no camera was started; run the steps that look with a camera in the settings")
     return site.vision
 
 
 async def fresh_pairs(site: Site, n: int, text: str) -> list[FrameReport]:
-    """The next n pairs that were exposed from now on.
-
-    Raises: NotReadyError: they did not come in time.
-    """
+    """The next n pairs that were exposed from now on. Raises: NotReadyError: they did not come in time."""
     vision, t_from_ns = camera_of(site), mono_ns()
 
     def fresh() -> list[FrameReport]:

@@ -11,7 +11,7 @@ from recording.clock import mono_ns, mono_s
 from server.commissioning.site import Site
 from server.link.contracts import LinkPhase, MotionEnded, PlcSample
 from server.link.errors import LinkError
-from server.link.standing import stood_still
+from server.link.samples import stood_still
 from server.motion.contracts import JointTrajectory, PathPlan
 from server.motion.point_to_point import plan_joint_move
 from server.motion.settings import PlanSettings
@@ -70,10 +70,7 @@ async def arm(site: Site) -> None:
 
 
 async def reading(site: Site) -> Reading:
-    """Encoders and reference now.
-
-    Raises: NotReadyError: no fresh state within a second.
-    """
+    """Encoders and reference now. Raises: NotReadyError: no fresh state within a second."""
 
     def fresh() -> list[PlcSample]:
         return site.link.samples_since(mono_ns() - int(_READING_S * 1e9))
@@ -85,10 +82,7 @@ async def reading(site: Site) -> Reading:
 
 
 async def rest(site: Site, timeout_s: float = REST_TIMEOUT_S) -> Reading:
-    """Wait until encoders and reference stand still.
-
-    Raises: NotReadyError: they do not in time.
-    """
+    """Wait until encoders and reference stand still. Raises: NotReadyError: they do not in time."""
     deadline_s = mono_s() + timeout_s
     while mono_s() < deadline_s:
         if at_rest(site.link.samples_since(mono_ns() - int(_REST_WINDOW_S * 1e9))):

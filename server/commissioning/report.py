@@ -57,10 +57,7 @@ def to_json(report: Report) -> str:
 
 
 def from_json(text: str, subject: str) -> Report:
-    """The report that `to_json` wrote.
-
-    Raises: SettingsError: it is not a report, or of another version.
-    """
+    """The report that `to_json` wrote. Raises: SettingsError: it is not a report, or of another version."""
     try:
         report = _ADAPTER.validate_json(text)
     except ValidationError as error:

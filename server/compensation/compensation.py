@@ -20,7 +20,14 @@ from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation
 from server.calibration.joint_estimate import JointPrior
 from server.calibration.kinematic_errors import ErrorPrior
 from server.compensation.effects import Sorted, sort_effects
-from server.compensation.errors import CompensationError
+from server.errors import SettingsError
+
+# What can be wrong with a compensation.
+
+
+class CompensationError(SettingsError):
+    """A diagnosis that must not be used, or effects that cannot be compensated."""
+
 
 FOUND_SHARE = 0.35  # of a class's spread that is left once a number was diagnosed
 

@@ -8,22 +8,15 @@ from server.calibration.kinematic_errors import usual_play
 STEP = "kinematics"
 STEP_ONLY = "kinematics, until a calibration learns its own map"  # the learnt map has no number for it
 #: What the diagnosed machine changes, by effect.
+# fmt: off
 COMPENSATED = {
-    "gravity_sag": STEP,
-    "link_length_error": STEP,
-    "encoder_bias": STEP,
-    "base_compliance": STEP_ONLY,
-    "base_tilt": STEP_ONLY,
-    "joint_axis_tilt": STEP_ONLY,
-    "encoder_scale": STEP_ONLY,
-    "encoder_eccentricity": STEP_ONLY,
-    "payload_error": STEP_ONLY,
-    "backlash": "side of approach",
-    "hand_eye_rotation": "camera mount",
-    "hand_eye_translation": "camera mount",
-    "valve_deadband": "first stall",
+    "gravity_sag": STEP, "link_length_error": STEP, "encoder_bias": STEP, "base_compliance": STEP_ONLY,
+    "base_tilt": STEP_ONLY, "joint_axis_tilt": STEP_ONLY, "encoder_scale": STEP_ONLY,
+    "encoder_eccentricity": STEP_ONLY, "payload_error": STEP_ONLY, "backlash": "side of approach",
+    "hand_eye_rotation": "camera mount", "hand_eye_translation": "camera mount", "valve_deadband": "first stall",
     "transport_delay": "reported, not needed",  # a whole trajectory is played by the PLC's clock: it only starts later
 }
+# fmt: on
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,7 @@ import numpy as np
 from machine.description import Machine, parse_machine_toml
 from machine.errors import MachineError
 from recording.files import read_text
-from server.compensation.compensation import Compensation, compensation_of
-from server.compensation.errors import CompensationError
+from server.compensation.compensation import Compensation, CompensationError, compensation_of
 from server.settings import ServerSettings
 
 VERDICT_LINE = re.compile(r"^# longreach diagnose: verdict (\w+)", re.MULTILINE)  # as `--machine-out` writes it

@@ -19,9 +19,8 @@ from machine.effects.registry import effect_named
 from machine.errors import MachineError, MachineFileError
 from machine.file_tables import with_room_for_effects, with_tables
 from recording.files import write_durably
-from server.compensation.compensation import Compensation, compensation_of
+from server.compensation.compensation import Compensation, CompensationError, compensation_of
 from server.compensation.effects import COMPENSATED, sort_effects
-from server.compensation.errors import CompensationError
 
 FORMAT_VERSION = 1
 IN_USE = "in-use.json"

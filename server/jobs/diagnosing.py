@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import json
-import logging
 import os
 import sys
 from collections import deque
@@ -13,11 +12,10 @@ from typing import Any
 from uuid import uuid4
 
 from recording.clock import mono_s
+from recording.spawn import ONE_THREAD
 from server.errors import BusyError, ServerError
 
-log = logging.getLogger(__name__)
 NICE = "10"
-ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 TIMEOUT_S = 3600.0
 KEPT = 50
 COMMAND = (sys.executable, "-P", "-m", "longreach.cli", "diagnose")

@@ -6,9 +6,9 @@ from pathlib import Path
 from server.errors import JobFailedError
 from server.jobs.diagnosing import Diagnoses
 from server.jobs.engine import Job, JobState
-from server.jobs.identification_records import IdentificationDriven
 from server.jobs.plans.identification_planning import LOOKS, Drive, PlannedIdentification
 from server.jobs.plans.identifying import check_identification
+from server.jobs.records import IdentificationDriven
 from server.jobs.request_bodies import IdentifyRequest, PlanIdentifyRequest
 from server.motion.identification_courses import PARTS
 

@@ -7,22 +7,77 @@ import sqlite3
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from recording.clock import mono_ns, mono_s
+from server.access.lease import Lease
+from server.access.roles import Caller
 from server.calibration.calibration_life import LocalCalibration
 from server.jobs.cell import Cell
-from server.jobs.commands import Began
 from server.jobs.engine import Job, JobEvent, JobState
 from server.jobs.knowledge import PreviewedPlan
-from server.store.audit_rows import AuditEntry, add_audit, forget_old_audit
-from server.store.database import Database, Work
-from server.store.errors import StoreError
-from server.store.finding_rows import add_calibration, add_plan
-from server.store.idempotency import forget_answer, save_answer
-from server.store.lease_rows import read_fencing, save_fencing
-from server.store.operating_time import read_operating_time, save_operating_time
+from server.store.audit_rows import (
+    AuditEntry,
+    add_audit,
+    add_calibration,
+    add_plan,
+    forget_old_audit,
+    read_fencing,
+    read_operating_time,
+    save_fencing,
+    save_operating_time,
+)
+from server.store.database import Database, StoreError, Work
+from server.store.idempotency import Answered, forget_answer, save_answer
+
+# A command as the store keeps it: who sent it, with which key, and what they were answered.
+
+INSIDE = Caller("server", "engineer", "")
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One request to start a job. `answer` makes the answer that a retry with the same key is given."""
+
+    caller: Caller = INSIDE
+    request_id: str = ""
+    key: str = ""
+    answer: Callable[[Job], Answered] | None = None
+
+
+INSIDE_COMMAND = Command()  # of the server itself
+
+
+@dataclass(frozen=True, slots=True)
+class Began:
+    """What one transaction writes before a job begins."""
+
+    job: Job
+    body: str
+    audit: AuditEntry
+    key: str
+    answered: Answered | None
+
+
+def began(job: Job, body: str, plan_hash: str, lease: Lease | None, command: Command) -> Began:
+    """The rows of a job that is about to begin."""
+    entry = AuditEntry(
+        t_unix_s=time.time(),
+        who=command.caller.name,
+        role=command.caller.role,
+        address=command.caller.address,
+        action=f"job.{job.kind}",
+        lease_owner=lease.owner if lease else "",
+        fencing=job.fencing,
+        request_id=command.request_id,
+        idempotency_key=command.key,
+        plan_hash=plan_hash,
+        job_id=job.job_id,
+    )
+    answered = command.answer(job) if command.answer is not None and command.key else None
+    return Began(job, body, entry, command.key, answered)
+
 
 log = logging.getLogger(__name__)
 PROBE_S = 2.0
@@ -131,10 +186,7 @@ class Keeper:
     # --- commands: written before they are carried out or answered --------------------------------------------------
 
     async def begin(self, began: Began) -> None:
-        """Job, audit and answer in one transaction.
-
-        Raises: StoreError: nothing was written, nothing may begin.
-        """
+        """Job, audit and answer in one transaction. Raises: StoreError: nothing was written, nothing may begin."""
         self.check()
 
         def rows(db: sqlite3.Connection) -> None:

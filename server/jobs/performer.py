@@ -17,25 +17,32 @@ from server.jobs.cell import Cell
 from server.jobs.requests import (
     Arm,
     BeginSegment,
+    Correct,
+    EndMove,
     EndSegment,
     MachineReading,
     Move,
+    NextPair,
     PairTiming,
     ReadMachine,
     Record,
     Request,
     Settle,
+    StartMove,
     StartOdometry,
+    StartWatching,
+    Steer,
+    StopMove,
     StopOdometry,
+    StopWatching,
     TakeLook,
     TimePairs,
     UseTarget,
+    sighted_of,
 )
-from server.jobs.steer_requests import Correct, EndMove, NextPair, StartMove, Steer, StopMove
 from server.jobs.steering import Steering
-from server.jobs.watching import StartWatching, StopWatching, sighted_of
 from server.link.contracts import LinkPhase, PlcSample, measured_oil_c
-from server.link.standing import stood_still
+from server.link.samples import stood_still
 from server.motion.contracts import JointTrajectory
 from server.vision.contracts import OdometryStatus, PairObservation
 

@@ -3,18 +3,121 @@
 A plan is a plain generator: it decides, the engine acts. So every plan runs in tests without a clock or a socket.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from typing import Literal, TypeVar
+
+import numpy as np
 
 from recording.run import SegmentKind
 from server.calibration.contracts import Array, CameraRotationEstimate
 from server.jobs.records import ComparedMove, MoveRecord
-from server.jobs.steer_requests import Steer
-from server.jobs.watching import StartWatching, StopWatching
 from server.motion.contracts import JointTrajectory, PathPlan
 from server.motion.identification_courses import Mark
 from server.targets.contracts import AnchoredTarget
+from server.vision.contracts import ObjectPose, PairObservation, PoseStatus
+
+# Looks on the way: what a plan asks for while the machine moves, and what it gets: pairs that showed both objects.
+
+USABLE = (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS)
+
+
+@dataclass(frozen=True, slots=True)
+class StartWatching:
+    """Keep every pair's poses from now on. Reply: None."""
+
+    source: Literal["stereo", "mono"]
+
+
+@dataclass(frozen=True, slots=True)
+class StopWatching:
+    """Reply: (Sighted, EncoderTrack) since StartWatching."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sighted:
+    """Pairs that showed both: times (n,) [s, camera clock mapped], OOI minus tool (n, 3) [m], Rs_cam_ooi (n, 3, 3)."""
+
+    t_s: Array
+    vectors_cam: Array
+    Rs_cam_ooi: Array
+
+
+def sighted_of(pairs: Iterable[tuple[float, PairObservation]]) -> Sighted:
+    """From (time [s], pair); pairs without both objects are left out."""
+    t, vectors, turns = [], [], []
+    for t_s, pair in pairs:
+        tool, ooi = pair.tool.T_cam_object, pair.ooi.T_cam_object
+        if pair.tool.status in USABLE and pair.ooi.status in USABLE and tool is not None and ooi is not None:
+            t.append(t_s)
+            vectors.append(ooi[:3, 3] - tool[:3, 3])
+            turns.append(ooi[:3, :3])
+    return Sighted(np.array(t), np.array(vectors).reshape(-1, 3), np.array(turns).reshape(-1, 3, 3))
+
+
+# What a plan may ask for while the machine moves: pairs as they come, corrections, a stop.
+
+
+@dataclass(frozen=True, slots=True)
+class StartMove:
+    """Begin a trajectory and do not wait for its end. Reply: None. `Correct`, `EndMove` and `StopMove` belong to it."""
+
+    trajectory: JointTrajectory
+    purpose: str
+
+
+@dataclass(frozen=True, slots=True)
+class NextPair:
+    """Wait for a pair newer than number `after`, at most `silence_max_s` since the last one. Reply: PairSeen.
+
+    `time_offset_s`: add to the camera's time to get the encoders'.
+    """
+
+    after: int
+    silence_max_s: float
+    time_offset_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PairSeen:
+    """One pair as it came, with the encoders at its exposure and how the motion stands.
+
+    `fault`: why it must not be acted upon (silent camera, old or unfit picture, no encoders for it); empty when it may.
+    `tail`: what became of the last `Correct`; taken and refused are reported once.
+    """
+
+    number: int
+    fault: str
+    tool: ObjectPose | None
+    ooi: ObjectPose | None
+    q_rad: Array | None
+    t_play_s: float
+    ended: bool
+    tail: Literal["none", "pending", "taken", "refused"] = "none"
+    tail_text: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Correct:
+    """Replace the running trajectory from knot `first` on. Reply: None immediately; later pairs report the result."""
+
+    trajectory: JointTrajectory
+    first: int
+
+
+@dataclass(frozen=True, slots=True)
+class EndMove:
+    """Wait for the end of what was begun. Reply: None; a stop or refusal fails the job."""
+
+
+@dataclass(frozen=True, slots=True)
+class StopMove:
+    """Ramp down now and hold. Reply: None, at rest."""
+
+    reason: str
+
+
+Steer = StartMove | NextPair | Correct | EndMove | StopMove
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
 from server.access.lease import Lease
-from server.compensation.errors import CompensationError
+from server.compensation.compensation import CompensationError
 from server.compensation.reading import compensation_from
 from server.compensation.versions import MachineVersions
 from server.disk_space import DiskSpace
@@ -16,12 +16,11 @@ from server.errors import BusyError, JobFailedError
 from server.inner_faults import InnerFaults
 from server.jobs.calibration_store import CalibrationStore, machine_id_of
 from server.jobs.cell import Cell
-from server.jobs.commands import INSIDE_COMMAND, Command, began
 from server.jobs.context import PlanContext
 from server.jobs.diagnosing import Diagnoses
 from server.jobs.engine import Job, JobEngine, JobEvent
 from server.jobs.identification import Identification
-from server.jobs.keeper import FindingLog, Keeper
+from server.jobs.keeper import INSIDE_COMMAND, Command, FindingLog, Keeper, began
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
 from server.jobs.plans.identifying import drive_identification, plan_identification

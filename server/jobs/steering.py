@@ -14,7 +14,7 @@ from server.calibration.contracts import Array
 from server.camera.contracts import FrameReport
 from server.errors import JobFailedError
 from server.jobs.cell import Cell
-from server.jobs.steer_requests import Correct, NextPair, PairSeen
+from server.jobs.requests import Correct, NextPair, PairSeen
 from server.link.contracts import MotionEnded
 from server.link.errors import LinkRefusedError
 from server.motion.contracts import JointTrajectory
@@ -95,10 +95,7 @@ class Steering:
         self._tail = asyncio.create_task(self._cell.link.correct(request.trajectory, request.first), name="new-tail")
 
     async def end(self) -> None:
-        """Wait for the motion's end.
-
-        Raises: JobFailedError: it ended early. LinkError: it was refused.
-        """
+        """Wait for the motion's end. Raises: JobFailedError: it ended early. LinkError: it was refused."""
         motion, self._motion = self._motion, None
         if motion is None:
             raise JobFailedError("no motion was started", "motion_ended_early")

@@ -34,8 +34,7 @@ from server.link.contracts import (
     Unbound,
 )
 from server.link.errors import LinkError, LinkRefusedError, LinkSilentError
-from server.link.knots import KnotTuple, knots_from, knots_of, refusals_text
-from server.link.samples import SampleCallback, SampleRing
+from server.link.samples import KnotTuple, SampleCallback, SampleRing, knots_from, knots_of, refusals_text
 from server.link.settings import LinkSettings, framing_of
 from server.link.supervised import SupervisedProcess
 from server.motion.contracts import JointTrajectory

@@ -51,10 +51,8 @@ from server.link.contracts import (
     TailReport,
     Unbound,
 )
-from server.link.knots import knots_from, refusals_text
-from server.link.lateness import Deadline, Lateness, LatenessFigures, raise_priority
-from server.link.outbox import Outbox
-from server.link.samples import sample_of
+from server.link.lateness import Deadline, Lateness, LatenessFigures, Outbox, raise_priority
+from server.link.samples import knots_from, refusals_text, sample_of
 from server.link.settings import LinkSettings, framing_of
 from server.link.udp_end import Address, Resolver, UdpEnd
 

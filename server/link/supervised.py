@@ -64,10 +64,7 @@ class SupervisedProcess:
             self._process.start()
 
     async def request(self, request: LinkRequest) -> None:
-        """Hand a request over, in order.
-
-        Raises: LinkSilentError: the process is gone.
-        """
+        """Hand a request over, in order. Raises: LinkSilentError: the process is gone."""
         try:
             await self._loop.run_in_executor(self._writer, self._pipe.send, request)
         except (OSError, RuntimeError) as error:

@@ -15,8 +15,8 @@ from machine.visibility import faces_eye, in_both_eyes, marker_in_view
 from server.motion.contracts import Array, PathPlan, PlanStatus, Wall
 from server.motion.joint_path import straight_poses
 from server.motion.point_to_point import plan_through
-from server.motion.refusal import MotionInputError, Refusal, refused_plan, require_joints
-from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
+from server.motion.refusal import Refusal, refused_plan, require_joints
+from server.motion.settings import DEFAULT_PLAN_SETTINGS, MotionInputError, PlanSettings
 from server.motion.wall_clearance import wall_refusal
 
 #: Corners in TCP axes [m]: x up, y left, z back from the wall. 1.0 m in six legs of 14 to 20 cm, no two parallel.

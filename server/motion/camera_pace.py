@@ -7,10 +7,9 @@ import numpy as np
 from machine.chain import chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_poses
-from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
+from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus, evaluate, sample
 from server.motion.refusal import Refusal, refused_plan
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
-from server.motion.trajectory import evaluate, sample
 
 SAMPLE_S = 0.05
 
@@ -31,11 +30,7 @@ class CameraNeeds:
 
 
 def camera_paced(
-    machine: Machine,
-    plan: PathPlan,
-    pair_s: float,
-    needs: CameraNeeds,
-    settings: PlanSettings = DEFAULT_PLAN_SETTINGS,
+    machine: Machine, plan: PathPlan, pair_s: float, needs: CameraNeeds, settings: PlanSettings = DEFAULT_PLAN_SETTINGS
 ) -> PathPlan:
     """The plan, driven as slowly as a camera with a pair every `pair_s` needs; refused where that takes too long.
 

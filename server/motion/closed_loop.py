@@ -7,12 +7,10 @@ import numpy as np
 from machine.chain import Chain
 from machine.description import Machine
 from machine.kinematics import tcp_poses
-from server.motion.contracts import Array, JointTrajectory, PlanStatus, Wall
-from server.motion.joint_limits import range_refusal, singular_refusal
-from server.motion.refusal import Refusal
+from server.motion.contracts import Array, JointTrajectory, PlanStatus, Wall, sample
+from server.motion.refusal import Refusal, range_refusal, singular_refusal
 from server.motion.settings import DEFAULT_PLAN_SETTINGS
 from server.motion.timing import excess
-from server.motion.trajectory import sample
 from server.motion.wall_clearance import wall_refusal
 
 KNOT_S = 0.05

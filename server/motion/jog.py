@@ -15,22 +15,12 @@ from server.motion.point_to_point import Leg, cartesian_leg, joint_leg, plan_of
 from server.motion.refusal import Refusal, refused_plan, require_joints
 from server.motion.settings import PlanSettings
 
+# fmt: off
 JogAxis = Literal[
-    "joint_1",
-    "joint_2",
-    "joint_3",
-    "joint_4",
-    "joint_5",
-    "joint_6",
-    "joint_7",
-    "joint_8",
-    "x",
-    "y",
-    "z",
-    "rx",
-    "ry",
-    "rz",
+    "joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6", "joint_7", "joint_8",
+    "x", "y", "z", "rx", "ry", "rz",
 ]
+# fmt: on
 TOOL_AXES: tuple[JogAxis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 PRESS_S = 30.0  # of even speed in one press: a button that is stuck does not move the machine for ever
 RESOLUTION_M, RESOLUTION_RAD = 1e-3, 5e-4  # where the path is cut at what limits it; a shorter path is refused

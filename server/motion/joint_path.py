@@ -13,8 +13,7 @@ from machine.kinematics import tcp_poses
 from machine.poses import pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec, rotvec_from_rotation
 from server.motion.contracts import Array, PlanStatus
-from server.motion.joint_limits import range_refusal
-from server.motion.refusal import Refusal
+from server.motion.refusal import Refusal, range_refusal
 from server.motion.settings import PlanSettings
 
 

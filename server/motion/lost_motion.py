@@ -14,12 +14,11 @@ from machine.chain import chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_jacobian
 from machine.rotations import Array
-from server.motion.contracts import JointTrajectory, PathPlan, Wall
+from server.motion.contracts import JointTrajectory, PathPlan, Wall, join
 from server.motion.joint_path import joint_line
 from server.motion.point_to_point import plan_joint_move
 from server.motion.refusal import refused_plan, require_joints
 from server.motion.settings import PlanSettings
-from server.motion.trajectory import join
 from server.motion.wall_clearance import wall_refusal
 
 FIRST_GUESS_FRAC = 0.015  # half width of a servo valve's dead band in fraction of full command, until it is seen

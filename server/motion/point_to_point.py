@@ -7,13 +7,11 @@ import numpy as np
 from machine.chain import Chain, chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_pose, tcp_poses
-from server.motion.contracts import Array, PathPlan, PlanStatus, Wall
-from server.motion.joint_limits import range_refusal, singular_refusal
+from server.motion.contracts import Array, PathPlan, PlanStatus, Wall, join, sample
 from server.motion.joint_path import JointPath, joint_line, straight_poses, trace
-from server.motion.refusal import Refusal, refused_plan, require_goal, require_joints
+from server.motion.refusal import Refusal, range_refusal, refused_plan, require_goal, require_joints, singular_refusal
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
 from server.motion.timing import Timed, time_path
-from server.motion.trajectory import join, sample
 from server.motion.wall_clearance import wall_refusal
 
 FAR_M = 100.0  # the samples of a longer way would fill the memory before anything is refused

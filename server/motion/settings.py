@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from server.motion.refusal import MotionInputError
+
+class MotionInputError(ValueError):
+    """Input that no caller may hand over: wrong shape or not finite."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,10 @@ from numpy.polynomial import Polynomial
 from machine.chain import Chain
 from machine.description import Machine
 from machine.kinematics import tcp_poses
-from server.motion.contracts import Array, JointTrajectory, PlanStatus
+from server.motion.contracts import Array, JointTrajectory, PlanStatus, sample
 from server.motion.joint_path import JointPath
 from server.motion.refusal import Refusal
 from server.motion.settings import PlanSettings
-from server.motion.trajectory import sample
 
 _ROUNDS = 12
 

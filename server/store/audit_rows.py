@@ -4,7 +4,21 @@ import sqlite3
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from server.store.operating_time import NOW_S
+# The operating-hours counter: time that passed while a server ran on this database. All that lapses here lapses by
+# it.
+
+NOW_S = "(SELECT value / 1000.0 FROM meta WHERE name = 'operating_ms')"  # in a statement: the counter as it stands
+
+
+def read_operating_time(db: sqlite3.Connection) -> float:
+    """The counter [s] as it was written last."""
+    return db.execute(f"SELECT {NOW_S}").fetchone()[0]
+
+
+def save_operating_time(db: sqlite3.Connection, operating_s: float) -> None:
+    """Set the counter on; a lower value changes nothing."""
+    db.execute("UPDATE meta SET value = max(value, ?) WHERE name = 'operating_ms'", (round(operating_s * 1e3),))
+
 
 KEPT_S = 400 * 86400.0  # of operation
 
@@ -49,3 +63,68 @@ def read_audit(db: sqlite3.Connection, before: int, limit: int) -> list[dict[str
 def forget_old_audit(db: sqlite3.Connection) -> None:
     """Lines older than KEPT_S of operation go."""
     db.execute(f"DELETE FROM audit WHERE operating_s < {NOW_S} - ?", (KEPT_S,))
+
+
+# The fencing number: it only grows, also across restarts.
+
+
+def read_fencing(db: sqlite3.Connection) -> int:
+    """The highest number that was ever given."""
+    return db.execute("SELECT value FROM meta WHERE name = 'fencing'").fetchone()[0]
+
+
+def first_fencing(t_unix_s: float) -> int:
+    """Where a new database begins: milliseconds since 1970, above all that a database which was lost can have given.
+
+    It began the same way and gave one number a holder; taking control lasts longer than 1 ms, so time has overtaken it.
+    """
+    return max(0, round(t_unix_s * 1e3))
+
+
+def save_fencing(db: sqlite3.Connection, fencing: int) -> None:
+    """Remember a number; a lower one changes nothing."""
+    db.execute("UPDATE meta SET value = max(value, ?) WHERE name = 'fencing'", (fencing,))
+
+
+# What jobs found, as an index: previewed plans with their expiry, and calibrations.
+
+PLANS_KEPT = 1000
+CALIBRATIONS_KEPT = 10_000
+
+
+def add_plan(
+    db: sqlite3.Connection, plan_hash: str, job_id: str, made_unix_s: float, expires_unix_s: float, view: str
+) -> None:
+    """A previewed plan; the same plan previewed again takes its new expiry."""
+    values = (plan_hash, job_id, made_unix_s, expires_unix_s, view)
+    db.execute("INSERT OR REPLACE INTO plans VALUES (?, ?, ?, ?, ?)", values)
+    db.execute(
+        "DELETE FROM plans WHERE plan_hash NOT IN (SELECT plan_hash FROM plans ORDER BY rowid DESC LIMIT ?)",
+        (PLANS_KEPT,),
+    )
+
+
+def read_plan(db: sqlite3.Connection, plan_hash: str) -> dict[str, Any] | None:
+    """The plan of that hash."""
+    row = db.execute("SELECT * FROM plans WHERE plan_hash = ?", (plan_hash,)).fetchone()
+    return None if row is None else dict(row)
+
+
+def add_calibration(
+    db: sqlite3.Connection, made_unix_s: float, job_id: str, method: str, sigma_deg: float, rms_mm: float, view: str
+) -> None:
+    """A calibration that a job left behind."""
+    db.execute(
+        "INSERT INTO calibrations (made_unix_s, job_id, method, sigma_deg, residual_rms_mm, view) "
+        "VALUES (?, ?, ?, ?, ?, ?)",
+        (made_unix_s, job_id, method, sigma_deg, rms_mm, view),
+    )
+    db.execute(
+        "DELETE FROM calibrations WHERE number <= (SELECT max(number) FROM calibrations) - ?", (CALIBRATIONS_KEPT,)
+    )
+
+
+def read_calibrations(db: sqlite3.Connection, before: int, limit: int) -> list[dict[str, Any]]:
+    """The newest calibrations with a number below `before`, newest first."""
+    rows = db.execute("SELECT * FROM calibrations WHERE number < ? ORDER BY number DESC LIMIT ?", (before, limit))
+    return [dict(row) for row in rows]

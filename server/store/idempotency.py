@@ -5,7 +5,7 @@ import sqlite3
 from dataclasses import dataclass
 
 from server.access.errors import AccessError
-from server.store.operating_time import NOW_S
+from server.store.audit_rows import NOW_S
 
 KEPT_S = 24 * 3600.0
 

@@ -10,13 +10,7 @@ from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import pose
 from machine.rotations import rotation_about, rotvec_from_rotation
-from server.targets.contracts import (
-    BoolArray,
-    PatchStatus,
-    SurfacePatch,
-    TargetSettings,
-    refused_patch,
-)
+from server.targets.contracts import BoolArray, PatchStatus, SurfacePatch, TargetSettings, refused_patch
 from server.targets.stereo_match import coarse_disparity, fine_disparities, sample_places, texture_sigma_px
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance

@@ -85,10 +85,7 @@ class TrueClock:
         self._offset_ns = offset_ns if self._offset_ns is None else max(self._offset_ns, offset_ns)
 
     def mono_ns(self, t_true_ns: int) -> int:
-        """The monotonic time of a true time.
-
-        Raises: RuntimeError before the first reading.
-        """
+        """The monotonic time of a true time. Raises: RuntimeError before the first reading."""
         if self._offset_ns is None:
             raise RuntimeError("true clock: no pose has been seen yet; call saw() first")
         return t_true_ns - self._offset_ns

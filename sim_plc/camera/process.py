@@ -55,20 +55,6 @@ def painted(image: Grey, t_mono_ns: int) -> Grey:
     return out
 
 
-def read(image: Grey, t_near_ns: int) -> int | None:
-    """The time [mono ns] nearest to `t_near_ns` that a picture of any size carries; None when there is no code."""
-    row = image[max(1, round(0.5 * HEIGHT_FRAC * image.shape[0]))].astype(float)
-    centres = ((np.arange(CELLS) + 0.5) * image.shape[1] / CELLS).astype(int)
-    levels = row[centres]
-    if levels[0] - levels[1] < 100.0:
-        return None
-    bits = levels[2:] > 0.5 * (levels[0] + levels[1])
-    code = int("".join("1" if bit else "0" for bit in bits), 2)
-    span = (1 << BITS) * UNIT_NS
-    turns = round((t_near_ns - code * UNIT_NS) / span)
-    return code * UNIT_NS + turns * span
-
-
 class CameraLoop:
     """The rendering thread: pose feed in, stamped frames out. `deliver` gets each frame and its due time [mono ns]."""
 
@@ -234,14 +220,7 @@ def _end_with_parent(server: uvicorn.Server, loop: asyncio.AbstractEventLoop) ->
 
 
 async def _serve(
-    world: World,
-    feed_name: str,
-    host: str,
-    port: int,
-    rate_hz: float,
-    jpeg_quality: int,
-    faults: bool,
-    time_code: bool,
+    world: World, feed_name: str, host: str, port: int, rate_hz: float, jpeg_quality: int, faults: bool, time_code: bool
 ) -> None:
     hub = FrameHub()
     switch = FaultSwitch()

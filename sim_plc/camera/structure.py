@@ -187,10 +187,7 @@ def _share_at(share: float, eyes: "Sequence[tuple[EyeRays, Array]]", hidden: "Se
 
 
 def fitted_boards(
-    truth: "StructureTruth",
-    seed: int,
-    eyes: "Sequence[tuple[EyeRays, Array]]",
-    hidden: "Sequence[NDArray[np.bool_]]",
+    truth: "StructureTruth", seed: int, eyes: "Sequence[tuple[EyeRays, Array]]", hidden: "Sequence[NDArray[np.bool_]]"
 ) -> tuple[Board, ...]:
     """Faces of housing and beams that, with all else, cover `truth.cover_frac` of the pictures, as nearly as they can.
 

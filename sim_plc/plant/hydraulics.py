@@ -61,3 +61,19 @@ def valve_flows(
 def pump_flow(p_supply: float, p_set: float, droop: float, flow_max: float) -> float:
     """Flow of a pressure-compensated pump [m3/s]: none at the set pressure, all of it `droop` below."""
     return flow_max * min(max((p_set - p_supply) / droop, 0.0), 1.0)
+
+
+# Play: an output that follows its input only at the edges of a gap.
+
+
+@njit(cache=True, error_model="numpy")
+def play(output: float, value: float, half_width: float) -> float:
+    """New output of the play operator; half_width = 0 is the identity.
+
+    Model:   out <- min(max(out, in - b/2), in + b/2).
+    """
+    if output < value - half_width:
+        return value - half_width
+    if output > value + half_width:
+        return value + half_width
+    return output

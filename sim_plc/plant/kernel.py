@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from machine.rotations import Array
 from sim_plc.plant.aba import aba
-from sim_plc.plant.backlash import play
 from sim_plc.plant.cylinder import lookup
-from sim_plc.plant.hydraulics import VAPOUR_PA, opening, pump_flow, spool_step, valve_flows
+from sim_plc.plant.hydraulics import VAPOUR_PA, opening, play, pump_flow, spool_step, valve_flows
 
 SUBSTEPS = 4
 STEP_S = 1e-3 / SUBSTEPS

@@ -14,7 +14,6 @@ from protocol.objection import Objection, object_to
 from protocol.plc_events import Accepted, Effect, PlcLinkEvent, SessionOpened, StateChanged
 from protocol.plc_link import PlcLink, PlcLinkSettings
 from protocol.plc_states import ARMED_STATES, PlcEvent
-from sim_plc.plc.joint_control import JointControl
 from sim_plc.plc.knot_ring import KnotRing, PlaybackView
 from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.monitor import Monitor
@@ -22,7 +21,7 @@ from sim_plc.plc.reference import Motion, Reference
 from sim_plc.plc.sample import PlantSample, readable
 from sim_plc.plc.servo import check_target
 from sim_plc.plc.settings import CYCLES_LOST, REST_SPEED_RAD_S, plc_settings
-from sim_plc.plc.status import PlcCounters, status_of
+from sim_plc.plc.status import JointControl, PlcCounters, status_of
 
 
 class PlcNotStartedError(RuntimeError):

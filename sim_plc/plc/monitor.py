@@ -112,11 +112,7 @@ class Monitor:
             (supply & 2, FaultBit.PRESSURE),
             (oil & 2, FaultBit.OIL_TEMPERATURE),
         )
-        warned = (
-            (bits & _LAG_WARN, WarnBit.LAG),
-            (supply & 1, WarnBit.PRESSURE),
-            (oil & 1, WarnBit.OIL_TEMPERATURE),
-        )
+        warned = ((bits & _LAG_WARN, WarnBit.LAG), (supply & 1, WarnBit.PRESSURE), (oil & 1, WarnBit.OIL_TEMPERATURE))
         self.present, self.warnings = FaultBit(0), WarnBit(0)
         for is_there, fault in found:
             self.present |= fault if is_there else FaultBit(0)

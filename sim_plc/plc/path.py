@@ -115,15 +115,7 @@ def advance(
 
 @njit(cache=True)
 def stop_time(
-    times: Array,
-    knots: Array,
-    last: int,
-    k: int,
-    sigma: float,
-    rate: float,
-    dt: float,
-    qdd_max: Array,
-    limit_s: float,
+    times: Array, knots: Array, last: int, k: int, sigma: float, rate: float, dt: float, qdd_max: Array, limit_s: float
 ) -> float:
     """Time to rest along the path, braking as hard as the joints allow [s]; -1: longer than limit_s, or off its end."""
     out = np.empty((3, knots.shape[2]))

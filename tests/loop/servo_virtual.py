@@ -17,9 +17,19 @@ from server.calibration.contracts import CalibrationStatus, CameraRotationEstima
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import Knowledge
-from server.jobs.requests import MachineReading, ReadMachine, Settle, TakeLook
-from server.jobs.steer_requests import Correct, EndMove, NextPair, PairSeen, StartMove, StopMove
-from server.link.knots import knots_from, knots_of
+from server.jobs.requests import (
+    Correct,
+    EndMove,
+    MachineReading,
+    NextPair,
+    PairSeen,
+    ReadMachine,
+    Settle,
+    StartMove,
+    StopMove,
+    TakeLook,
+)
+from server.link.samples import knots_from, knots_of
 from server.settings import ServerSettings, read_machine
 from server.vision.contracts import Look, LookStatus, ObjectPose, PoseStatus
 from sim_plc.draw_world import draw_world

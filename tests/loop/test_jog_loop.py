@@ -12,7 +12,7 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import Knowledge
 from server.jobs.plans.jogging import jog
 from server.jobs.requests import MachineReading, Move, Settle
-from server.link.knots import knots_from, knots_of
+from server.link.samples import knots_from, knots_of
 from server.motion.jog import jog_axes
 from server.motion.wall_clearance import clearances
 from server.settings import ServerSettings, read_machine

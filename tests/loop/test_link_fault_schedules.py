@@ -24,9 +24,9 @@ from protocol.framing import RawFraming
 from protocol.messages import Knot, axes8
 from protocol.plc_link import PlcLink
 from sim_plc.draw_world import draw_world
-from sim_plc.plc.joint_control import JointControl
 from sim_plc.plc.knot_checks import check_step
 from sim_plc.plc.reference import Motion, Reference
+from sim_plc.plc.status import JointControl
 from sim_plc.relay.faults import Faults
 
 SLICE = range(1, 121)

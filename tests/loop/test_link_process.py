@@ -25,7 +25,7 @@ from protocol.messages import axes8
 from protocol.plc_states import PlcEvent
 from recording.clock import mono_ns
 from server.errors import JobFailedError
-from server.jobs.steer_requests import NextPair
+from server.jobs.requests import NextPair
 from server.jobs.steering import Steering
 from server.link.client import LinkClient
 from server.link.contracts import LinkPhase

@@ -9,7 +9,7 @@ from server.calibration.calibration_life import Validity, ValidityStatus
 from server.errors import JobFailedError
 from server.jobs.plans import servoing
 from server.jobs.plans.servoing import servo
-from server.jobs.steer_requests import Correct, NextPair, StopMove
+from server.jobs.requests import Correct, NextPair, StopMove
 
 RAMP_WITHIN_NS = 200 * MS
 

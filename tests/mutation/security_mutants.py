@@ -9,8 +9,8 @@ from server.access.gatekeeper import Gatekeeper, Lockout
 from server.access.keys import read_keys
 from server.access.roles import Caller, Role
 from server.access.sessions import Sessions
-from server.api import diagnoses, guard, job_commands, lease_log, runs
-from server.api.lease_log import ControlLog
+from server.api import diagnoses, guard, job_commands, lease, runs
+from server.api.lease import ControlLog
 
 ANYBODY = Caller("mallory", "admin", "10.0.0.9")
 
@@ -134,7 +134,7 @@ MUTANTS = {
         "test_a_key_file_that_cannot_be_read_puts_every_key_out_of_force_but_never_a_stop",
     ),
     "a person may be a fleet": (
-        put(lease_log, "KINDS_OF_ROLE", dict.fromkeys(Role, ("operator", "fleet", "engineer"))),
+        put(lease, "KINDS_OF_ROLE", dict.fromkeys(Role, ("operator", "fleet", "engineer"))),
         "test_a_persons_key_gets_no_control_as_a_fleet_and_so_no_motion_without_the_hold",
     ),
     "logging out does nothing": (put(Sessions, "close", lambda *_: None), "test_logging_out_ends_the_session"),

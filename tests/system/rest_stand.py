@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "unit" / "api"))
 from served import Bench, bench
 
 from longreach.processes import free_port
-from server.api.slow_clients import PatientProtocol
+from server.api.connection_limit import PatientProtocol
 
 
 @contextlib.contextmanager

@@ -17,7 +17,7 @@ from machine.description import parse_machine_toml
 from protocol.gate import check_trajectory
 from protocol.limits import limits_of
 from protocol.messages import Knot, axes8
-from server.link.knots import knots_of
+from server.link.samples import knots_of
 from server.settings import read_machine_text
 
 MACHINE = parse_machine_toml(read_machine_text("hiab033"))

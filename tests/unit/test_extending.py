@@ -13,8 +13,8 @@ from server.api.panel_alarm_catalogue import CATALOGUE
 from server.compensation.effects import COMPENSATED
 from server.jobs.service import JobBody, JobService
 from server.settings_camera import CameraSettings
-from sim_plc.command_side import NAMES as SIMULATED_COMMAND_SIDE
 from sim_plc.diagnosed import CHANGES
+from tests.unit.sim_plc.command_side import NAMES as SIMULATED_COMMAND_SIDE
 
 ROOT = Path(__file__).parents[2]
 #: Effects that the simulator's plant does not have: stated here, or simulated.
@@ -101,7 +101,9 @@ def test_an_effect_is_whole(name):
     places = {
         "columns in machine/effects/layout.py": has_columns(name),
         "a row in docs/effects.md": name in text_of("docs/effects.md"),
-        "sim_plc/diagnosed.py or sim_plc/command_side.py, or NOT_SIMULATED here": simulated != (name in NOT_SIMULATED),
+        "sim_plc/diagnosed.py, command_side.py of tests/unit/sim_plc, or NOT_SIMULATED here": (
+            simulated != (name in NOT_SIMULATED)
+        ),
         "server/compensation/effects.py, or NOT_COMPENSATED here": (name in COMPENSATED) != (name in NOT_COMPENSATED),
     }
     assert missed(**places) == "", f"effect {name} is missing in: {missed(**places)}"

@@ -15,8 +15,8 @@ from threading import Lock
 from typing import Any
 
 from benchmarks.diagnosis.case_code import CASES, ROOT
-from longreach.code_mark import code_mark
-from longreach.one_thread import ONE_THREAD
+from longreach.diagnose_fleet_command import code_mark
+from recording.spawn import ONE_THREAD
 
 PLANT = "benchmarks.diagnosis.sealed.third_plant"
 DRAWN = "benchmarks.identify"

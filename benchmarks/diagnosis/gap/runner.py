@@ -15,8 +15,8 @@ from typing import Any
 from benchmarks.diagnosis.case_code import CASES, ROOT
 from benchmarks.diagnosis.gap.packed import Packed, PackedError, read_packed, write_packed
 from benchmarks.diagnosis.gap.warm import Warm, with_path
-from longreach.code_mark import code_mark
-from longreach.one_thread import ONE_THREAD
+from longreach.diagnose_fleet_command import code_mark
+from recording.spawn import ONE_THREAD
 
 PLANTS = ("own", "foreign")
 GENERATE = "benchmarks.diagnosis.sealed.generate"

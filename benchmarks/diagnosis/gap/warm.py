@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-from longreach.one_thread import ONE_THREAD
+from recording.spawn import ONE_THREAD
 
 
 def with_path(root: Path) -> dict[str, str]:

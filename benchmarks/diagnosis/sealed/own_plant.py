@@ -12,9 +12,8 @@ from machine.rotations import Array
 from sim_plc.draw_plant import draw_plant, nominal_kinematics
 from sim_plc.plant import kernel
 from sim_plc.plant.aba import aba
-from sim_plc.plant.backlash import play
 from sim_plc.plant.cylinder import lookup
-from sim_plc.plant.hydraulics import VAPOUR_PA, opening, pump_flow, spool_step, valve_flows
+from sim_plc.plant.hydraulics import VAPOUR_PA, opening, play, pump_flow, spool_step, valve_flows
 from sim_plc.plant.kernel import lugre_step
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import gravity_torques

@@ -26,9 +26,8 @@ from server.camera.process import READ_TIMEOUT_S, build_pipeline
 from server.camera.sources.opening import open_source
 from server.link.contracts import LinkHealth, LinkPhase, MotionEnded, PlcSample
 from server.link.errors import LinkRefusedError
-from server.link.knots import knots_of
 from server.link.lateness import Lateness
-from server.link.samples import sample_of
+from server.link.samples import knots_of, sample_of
 from server.link.udp_end import UdpEnd
 from server.motion.contracts import JointTrajectory
 

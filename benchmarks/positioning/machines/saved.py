@@ -15,7 +15,7 @@ from benchmarks.reproduce.fast_machine import QuasiStaticMachine
 from benchmarks.reproduce.fine_machine import FineMachine
 from benchmarks.reproduce.noise_model import fitted_noise
 from benchmarks.saved_lines import add_line, open_to_add, whole_lines
-from longreach.one_thread import ONE_THREAD
+from recording.spawn import ONE_THREAD
 from server.settings import read_machine
 
 CHANGES = {**SOURCES, **SEEING}

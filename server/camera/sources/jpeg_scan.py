@@ -160,13 +160,7 @@ def _standard() -> bytes:
 
 @njit(cache=True, nogil=True)
 def _read(
-    data: Bytes,
-    position: int,
-    codes: Codes,
-    dc: NDArray[np.int64],
-    ac: NDArray[np.int64],
-    n_units: int,
-    interval: int,
+    data: Bytes, position: int, codes: Codes, dc: NDArray[np.int64], ac: NDArray[np.int64], n_units: int, interval: int
 ) -> tuple[int, int, int]:
     """Fault, unit at which it shows, and the byte behind what was read."""
     bits, held, more = np.uint64(0), 0, True  # the newest bits, how many of them are unread, whether data follow them

@@ -98,10 +98,7 @@ def possible_path(ctx: PlanContext, reading: MachineReading) -> tuple[PathPlan, 
 
 
 def driven_path(ctx: PlanContext, reading: MachineReading, nominal: PathPlan) -> tuple[PathPlan, JointTrajectory]:
-    """The same path as a path of the reference, and its motion.
-
-    Raises: JobFailedError: the plan is a refusal.
-    """
+    """The same path as a path of the reference, and its motion. Raises: JobFailedError: the plan is a refusal."""
     plan = onto_reference(ctx, nominal, reading)
     if plan.status is not PlanStatus.OK or plan.trajectory is None:
         raise JobFailedError(f"calibration path: {plan.reason}", f"plan_{plan.status.value}")

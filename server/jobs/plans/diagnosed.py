@@ -8,7 +8,7 @@ from machine.rotations import Array
 from server.calibration.contracts import EncoderTrack, MountRotation
 from server.calibration.play import play_sides
 from server.calibration.reference import reference_from_look
-from server.compensation.errors import CompensationError
+from server.compensation.compensation import CompensationError
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken

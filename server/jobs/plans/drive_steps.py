@@ -15,15 +15,13 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import fingerprint
 from server.jobs.plans.planning import LIMIT_SHARE, plan_settings
 from server.jobs.requests import Arm, MachineReading, ReadMachine, Record, Request, expect
-from server.link.knots import knots_from, knots_of, refusals_text
-from server.motion.contracts import Array, JointTrajectory, PathPlan, PlanStatus
+from server.link.samples import knots_from, knots_of, refusals_text
+from server.motion.contracts import Array, JointTrajectory, PathPlan, PlanStatus, join, sample
 from server.motion.identification_courses import Mark
-from server.motion.joint_limits import range_refusal
 from server.motion.point_to_point import plan_joint_move
-from server.motion.refusal import Refusal
+from server.motion.refusal import Refusal, range_refusal
 from server.motion.settings import PlanSettings
 from server.motion.timing import tcp_speed
-from server.motion.trajectory import join, sample
 from server.motion.wall_clearance import stall_reach, wall_refusal
 
 THERE_RAD = 1e-6

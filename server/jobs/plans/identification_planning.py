@@ -9,22 +9,14 @@ from machine.kinematics import tcp_poses
 from server.calibration.contracts import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
-from server.jobs.identification_records import IdentificationPart, IdentificationPlan
-from server.jobs.plans.drive_steps import (
-    Step,
-    check_driven,
-    clearance_of,
-    drive_settings,
-    steps_hash,
-    way_to,
-)
+from server.jobs.plans.drive_steps import Step, check_driven, clearance_of, drive_settings, steps_hash, way_to
+from server.jobs.records import IdentificationPart, IdentificationPlan
 from server.motion.approach import play_of
-from server.motion.contracts import JointTrajectory
+from server.motion.contracts import JointTrajectory, join
 from server.motion.identification_courses import PARTS, MotionPart, fitted_course, part_course, part_marks
 from server.motion.identification_postures import Postures, SeenObject, choose_postures
 from server.motion.refusal import Refusal
 from server.motion.timing import tcp_speed
-from server.motion.trajectory import join
 
 LOOKS = "looks"
 LOOKS_SHOW = ("zeros", "lengths", "sag", "camera's mount", "backlash", "lens")

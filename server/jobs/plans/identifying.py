@@ -8,7 +8,6 @@ from machine.poses import pose
 from recording.clock import mono_ns
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
-from server.jobs.identification_records import IdentificationDriven, IdentificationPlan
 from server.jobs.plans.drive_steps import LOOK_PAIRS, begin_drive
 from server.jobs.plans.freshness import require_fresh
 from server.jobs.plans.identification_planning import (
@@ -20,6 +19,7 @@ from server.jobs.plans.identification_planning import (
     planned_drive,
 )
 from server.jobs.plans.looking import mount_rotation, take_look
+from server.jobs.records import IdentificationDriven, IdentificationPlan
 from server.jobs.requests import (
     BeginSegment,
     EndSegment,

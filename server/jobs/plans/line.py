@@ -21,8 +21,18 @@ from server.jobs.plans.looking import good_look
 from server.jobs.plans.orienting import orient
 from server.jobs.plans.planning import onto_reference, plan_settings, plan_to
 from server.jobs.records import LineLook, LineResult
-from server.jobs.requests import Arm, MachineReading, Move, Progress, Request, Settle, expect
-from server.jobs.watching import Sighted, StartWatching, StopWatching
+from server.jobs.requests import (
+    Arm,
+    MachineReading,
+    Move,
+    Progress,
+    Request,
+    Settle,
+    Sighted,
+    StartWatching,
+    StopWatching,
+    expect,
+)
 from server.motion.contracts import PlanStatus
 from server.motion.point_to_point import plan_through
 

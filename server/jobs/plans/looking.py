@@ -40,10 +40,7 @@ def take_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, obje
 
 
 def good_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, object, LookTaken]:
-    """A look that may be acted upon.
-
-    Raises: JobFailedError with the look's own reason otherwise.
-    """
+    """A look that may be acted upon. Raises: JobFailedError with the look's own reason otherwise."""
     taken = yield from take_look(ctx, pairs_share)
     if taken.error is None:
         raise JobFailedError(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from server.jobs.context import PlanContext
-from server.jobs.steer_requests import PairSeen
+from server.jobs.requests import PairSeen
 from server.vision.contracts import ObjectPose, PoseStatus
 from server.vision.errors import NoPoseError
 from server.vision.goal_error import pair_error

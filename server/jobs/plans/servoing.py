@@ -29,8 +29,20 @@ from server.jobs.plans.steering_path import (
     path_onto_reference,
 )
 from server.jobs.records import ErrorMm, MoveRecord, ServoResult
-from server.jobs.requests import Arm, MachineReading, Progress, ReadMachine, Record, Request, Settle, expect
-from server.jobs.steer_requests import EndMove, PairSeen, StartMove, StopMove
+from server.jobs.requests import (
+    Arm,
+    EndMove,
+    MachineReading,
+    PairSeen,
+    Progress,
+    ReadMachine,
+    Record,
+    Request,
+    Settle,
+    StartMove,
+    StopMove,
+    expect,
+)
 from server.motion.approach import play_of
 from server.motion.closed_loop import at_rest, with_start
 from server.motion.contracts import JointTrajectory

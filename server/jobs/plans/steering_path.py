@@ -13,8 +13,7 @@ from server.jobs.knowledge import LookTaken
 from server.jobs.plans.looking import mount_rotation
 from server.jobs.plans.pair_gate import PairGate
 from server.jobs.plans.seeing import corrected_poses
-from server.jobs.requests import MachineReading
-from server.jobs.steer_requests import Correct, NextPair, PairSeen
+from server.jobs.requests import Correct, MachineReading, NextPair, PairSeen
 from server.motion.closed_loop import JOIN_AHEAD_S, Join, join_after, path_to_rest, reference_goal, with_tail
 from server.motion.contracts import JointTrajectory, PlanStatus
 from server.motion.joint_path import joint_line

@@ -14,9 +14,9 @@ from server.access.errors import AccessError
 from server.access.lease import Lease, LeaseBook, LeaseKind
 from server.jobs.engine import Job, JobState
 from server.jobs.keeper import add_job, end_interrupted, end_job, read_jobs
+from server.store.audit_rows import read_fencing, save_fencing
+from server.store.database import migrate
 from server.store.idempotency import Answered, hash_of, read_answer, replay_of, save_answer
-from server.store.lease_rows import read_fencing, save_fencing
-from server.store.migrations import migrate
 
 STEPS = 150
 TTL_S = 5.0

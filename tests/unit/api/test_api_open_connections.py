@@ -7,13 +7,13 @@ import pytest
 from served import HOST
 
 from server.access.keys import read_keys, without_key, write_keys
-from server.api import admission
+from server.api import guard
 from server.jobs.lease_guard import guard_lease
 
 
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch):
-    monkeypatch.setattr(admission, "CHECK_S", 0.02)
+    monkeypatch.setattr(guard, "CHECK_S", 0.02)
     monkeypatch.setattr("server.access.keys.LOOK_S", 0.02)
 
 

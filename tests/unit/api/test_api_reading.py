@@ -10,9 +10,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from server.api.event_log import KEPT, EventLog
+from server.api.events import KEPT, EventLog
 from server.api.panel_memory import PanelMemory
-from server.api.run_files import GrowingFile
+from server.api.runs import GrowingFile
 from server.jobs.diagnosing import Diagnoses
 
 

@@ -13,8 +13,7 @@ from machine.chain import chain_of
 from recording.clock import mono_ns
 from server.api.jobs import jobs_router
 from server.api.problems import install_problem_handlers
-from server.api.state import camera_reason, state_router
-from server.api.state_cache import FRESH_S
+from server.api.state import FRESH_S, camera_reason, state_router
 from server.camera.client import STARTING
 from server.camera.contracts import MarksFound
 from server.jobs.cell import Cell

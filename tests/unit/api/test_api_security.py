@@ -9,7 +9,7 @@ from served import HOST
 from server.access.keys import KeyRing, new_key, read_keys, with_key, without_key, write_keys
 from server.access.roles import Role
 from server.api import guard as guard_module
-from server.api.fault_list import fault_views
+from server.api.oversight import fault_views
 from server.app import gatekeeper_of
 from server.errors import SettingsError
 from server.settings import HttpSettings

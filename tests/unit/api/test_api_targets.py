@@ -153,7 +153,7 @@ def school(stand, monkeypatch):
         )
 
     vision.teach_view = teach_view
-    monkeypatch.setattr("server.jobs.teaching.teach_object", teach_object)
+    monkeypatch.setattr("server.jobs.targets.teach_object", teach_object)
     return stand
 
 

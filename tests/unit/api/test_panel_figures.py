@@ -9,10 +9,10 @@ from test_api_routes import MACHINE, StandInLink, StandInPerformer, StandInRecor
 
 from machine.chain import chain_of
 from machine.poses import pose
-from server.api.panel_figures import EDGES_MS, link_figures, loss_pct, safety_view
-from server.api.panel_routes import setting_rows
+from server.api.panel import setting_rows
+from server.api.panel_view import EDGES_MS, link_figures, loss_pct, safety_view
 from server.api.state_view import steps
-from server.api.video_overlay import _cross
+from server.api.video import _cross
 from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.link.contracts import LinkHealth, LinkPhase

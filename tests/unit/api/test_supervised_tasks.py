@@ -6,7 +6,7 @@ import asyncio
 import pytest
 
 from server import supervised_tasks
-from server.api.fault_list import fault_views
+from server.api.oversight import fault_views
 from server.jobs import lease_guard
 from server.supervised_tasks import SupervisedTasks
 

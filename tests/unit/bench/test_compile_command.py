@@ -14,7 +14,7 @@ from longreach.cli import CACHE, COMPILED, app
 
 ROOT = Path(__file__).parents[3]
 #: Compiled when a diagnosis, an identification or a compensation first needs them, in a process of its own or at rest.
-LATER = ("diagnosis/", "machine/effects/", "sim_plc/recorded_drive.py")
+LATER = ("diagnosis/", "machine/effects/")
 MISSING = """
 import json
 from longreach.compile_command import kernel_files, kernels_of

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from longreach import addresses
-from longreach.addresses import Address, require_bindable
+from longreach import processes
 from longreach.cli import app
 from longreach.fleet_client import JobClient, JobRefusedError
+from longreach.processes import Address, require_bindable
 from longreach.shipped_machine import file_of_machine
 from server.errors import SettingsError
 
@@ -137,7 +137,7 @@ def test_an_address_that_is_not_there_yet_is_waited_for(monkeypatch: pytest.Monk
             raise OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")
 
     monkeypatch.setattr(Address, "try_it", try_it)
-    monkeypatch.setattr(addresses, "RETRY_S", 0.0)
+    monkeypatch.setattr(processes, "RETRY_S", 0.0)
     require_bindable((Address("192.0.2.1", 1, "--host", "--port"),), 60.0, told.append)
     assert told == ["'192.0.2.1' is not an address of this computer yet; waiting for it, 60 s at most"]
     monkeypatch.undo()

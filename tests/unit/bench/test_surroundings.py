@@ -12,8 +12,7 @@ import pytest
 
 from longreach import cli as surroundings
 from longreach.cli import prepare
-from longreach.fleet_client import JobClient, JobRefusedError
-from longreach.fleet_connection import SteadyClient, by_proxy
+from longreach.fleet_client import JobClient, JobRefusedError, SteadyClient, by_proxy
 
 ROOT = Path(__file__).parents[3]
 NAMES = ("machine", "server", "recording", "selectors", "random", "numba")

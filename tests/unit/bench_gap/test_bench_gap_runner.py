@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.diagnosis.gap.packed import read_packed, write_packed
 from benchmarks.diagnosis.gap.runner import CASES, ROOT, Campaign, CampaignError, pack, run_campaign, scores
-from longreach import code_mark
+from longreach.diagnose_fleet_command import code_mark
 
 NONE = range(0)
 
@@ -21,7 +21,7 @@ def asked(tmp_path):
 def test_it_is_resumed_by_the_same_code(asked):
     assert run_campaign(asked, NONE) == 0
     assert run_campaign(asked, NONE) == 0
-    assert (asked.place / "code.txt").read_text(encoding="utf-8").strip() == code_mark.code_mark(ROOT, CASES)
+    assert (asked.place / "code.txt").read_text(encoding="utf-8").strip() == code_mark(ROOT, CASES)
 
 
 def test_other_code_is_refused_and_leaves_what_is_there(asked):
@@ -36,13 +36,13 @@ def test_a_changed_number_changes_the_mark(tmp_path):
     (tmp_path / "diagnosis").mkdir()
     file = tmp_path / "diagnosis" / "calibration.json"
     file.write_text("1", encoding="utf-8")
-    before = code_mark.code_mark(tmp_path, ("diagnosis",))
+    before = code_mark(tmp_path, ("diagnosis",))
     file.write_text("2", encoding="utf-8")
-    assert code_mark.code_mark(tmp_path, ("diagnosis",)) != before
+    assert code_mark(tmp_path, ("diagnosis",)) != before
 
 
 def test_packed_scores_are_told_beside_those_of_the_folder_and_not_run_again(asked):
-    mark = code_mark.code_mark(ROOT, CASES)
+    mark = code_mark(ROOT, CASES)
     write_packed(asked.packed, mark, [{"number": 1, "exact": False}, {"number": 0, "exact": True}])
     assert run_campaign(asked, range(2)) == 0  # nothing is left to do
     here = asked.place / "case00002"

@@ -17,10 +17,9 @@ from server.calibration.reference import predicted_error_covariance, reference_f
 from server.calibration.trajectory_matching import estimate_camera_rotation
 from server.calibration.trajectory_matching_paper import estimate_camera_rotation_paper
 from server.motion.calibration_paths import plan_calibration_path
-from server.motion.contracts import JointTrajectory, PlanStatus
+from server.motion.contracts import JointTrajectory, PlanStatus, evaluate
 from server.motion.point_to_point import plan_move
 from server.motion.settings import PAPER_PLAN_SETTINGS
-from server.motion.trajectory import evaluate
 
 T_OOI_GOAL = pose(np.eye(3), np.array([0.0, 0.0, 0.1]))
 LOOK = np.diag([4e-6, 4e-6, 1e-6, 1e-8, 1e-8, 9e-8])  # 0.1 deg, 0.1 mm, 0.3 mm in depth

@@ -10,7 +10,7 @@ from machine.description import parse_machine_toml
 from protocol.limits import cfg_id, limits_of
 from server.commissioning.site import Options, Site
 from server.link.contracts import LinkHealth, LinkPhase, MotionEnded, PlcSample
-from server.motion.trajectory import evaluate
+from server.motion.contracts import evaluate
 from server.settings import ServerSettings
 
 MS = 1_000_000

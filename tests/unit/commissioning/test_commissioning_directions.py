@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from commissioning_states import CHAIN, Q
 
-from server.commissioning.axes import ANGLE_MAX_DEG, Seen, axes_figures, wrong_mounting
+from server.commissioning.camera_axes import ANGLE_MAX_DEG, Seen, axes_figures, wrong_mounting
 from server.commissioning.joint_signs import Expected, compare, expected_motion, outward, understood
 
 STEP = float(np.deg2rad(2.0))

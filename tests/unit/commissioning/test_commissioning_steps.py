@@ -18,7 +18,7 @@ from server.commissioning.moving import NoLeaveError, NotReadyError, Played, Rea
 from server.commissioning.stopping import EndedByItselfError, StopKind, by_itself, run_and_stop
 from server.link.contracts import MotionEnded
 from server.link.errors import LinkRefusedError
-from server.motion.trajectory import evaluate
+from server.motion.contracts import evaluate
 
 TABLE = limits_of(MACHINE.joints)
 READING = Reading(Q, Q)

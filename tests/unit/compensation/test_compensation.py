@@ -13,8 +13,7 @@ from machine.inverse import inverse_nearest
 from machine.kinematics import tcp_pose
 from machine.poses import inverse_pose, pose
 from server.calibration.kinematic_errors import error_model
-from server.compensation.compensation import compensation_of
-from server.compensation.errors import CompensationError
+from server.compensation.compensation import CompensationError, compensation_of
 from server.compensation.reading import compensation_from, read_compensation
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import Knowledge

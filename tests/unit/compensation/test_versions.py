@@ -3,7 +3,7 @@
 import pytest
 
 from machine.description import parse_machine_toml
-from server.compensation.errors import CompensationError
+from server.compensation.compensation import CompensationError
 from server.compensation.versions import MachineVersions, base_id_of
 from server.settings import read_machine_text
 

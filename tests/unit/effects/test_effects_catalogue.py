@@ -83,7 +83,7 @@ def test_names_stages_and_parameters_are_the_contracts() -> None:
 def test_every_file_of_the_catalogue_is_registered() -> None:
     files = [path for path in Path(catalogue.__path__[0]).glob("*.py") if path.stem != "__init__"]
     written = [
-        name for path in files for name in re.findall(r'^        name="(\w+)",$', path.read_text(), re.MULTILINE)
+        name for path in files for name in re.findall(r'^    Effect\(name="(\w+)"', path.read_text(), re.MULTILINE)
     ]
     assert sorted(written) == sorted(NAMES)
 
@@ -121,26 +121,12 @@ def test_a_fit_starts_inside_the_bounds_and_off_neutral(effect) -> None:
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
-def test_draws_from_the_prior_stay_inside_the_bounds_and_are_likely(effect) -> None:
+def test_draws_from_the_prior_stay_inside_the_bounds(effect) -> None:
     rng = np.random.default_rng(1)
     for parameter in effect.parameters:
         values = [parameter.draw(rng) for _ in range(200)]
         assert all(parameter.low <= value <= parameter.high for value in values)
-        assert all(math.isfinite(parameter.log_prior(value)) for value in values)
         assert np.ptp(values) > 0.0
-
-
-@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
-def test_priors_are_densities(effect) -> None:
-    """They integrate to 1 over all values that they allow (half normals over positive ones)."""
-    for parameter in (one for one in effect.parameters if not one.integer):
-        low, high = {
-            "half_normal": (0.0, 9.0 * parameter.prior.scale),
-            "normal": (-9.0 * parameter.prior.scale, 9.0 * parameter.prior.scale),
-        }.get(parameter.prior.kind, (parameter.low, parameter.high))
-        grid = np.linspace(low, high, 20001)
-        density = [math.exp(parameter.log_prior(float(x))) for x in 0.5 * (grid[1:] + grid[:-1])]
-        assert sum(density) * (grid[1] - grid[0]) == pytest.approx(1.0, abs=2e-3)
 
 
 def test_every_slot_of_every_effect_has_a_column_of_its_own() -> None:

@@ -11,7 +11,6 @@ from machine.effects.registry import effect_named, effects_of
 from machine.effects.seen import (
     camera_mount,
     points_on_links,
-    sampled,
     seen_corners,
     tool_place,
     true_times,
@@ -152,11 +151,7 @@ def test_clocks_map_stamps_to_true_times() -> None:
         assert true_times(packed(name, **parameters), t, 100.0) == pytest.approx(wanted, abs=1e-10)
 
 
-def test_signals_are_sampled_between_their_rows_and_points_follow_their_links() -> None:
-    rows = np.array([[0.0, 1.0], [2.0, 3.0]])
-    assert sampled(np.array([0.0, 1.0]), rows, np.array([-1.0, 0.25])) == pytest.approx(
-        np.array([[0.0, 1.0], [0.5, 1.5]])
-    )
+def test_points_follow_their_links() -> None:
     links = np.tile(np.eye(4), (2, 3, 1, 1))
     links[1, 2, :3, 3] = [1.0, 2.0, 3.0]
     points = points_on_links(links, np.array([0, 2]), RNG.normal(size=(2, 3)) * 0.0 + 0.1)

@@ -21,7 +21,7 @@ from served import bench
 from machine.urdf import urdf_text
 from recording.clock import mono_ns
 from server.errors import SettingsError
-from server.foxglove.face import BACKLOG, FoxgloveFace, check_foxglove, foxglove_face
+from server.faces.foxglove import BACKLOG, FoxgloveFace, check_foxglove, foxglove_face
 from server.jobs.engine import Job, JobEvent
 from server.jobs.records import ErrorMm
 from server.link.contracts import PlcSample

@@ -11,8 +11,7 @@ from server.camera.looking import POSES_MAX, TrackCollector
 from server.camera.sources.settings import HttpSource
 from server.errors import JobFailedError
 from server.jobs.performer import WATCHED_MAX, Performer
-from server.jobs.requests import Move, StartOdometry
-from server.jobs.watching import StartWatching
+from server.jobs.requests import Move, StartOdometry, StartWatching
 from server.link.contracts import MotionEnded
 from server.motion.contracts import JointTrajectory
 from server.settings import read_machine

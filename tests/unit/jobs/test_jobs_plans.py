@@ -35,7 +35,7 @@ from server.jobs.requests import (
     TakeLook,
     TimePairs,
 )
-from server.motion.trajectory import evaluate
+from server.motion.contracts import evaluate
 from server.settings import ServerSettings
 from server.vision.contracts import Look, LookStatus
 

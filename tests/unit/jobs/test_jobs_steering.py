@@ -8,7 +8,7 @@ import pytest
 
 from recording.clock import mono_ns
 from server.errors import JobFailedError
-from server.jobs.steer_requests import Correct, NextPair
+from server.jobs.requests import Correct, NextPair
 from server.jobs.steering import FIRST_PAIR_S, GRACE_S, Steering
 from server.link.contracts import MotionEnded
 from server.link.errors import LinkRefusedError

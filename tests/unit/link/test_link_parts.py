@@ -12,7 +12,7 @@ from protocol.errors import LocalProtocolError
 from protocol.framing import EapFraming, RawFraming
 from protocol.messages import State
 from recording.clock import mono_ns
-from server.api.panel_figures import link_figures
+from server.api.panel_view import link_figures
 from server.link import udp_end
 from server.link.client import LinkClient
 from server.link.contracts import (
@@ -25,12 +25,9 @@ from server.link.contracts import (
     measured_oil_c,
 )
 from server.link.errors import LinkRefusedError
-from server.link.knots import knots_of
-from server.link.lateness import Lateness
-from server.link.outbox import Outbox
-from server.link.samples import SampleRing, sample_of
+from server.link.lateness import Lateness, Outbox
+from server.link.samples import SampleRing, knots_of, sample_of, stood_still
 from server.link.settings import LinkSettings, framing_of
-from server.link.standing import stood_still
 from server.link.udp_end import StampClock, UdpEnd
 from server.motion.contracts import JointTrajectory
 from server.settings import read_machine

@@ -3,7 +3,7 @@
 import pytest
 
 from machine.field_units import unit_of
-from server.api.panel_routes import setting_rows
+from server.api.panel import setting_rows
 from server.errors import SettingsError
 from server.settings import read_settings
 

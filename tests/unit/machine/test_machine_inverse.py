@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from machine_cases import CHAIN, QS
 
-from machine import inverse_kernel
+from machine import inverse
 from machine.errors import MachineError
 from machine.inverse import InverseStatus, inverse_all, inverse_nearest
 from machine.kinematics import link_poses, sigma_min, tcp_jacobian, tcp_pose
@@ -193,9 +193,9 @@ def test_broken_contracts_raise():
 
 def test_kernels_run_as_plain_python_with_the_same_result(monkeypatch):
     arguments = (CHAIN.a, CHAIN.d, tcp_pose(CHAIN, QS[5]), QS[5] + CHAIN.theta_offset)
-    count, angles = inverse_kernel.solve_angles(*arguments)
+    count, angles = inverse.solve_angles(*arguments)
     for name in ("_arm_angles", "_wrist_rotation", "_wrist_angles"):
-        monkeypatch.setattr(inverse_kernel, name, getattr(inverse_kernel, name).py_func)
-    count_plain, angles_plain = inverse_kernel.solve_angles.py_func(*arguments)
+        monkeypatch.setattr(inverse, name, getattr(inverse, name).py_func)
+    count_plain, angles_plain = inverse.solve_angles.py_func(*arguments)
     assert count == count_plain
     assert np.abs(angles[:count] - angles_plain[:count]).max(initial=0.0) < 1e-12

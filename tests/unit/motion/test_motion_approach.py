@@ -6,8 +6,7 @@ from motion_scenes import Q_USUAL, chain, machine, ooi_ahead, posture, shifted, 
 
 from machine.kinematics import tcp_pose
 from server.motion.approach import offset_goal, plan_approach, play_of
-from server.motion.contracts import PlanStatus
-from server.motion.trajectory import sample
+from server.motion.contracts import PlanStatus, sample
 
 
 @pytest.mark.parametrize("seed", range(6))

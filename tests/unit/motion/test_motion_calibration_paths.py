@@ -17,9 +17,8 @@ from server.motion.calibration_paths import (
     paper_corners,
     plan_calibration_path,
 )
-from server.motion.contracts import PlanStatus
-from server.motion.refusal import MotionInputError
-from server.motion.trajectory import sample
+from server.motion.contracts import PlanStatus, sample
+from server.motion.settings import MotionInputError
 
 
 def test_folded_corners_are_a_metre_closed_folded_and_never_towards_the_wall():

@@ -10,8 +10,7 @@ from test_motion_point_to_point import assert_obeys_limits
 from machine.kinematics import tcp_poses
 from server.motion.calibration_paths import plan_calibration_path
 from server.motion.camera_pace import CameraNeeds, camera_paced
-from server.motion.contracts import PlanStatus
-from server.motion.trajectory import sample
+from server.motion.contracts import PlanStatus, sample
 
 NEEDS = CameraNeeds(shift_max_px=4.0, focal_px=700.0, depth_m=0.8, chord_m=0.08, chords_min=12)
 

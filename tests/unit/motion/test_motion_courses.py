@@ -5,12 +5,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from machine.chain import chain_of
-from server.motion.contracts import JointTrajectory, PlanStatus
+from server.motion.contracts import JointTrajectory, PlanStatus, evaluate
 from server.motion.identification_courses import Course, course_trajectory, fitted_course
 from server.motion.refusal import Refusal
 from server.motion.settings import PAPER_PLAN_SETTINGS
 from server.motion.timing import excess
-from server.motion.trajectory import evaluate
 from server.settings import read_machine
 
 MACHINE = read_machine("hiab033")

@@ -8,10 +8,9 @@ from motion_scenes import Q_USUAL, chain, machine, ooi_ahead, posture, wall_of
 
 from machine.kinematics import sigma_min, tcp_jacobian, tcp_pose, tcp_poses
 from machine.rotations import rotvec_from_rotation
-from server.motion.contracts import PlanStatus
+from server.motion.contracts import PlanStatus, sample
 from server.motion.jog import PRESS_S, JogSpeed, jog_axes, plan_jog
 from server.motion.settings import DEFAULT_PLAN_SETTINGS
-from server.motion.trajectory import sample
 from server.motion.wall_clearance import clearances
 
 SETTINGS = replace(DEFAULT_PLAN_SETTINGS, limit_share=0.8)

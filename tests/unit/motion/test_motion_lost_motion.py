@@ -8,7 +8,7 @@ from motion_scenes import Q_USUAL, chain, machine, shifted
 
 from machine.kinematics import tcp_pose
 from server.motion.approach import plan_approach, play_of
-from server.motion.contracts import PlanStatus, Wall
+from server.motion.contracts import PlanStatus, Wall, sample
 from server.motion.lost_motion import (
     first_stall,
     last_direction,
@@ -18,7 +18,6 @@ from server.motion.lost_motion import (
     worth_trimming,
 )
 from server.motion.settings import PAPER_PLAN_SETTINGS as PLAIN
-from server.motion.trajectory import sample
 
 STALL = np.deg2rad([0.4, 0.1, 0.1, 0.17, 0.14, 0.16])
 PLAY = play_of(6)

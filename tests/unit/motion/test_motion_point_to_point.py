@@ -9,11 +9,9 @@ from motion_scenes import Q_USUAL, chain, machine, ooi_ahead, posture, shifted, 
 from machine.kinematics import tcp_pose, tcp_poses
 from machine.poses import pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec
-from server.motion.contracts import JointTrajectory, PlanStatus
+from server.motion.contracts import JointTrajectory, PlanStatus, sample
 from server.motion.point_to_point import plan_joint_move, plan_move, plan_through
-from server.motion.refusal import MotionInputError
-from server.motion.settings import DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS
-from server.motion.trajectory import sample
+from server.motion.settings import DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS, MotionInputError
 
 BOTH = pytest.mark.parametrize("settings", [DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS], ids=["shaped", "plain"])
 

@@ -5,11 +5,10 @@ import pytest
 from motion_scenes import Q_USUAL, machine, posture, shifted
 from scipy.integrate import cumulative_simpson
 
-from server.motion.contracts import JointTrajectory
+from server.motion.contracts import JointTrajectory, evaluate, hold, join, sample
 from server.motion.point_to_point import plan_move
 from server.motion.settings import PAPER_PLAN_SETTINGS
 from server.motion.timing import CruiseLaw, QuinticLaw, servo_lag_of
-from server.motion.trajectory import evaluate, hold, join, sample
 
 
 @pytest.mark.parametrize("law", [QuinticLaw(), CruiseLaw(0.5), CruiseLaw(0.3), CruiseLaw(0.1)])

@@ -14,10 +14,10 @@ from served import bench
 from protocol.codes import FaultBit
 from recording.clock import mono_ns
 from server.errors import SettingsError
+from server.faces import opcua as face_module
+from server.faces.opcua import OperationalMode, Shown, check_opcua, opcua_face, shown
+from server.faces.shell import running
 from server.link.contracts import LinkHealth, LinkPhase, PlcSample
-from server.opcua import face as face_module
-from server.opcua.face import check_opcua, opcua_face
-from server.opcua.values import OperationalMode, Shown, shown
 from server.settings import OpcUaSettings
 
 needs_asyncua = pytest.mark.skipif(importlib.util.find_spec("asyncua") is None, reason="asyncua is not installed")
@@ -226,8 +226,6 @@ async def test_a_face_that_dies_is_told(service, caplog):
     async def dies():
         raise RuntimeError("gone")
 
-    task = asyncio.create_task(dies())
-    task.add_done_callback(face_module._log_end)
-    await asyncio.wait({task})
-    await asyncio.sleep(0)
+    async with running("face", dies(), "values are no longer updated"):
+        await asyncio.sleep(0.01)
     assert "values are no longer updated" in caplog.text

@@ -6,10 +6,8 @@ import pytest
 from typer.testing import CliRunner
 
 from longreach.cli import app
-from longreach.reference.command import reference
-from longreach.reference.fields import type_text
-from longreach.reference.markdown import table
-from longreach.reference.rest import document
+from longreach.reference.command import document, reference
+from longreach.reference.fields import table, type_text
 from protocol.codes import FaultBit, RejectCode
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.settings import ServerSettings

@@ -16,8 +16,7 @@ from server.errors import JobFailedError
 from server.jobs.performer import Performer
 from server.jobs.plans.driving import STEPS_MAX, drive, integrate
 from server.jobs.plans.planning import plan_to
-from server.jobs.requests import MachineReading, Move, Settle
-from server.jobs.watching import Sighted, StartWatching, StopWatching, sighted_of
+from server.jobs.requests import MachineReading, Move, Settle, Sighted, StartWatching, StopWatching, sighted_of
 from server.vision.object_pose import not_seen
 from sim_plc.world import rng_for
 

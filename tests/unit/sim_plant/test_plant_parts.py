@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from sim_plc.plant.backlash import play
 from sim_plc.plant.cylinder import LIFT_GEOMETRY, TILT_GEOMETRY, FourBarCylinder, lever_table, lookup
-from sim_plc.plant.hydraulics import opening, orifice, pump_flow, spool_step, valve_flows
+from sim_plc.plant.hydraulics import opening, orifice, play, pump_flow, spool_step, valve_flows
 from sim_plc.plant.kernel import lugre_step
 
 

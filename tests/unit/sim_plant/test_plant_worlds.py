@@ -5,7 +5,7 @@ import pytest
 
 from machine.poses import inverse_pose
 from machine.rotations import geodesic_angle, rotvec_from_rotation
-from sim_plc.draw_world import all_in_view, draw_world, draw_world_reported, scene_fault, tool_stations, wall_clearance
+from sim_plc.draw_world import all_in_view, draw_world, scene_fault, tool_stations, wall_clearance
 from sim_plc.plant.plant import Plant
 from sim_plc.presets import PRESET_NAMES, PRESET_TABLE, Exact, Normal, PresetError, Uniform, spread_of
 from sim_plc.world import rng_for
@@ -114,8 +114,3 @@ def test_a_scene_out_of_reach_is_refused(worlds, nominal):
     shifted = T_base_tcp.copy()
     reason = scene_fault(nominal, stretched, shifted, world.scene, world.camera)
     assert reason is not None
-
-
-def test_the_report_counts_every_refusal(nominal):
-    _, report = draw_world_reported(nominal, "realistic", 2)
-    assert report.attempts == 1 + sum(report.refused.values())

@@ -13,7 +13,14 @@ from machine.effects.structure import tcp_poses
 from server.settings import read_machine_text
 from sim_plc.plant.tree import MOTORS
 from sim_plc.presets import PresetError
-from sim_plc.recorded_drive import at_rest, follow_commands, follow_reference, follow_sent, offline, plain_world
+from tests.unit.sim_plc.recorded_drive import (
+    at_rest,
+    follow_commands,
+    follow_reference,
+    follow_sent,
+    offline,
+    plain_world,
+)
 
 MACHINE = parse_machine_toml(read_machine_text("hiab033"))
 Q_START = np.array([0.3, 0.5, -1.0, 0.2, 0.8, -0.4])

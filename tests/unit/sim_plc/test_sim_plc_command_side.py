@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from machine.effects.entries import EffectEntry
-from sim_plc.command_side import side_numbers
 from sim_plc.plant.hydraulics import opening
+from tests.unit.sim_plc.command_side import side_numbers
 
 
 def dead_band(half_width: float, full_flow: str) -> EffectEntry:

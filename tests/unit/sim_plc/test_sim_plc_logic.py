@@ -25,9 +25,9 @@ from protocol.errors import LocalProtocolError
 from protocol.framing import RawFraming
 from protocol.messages import Knot, axes8
 from protocol.playback import Playback
-from sim_plc.plc.joint_control import JointControl
 from sim_plc.plc.reference import Motion
 from sim_plc.plc.settings import plc_settings
+from sim_plc.plc.status import JointControl
 
 
 def test_playback_is_the_quintic_of_the_trajectory_to_1e_12():

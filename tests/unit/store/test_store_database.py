@@ -10,13 +10,19 @@ import threading
 import pytest
 
 from server.store import database as database_module
-from server.store.audit_rows import AuditEntry, add_audit, forget_old_audit, read_audit
-from server.store.database import PROBE, Database
-from server.store.errors import StoreBusyError, StoreError
-from server.store.finding_rows import add_plan, read_plan
-from server.store.lease_rows import read_fencing, save_fencing
-from server.store.migrations import MIGRATIONS
-from server.store.operating_time import read_operating_time, save_operating_time
+from server.store.audit_rows import (
+    AuditEntry,
+    add_audit,
+    add_plan,
+    forget_old_audit,
+    read_audit,
+    read_fencing,
+    read_operating_time,
+    read_plan,
+    save_fencing,
+    save_operating_time,
+)
+from server.store.database import MIGRATIONS, PROBE, Database, StoreBusyError, StoreError
 
 ENTRY = AuditEntry(1000.0, "truck 7", "fleet", "10.0.0.7", "job.park", fencing=3, job_id="a1")
 
@@ -91,7 +97,7 @@ import resource, sys
 from pathlib import Path
 from server.store.audit_rows import AuditEntry, add_audit
 from server.store.database import Database
-from server.store.errors import StoreError
+from server.store.database import StoreError
 import signal
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 store = Database(Path(sys.argv[1])); store.open()
@@ -277,7 +283,7 @@ def test_the_counter_of_operating_time_never_falls(store):
 
 
 def test_plans_are_kept_in_the_order_of_their_writing_whatever_their_clock_said(store, monkeypatch):
-    monkeypatch.setattr("server.store.finding_rows.PLANS_KEPT", 2)
+    monkeypatch.setattr("server.store.audit_rows.PLANS_KEPT", 2)
     for plan_hash, made_unix_s in (("a", 2e9), ("b", 1.8e9), ("c", 5.0)):
         store.write(lambda db, h=plan_hash, t=made_unix_s: add_plan(db, h, "job", t, t + 60.0, "{}"))
     kept = [plan_hash for plan_hash in "abc" if store.read(lambda db, h=plan_hash: read_plan(db, h)) is not None]

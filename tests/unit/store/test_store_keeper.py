@@ -9,15 +9,12 @@ import pytest
 from server.access.errors import LeaseLostError
 from server.access.lease import LeaseKind
 from server.access.roles import Caller
-from server.jobs.commands import Command, began
 from server.jobs.engine import JobEngine, JobState
-from server.jobs.keeper import Keeper
+from server.jobs.keeper import Command, Keeper, began
 from server.jobs.requests import Settle
-from server.store.audit_rows import AuditEntry, read_audit
-from server.store.database import Database
-from server.store.errors import StoreError
+from server.store.audit_rows import AuditEntry, read_audit, read_operating_time
+from server.store.database import Database, StoreError
 from server.store.idempotency import Answered, KeyInProgressError, KeyReusedError, read_answer, replay_of, save_answer
-from server.store.operating_time import read_operating_time
 
 FLEET = Caller("truck 7", "fleet", "10.0.0.7")
 

@@ -16,8 +16,7 @@ from vision_scenes import ROOT, deviation, machine
 from vision_teaching import ways
 
 from longreach.target_command import app
-from longreach.target_page import POINTS_PER_MM, pdf_of, png_of, raster_of, svg_of
-from longreach.target_prints import PAPERS_MM, board_page, marker_page
+from longreach.target_page import PAPERS_MM, POINTS_PER_MM, board_page, marker_page, pdf_of, png_of, raster_of, svg_of
 from longreach.target_sources import MarkerSearch, TargetError, live_views, read_pair, stored_pairs
 from machine.boards import board_markers
 from machine.description import Board, Marker, parse_machine_toml

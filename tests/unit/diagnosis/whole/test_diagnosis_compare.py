@@ -12,7 +12,7 @@ from recording.folder import write_folder
 from recording.rows import NAN, PlcState
 from recording.run import RunInfo, Segment
 from server.settings import read_machine_text
-from sim_plc.recorded_drive import follow_reference, offline, plain_world
+from tests.unit.sim_plc.recorded_drive import follow_reference, offline, plain_world
 
 TEXT = read_machine_text("hiab033")
 HOME = np.deg2rad([10.0, 42.0, -85.0, 4.0, -43.0, 3.0])

@@ -10,7 +10,7 @@ from rich.console import Console
 from diagnosis.budget import budget_of
 from diagnosis.reading.read import read
 from diagnosis.search.work import Work
-from longreach.diagnosis_outlook import EVERY_S, Outlook, in_words, left_s, outlook
+from longreach.diagnose_command import EVERY_S, Outlook, in_words, left_s, outlook
 
 SEGMENTS = ("repeat", "repeat", "repeat", "repeat", "steps", "workcycle")
 

@@ -5,9 +5,7 @@ dropped, so one that stalls costs neither the link nor the other viewers anythin
 """
 
 import asyncio
-import importlib
 import json
-import logging
 import math
 import time
 from collections.abc import AsyncIterator
@@ -30,14 +28,13 @@ from recording.foxglove import (
     transforms_message,
 )
 from recording.writer import IMAGE_TOPIC, JOINT_TOPIC, LOG_TOPIC, ROBOT_TOPIC, TRANSFORM_TOPIC
-from server.access.hosts import is_loopback
 from server.errors import SettingsError
+from server.faces.shell import extra, require_own_computer, running
 from server.jobs.engine import Job, JobEvent
 from server.jobs.service import JobService
 from server.recorder_rows import frame_poses
 from server.settings import FoxgloveSettings
 
-log = logging.getLogger(__name__)
 ERROR_TOPIC = "/tool_error"
 PERIOD_S = 0.1
 REPEAT_S = 2.0  # description and last error: a viewer that comes later has them within this time
@@ -63,17 +60,10 @@ class FoxgloveFace:
         return self._server.port
 
     def start(self) -> None:
-        """Listen.
-
-        Raises: SettingsError: the port is taken.
-        """
+        """Listen. Raises: SettingsError: the port is taken."""
         try:
             self._server = self._library.start_server(
-                name="longreach",
-                host=self._host,
-                port=self._port,
-                context=self._context,
-                message_backlog_size=BACKLOG,
+                name="longreach", host=self._host, port=self._port, context=self._context, message_backlog_size=BACKLOG
             )
         except Exception as error:  # the library's own; it has no class for a port that is taken
             raise SettingsError(f"[foxglove] {self._host}:{self._port}: {error}; choose another port") from error
@@ -146,50 +136,28 @@ def check_foxglove(settings: FoxgloveSettings) -> None:
 
     Raises: SettingsError: no library, or reachable from other computers without leave.
     """
-    if settings.enabled and not is_loopback(settings.host) and not settings.without_keys:
-        raise SettingsError(
-            f"[foxglove] host = '{settings.host}' is reachable from other computers, and the stream requires no key: "
-            "listen on 127.0.0.1, or set [foxglove] without_keys = true"
-        )
     if settings.enabled:
+        require_own_computer("foxglove", settings, "the stream")
         load_library()
 
 
 def load_library() -> Any:
-    """Foxglove's SDK.
-
-    Raises: SettingsError: it is not installed.
-    """
-    try:
-        return importlib.import_module("foxglove")
-    except ImportError as error:
-        raise SettingsError(
-            "[foxglove] enabled = true, and foxglove-sdk is not installed: pip install 'longreach[foxglove]'"
-        ) from error
+    """Foxglove's SDK. Raises: SettingsError: it is not installed."""
+    return extra("foxglove", "foxglove", "foxglove-sdk")
 
 
 @asynccontextmanager
 async def foxglove_face(service: JobService, settings: FoxgloveSettings) -> AsyncIterator[FoxgloveFace | None]:
-    """Inside it the stream is up, if it is wanted.
-
-    Raises: SettingsError: it is wanted and cannot be.
-    """
+    """Inside it the stream is up, if it is wanted. Raises: SettingsError: it is wanted and cannot be."""
     if not settings.enabled:
         yield None
         return
     face = FoxgloveFace(service, settings.host, settings.port)
     face.start()
-    running = asyncio.create_task(face.run(), name="foxglove")
-    running.add_done_callback(_report)
     try:
-        yield face
+        async with running(
+            "foxglove", face.run(), "the Foxglove stream has ended: restart the server to have it again"
+        ):
+            yield face
     finally:
-        running.cancel()
-        await asyncio.gather(running, return_exceptions=True)
         await asyncio.to_thread(face.stop)
-
-
-def _report(task: "asyncio.Task[None]") -> None:
-    """A face that fails ends alone: the server goes on."""
-    if not task.cancelled() and (error := task.exception()) is not None:
-        log.error("the Foxglove stream has ended: %r; restart the server to have it again", error)

@@ -14,19 +14,18 @@ from numpy.typing import NDArray
 from machine.description import Machine
 from machine.effects.entries import EffectEntry
 from machine.rotations import Array
-from sim_plc.command_side import NAMES as SIDE_NAMES
-from sim_plc.command_side import controller_settings, side_numbers
 from sim_plc.diagnosed import CHANGES, with_effects
 from sim_plc.draw_world import draw_world
-from sim_plc.plant.backlash import play
-from sim_plc.plant.hydraulics import opening
+from sim_plc.plant.hydraulics import opening, play
 from sim_plc.plant.kernel import OUTPUT, Parameters, State, advance_rigid
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import frames, gravity_torques
 from sim_plc.plant.tree import MOTORS, N_JOINTS, Tree
-from sim_plc.plc.joint_control import valve_commands
+from sim_plc.plc.status import valve_commands
 from sim_plc.presets import PresetError
 from sim_plc.world import World
+from tests.unit.sim_plc.command_side import NAMES as SIDE_NAMES
+from tests.unit.sim_plc.command_side import controller_settings, side_numbers
 
 PRESET, SEED = "ideal", 1  # the nominal model, nothing drawn
 SAG = "gravity_sag"
@@ -38,7 +37,7 @@ STEP_S = 1e-3
 
 
 class Side(NamedTuple):
-    """What acts between the controller and the spool, (n,) each: see `sim_plc.command_side`."""
+    """What acts between the controller and the spool, (n,) each: see `command_side`."""
 
     kp: Array
     pt1_share: Array
@@ -213,15 +212,7 @@ def _run(one: Offline, t_s: Array, given: Array, q_start: Array, closed: bool) -
     rows = np.rint((t_s - t_s[0]) / STEP_S).astype(np.int64)
     q, u, angles = np.zeros((len(t_s), 6)), np.zeros((len(t_s), 6)), np.zeros((len(t_s), N_JOINTS))
     run_cycles(
-        plant.parameters,
-        plant.state,
-        _side(one),
-        closed,
-        np.ascontiguousarray(given, dtype=float),
-        rows,
-        q,
-        u,
-        angles,
+        plant.parameters, plant.state, _side(one), closed, np.ascontiguousarray(given, dtype=float), rows, q, u, angles
     )
     return Course(q, u, angles, plant.tree, one.bending)
 

@@ -1,1 +1,0 @@
-"""Live view for Foxglove: read-only, off by default."""
