@@ -17,8 +17,7 @@ from longreach.board_pictures import board_of, corners_of, grey_picture
 from longreach.lens_files import write_lens
 from longreach.target_sources import SUFFIXES, TargetError, read_pair, stored_pairs
 from recording.files import write_durably
-from server.calibration.lens_coverage import Coverage, coverage_of
-from server.calibration.lens_fit import BoardView, LensFit, LensFitError, fit_lens
+from server.calibration.lens_fit import BoardView, Coverage, LensFit, LensFitError, coverage_of, fit_lens
 
 SHADES = " .:*#"
 

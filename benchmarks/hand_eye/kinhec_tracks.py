@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from server.calibration.hand_eye import solve_ax_yb
-from server.calibration.hand_eye_contracts import HandEyeEstimate
-from server.calibration.hand_eye_tracks import estimate_hand_eye
+from server.calibration.hand_eye import HandEyeEstimate, estimate_hand_eye, solve_ax_yb
 
 TRACKS = ("temporal", "outliers", "monocular", "robot_error")
 

@@ -6,8 +6,9 @@ import numpy as np
 
 from machine.poses import inverse_pose
 from machine.rotations import rotvec_from_rotation
+from server.calibration.chords import arc_lengths
 from server.calibration.contracts import Array, CameraTrack
-from server.calibration.hand_eye_linear import rotation_vectors
+from server.calibration.hand_eye_fit import rotation_vectors
 from server.calibration.joint_lens import N_LENS
 from server.calibration.joint_state import JointState
 from server.calibration.kinematic_errors import ErrorModel, play_widths, tcp_poses_with_errors
@@ -84,7 +85,7 @@ class RunSamples:
 def thinned(run: OdometryRun, noise: NoiseModel) -> RunSamples:
     """Samples about evenly spaced along the path, the first one included."""
     positions = run.camera.Ts_vo_cam[:, :3, 3]
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    length = arc_lengths(positions)
     spacing = max(noise.sample_spacing_m, float(length[-1]) / noise.samples_max)
     wanted = np.arange(0.0, float(length[-1]) + 1e-9, spacing)
     index = np.unique(np.searchsorted(length, wanted).clip(0, len(length) - 1))

@@ -4,9 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.rotations import geodesic_angle, nearest_rotation
-from server.calibration.checks import require_rotation
-from server.calibration.chord_covariance import observability, rotation_information
-from server.calibration.chords import arc_lengths
+from server.calibration.checks import require_rotation, require_track_shape
+from server.calibration.chords import arc_lengths, observability, rotation_information
 from server.calibration.contracts import (
     Array,
     CalibrationStatus,
@@ -15,7 +14,7 @@ from server.calibration.contracts import (
     EncoderTrack,
 )
 from server.calibration.hybrid_mixture import MixtureMatch, MixtureSettings, register_poses
-from server.calibration.trajectory_matching_refusals import Refusal, require_track_shape, time_refusal, usable_poses
+from server.calibration.trajectory_matching_refusals import Refusal, time_refusal, usable_poses
 
 METHOD = "paper"
 DEFAULT_SETTINGS = MixtureSettings()

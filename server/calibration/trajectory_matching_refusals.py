@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from server.calibration.checks import CalibrationInputError
 from server.calibration.chord_rotation import ChordRotation
 from server.calibration.chords import arc_lengths
 from server.calibration.contracts import Array, CalibrationStatus, CameraRotationEstimate
@@ -61,13 +60,6 @@ class Refusal:
             observability=self.observability,
             path_length_m=path_length_m,
         )
-
-
-def require_track_shape(t_s: Array, Ts: Array, subject: str) -> None:
-    """A track's times (n,) and poses (n, 4, 4). Raises: CalibrationInputError on any other shape."""
-    t, poses = np.asarray(t_s), np.asarray(Ts)
-    if t.ndim != 1 or poses.shape != (t.size, 4, 4):
-        raise CalibrationInputError(f"{subject}: times {t.shape} and poses {poses.shape} must be (n,) and (n, 4, 4)")
 
 
 def time_refusal(t_s: Array, subject: str) -> Refusal | None:

@@ -13,11 +13,8 @@ from machine.poses import pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec, rotvec_from_rotation
 from server.calibration.checks import CalibrationInputError
 from server.calibration.contracts import CalibrationStatus
-from server.calibration.hand_eye import solve_ax_yb
-from server.calibration.hand_eye_contracts import HandEyeSettings
-from server.calibration.hand_eye_linear import inverse_poses, park_martin
-from server.calibration.hand_eye_models import HandEyeUnknowns, PoseModel
-from server.calibration.hand_eye_tracks import estimate_hand_eye
+from server.calibration.hand_eye import HandEyeSettings, estimate_hand_eye, solve_ax_yb
+from server.calibration.hand_eye_fit import HandEyeUnknowns, PoseModel, inverse_poses, park_martin
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 X_TRUE = pose(rotation_from_rotvec(np.array([0.3, -0.8, 1.1])), np.array([0.05, -0.02, 0.11]))
