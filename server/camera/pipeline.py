@@ -18,7 +18,8 @@ from server.camera.contracts import (
     TargetCommand,
     VisionSettings,
 )
-from server.camera.health import ImageHealth, sharpness
+from server.camera.health.blur import sharpness
+from server.camera.health.image_health import ImageHealth
 from server.camera.masking import ToolMask
 from server.camera.own_structure import SpreadPairs
 from server.camera.smallest_offset import SmallestOffset, aged

@@ -10,10 +10,17 @@ import numpy as np
 from machine.lens import PRINCIPAL_OFF_MAX_FRAC, principal_off_frac
 from machine.rotations import Array
 from recording.files import read_text
-from server.camera.rectification_euroc import is_euroc, is_kalibr, parse_euroc, parse_kalibr
-from server.camera.rectification_opencv import is_opencv, parse_opencv
+from server.camera.rectification_formats import (
+    is_euroc,
+    is_kalibr,
+    is_opencv,
+    is_ros,
+    parse_euroc,
+    parse_kalibr,
+    parse_opencv,
+    parse_ros,
+)
 from server.camera.rectification_rig import CalibrationFileError, EyeCalibration, RigCalibration, checked_rig
-from server.camera.rectification_ros import is_ros, parse_ros
 from server.camera.rectification_yaml import Tree, parse_yaml
 from server.camera.rectification_zed import is_zed, parse_zed
 
@@ -26,17 +33,11 @@ IN_FOLDER = (  # pairs looked for, in this order
 )
 
 
-# Any known stereo calibration: texts of files -> rig. The text shows which format it is. Pure.
-
-__all__ = ["CalibrationFileError", "CalibrationText", "EyeCalibration", "RigCalibration", "parse_calibration"]
-
 KNOWN = (
     "a ZED's SNxxxx.conf, OpenCV's stereo YAML (one file, or intrinsics and extrinsics), two ROS camera_info YAML, two "
     "EuRoC sensor.yaml, a Kalibr camchain.yaml, or KITTI's calib.txt"
 )
 
-
-# Calibrations of KITTI, whose images are rectified already: projection matrices -> rig. Pure.
 
 LABEL = re.compile(r"^(P_rect_0|P)([0-3])\s*:\s*(.*)$")
 NUMBER = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")

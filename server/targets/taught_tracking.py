@@ -18,8 +18,7 @@ from server.targets.taught import Descriptors, TaughtObject, TaughtView, feature
 from server.targets.tracking import AGREE_MIN_FRAC, FIX_MIN, MarksPose, align_marks, inside_image, solve_pose
 from server.vision.contracts import Image
 from server.vision.odometry_align import CORRELATION_MIN
-from server.vision.odometry_features import allowed_mask, inside_mask
-from server.vision.odometry_recognition import RATIO_MAX
+from server.vision.odometry_features import RATIO_MAX, allowed_mask, inside_mask
 from server.vision.odometry_sight import flow
 
 NEARER_PX = 3.0  # of disparity: the alignment's basin; what lies that much before the object covers it

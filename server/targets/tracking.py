@@ -15,8 +15,7 @@ from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, Targe
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
 from server.vision.odometry_align import align
-from server.vision.odometry_features import allowed_mask, inside_mask
-from server.vision.odometry_recognition import recognise
+from server.vision.odometry_features import allowed_mask, inside_mask, recognise
 from server.vision.odometry_sight import flow
 
 FIX_MIN = 12  # landmarks in both eyes: half of them may be wrong, and six still overdetermine the pose

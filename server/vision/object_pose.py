@@ -7,32 +7,19 @@ from typing import Literal
 import numpy as np
 
 from machine.description import StereoCamera
-from server.vision.ambiguity import covariance_of_both, mirrored_pose, widened_covariance
-from server.vision.ambiguity_time import (
+from server.vision.ambiguity import (
     PLAUSIBLE_CHI2,
     MotionLimits,
     PosePrior,
     chi2_to_prior,
-    prior_from,
+    covariance_of_both,
+    mirrored_pose,
     usable_prior,
+    widened_covariance,
 )
 from server.vision.contracts import Array, MarkerView, ObjectPose, PoseStatus
 from server.vision.pose_problem import PointSighting, PoseProblem, SeenGroup, Sighting, pose_problem
 from server.vision.pose_refinement import PointObservations, RefinedPose, distinct_minima
-
-__all__ = [
-    "NO_RIVAL",
-    "ObjectName",
-    "PointSighting",
-    "PosePrior",
-    "PoseSettings",
-    "Sighting",
-    "estimate_object_pose",
-    "fitted_variance",
-    "not_seen",
-    "prior_from",
-    "rig_contradiction",
-]
 
 ObjectName = Literal["tool", "ooi"]
 SAME_MINIMUM_RAD = float(np.deg2rad(0.5))

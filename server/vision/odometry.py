@@ -25,8 +25,7 @@ from server.vision.odometry_motion import (
     with_scale_error,
 )
 from server.vision.odometry_motions import Located, Scene, motions, parted, world_motion
-from server.vision.odometry_observation import Observed, expected_right, observe_map
-from server.vision.odometry_own import OwnStructure, vote
+from server.vision.odometry_observation import Observed, OwnStructure, expected_right, observe_map, vote
 from server.vision.odometry_place import best_place, by_flow, by_recognition, travelled
 from server.vision.odometry_pose import PoseFit, pose_problem, rough, settled
 from server.vision.odometry_sensitivity import Sensitivity, Shutter, sensitivity

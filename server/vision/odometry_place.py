@@ -10,11 +10,11 @@ from machine.description import StereoCamera
 from machine.poses import inverse_pose, pose, transform_points
 from server.vision.contracts import Array
 from server.vision.odometry_align import CORRELATION_MIN
+from server.vision.odometry_features import UNIQUE_RATIO_MAX
 from server.vision.odometry_keyframe import Keyframe
 from server.vision.odometry_motion import ACCELERATION, Motion
 from server.vision.odometry_motions import Located
 from server.vision.odometry_pose import coarse_pose
-from server.vision.odometry_recognition import UNIQUE_RATIO_MAX
 from server.vision.odometry_sight import Sight
 
 CLIMBS_MAX = 8  # from place to better place in one pair

@@ -11,8 +11,14 @@ from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
 from server.vision.odometry_align import CORRELATION_MIN, HALF_PX, Alignment, align
-from server.vision.odometry_features import inside_mask, spread_corners, texture_grey
-from server.vision.odometry_recognition import UNIQUE_RATIO_MAX, recognise, repeats
+from server.vision.odometry_features import (
+    UNIQUE_RATIO_MAX,
+    inside_mask,
+    recognise,
+    repeats,
+    spread_corners,
+    texture_grey,
+)
 
 EPIPOLAR_MAX_PX = 1.0
 DISPARITY_MIN_PX = 1.5

@@ -7,8 +7,7 @@ where no marker is in view.
 import numpy as np
 from numba import njit
 
-from server.camera.health.findings import FaultCode, Finding
-from server.camera.health.pair import Pair
+from server.camera.health.findings import FaultCode, Finding, Pair
 from server.camera.health.thumbnail import EyeCells
 from server.vision.contracts import NO_WHITE_MARGIN, Array, Image, MarkerView
 

@@ -8,13 +8,11 @@ from numba import njit
 from machine.description import StereoCamera
 from server.camera.contracts import StereoFrame
 from server.camera.health.blur import BlurMonitor
-from server.camera.health.exposure import ExposureMonitor
-from server.camera.health.findings import FaultCode, Finding
+from server.camera.health.findings import FaultCode, Finding, Monitor, Pair
 from server.camera.health.frozen import FrozenMonitor
 from server.camera.health.garbage import GarbageMonitor, wrong_size
-from server.camera.health.light import LightMonitor
+from server.camera.health.light import ExposureMonitor, LightMonitor
 from server.camera.health.markers import MarkerMonitor
-from server.camera.health.pair import Monitor, Pair
 from server.camera.health.rig import RigMonitor
 from server.camera.health.spot import SpotMonitor
 from server.camera.health.stamps import StampMonitor

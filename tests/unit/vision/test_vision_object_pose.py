@@ -9,7 +9,8 @@ from vision_scenes import deviation, facing_pose, machine, sight, single_marker
 from machine.markers import marker_corners
 from machine.rotations import rotation_from_rotvec
 from server.vision.contracts import PoseStatus
-from server.vision.object_pose import PoseSettings, Sighting, estimate_object_pose
+from server.vision.object_pose import PoseSettings, estimate_object_pose
+from server.vision.pose_problem import Sighting
 from server.vision.pose_refinement import PointObservations, refine_pose
 
 CAMERA = machine().camera

@@ -14,10 +14,9 @@ from machine.rotations import rotation_from_rotvec
 from server.vision.contracts import OdometryStatus
 from server.vision.odometry import OdometrySettings, StereoOdometry
 from server.vision.odometry_covariance import KeyframeCovariances, readout_of
-from server.vision.odometry_keyframe import triangulated
-from server.vision.odometry_lens import ray_sigma
+from server.vision.odometry_features import recognise
+from server.vision.odometry_keyframe import ray_sigma, triangulated
 from server.vision.odometry_motion import Motion, moved_by_twist, row_fractions, standing
-from server.vision.odometry_recognition import recognise
 from server.vision.odometry_sensitivity import Sensitivity
 from server.vision.odometry_sight import StereoMatches, flow, plausible
 

@@ -11,18 +11,11 @@ from machine.camera import project_stereo
 from machine.markers import marker_corners
 from machine.poses import transform_points
 from machine.rotations import geodesic_angle, rotation_from_rotvec
-from server.vision.ambiguity import mirrored_pose
-from server.vision.ambiguity_time import AGE_MAX_S
+from server.vision.ambiguity import AGE_MAX_S, PosePrior, mirrored_pose, prior_from
 from server.vision.contracts import PoseStatus
-from server.vision.object_pose import (
-    PointSighting,
-    PosePrior,
-    PoseSettings,
-    Sighting,
-    estimate_object_pose,
-    prior_from,
-)
+from server.vision.object_pose import PoseSettings, estimate_object_pose
 from server.vision.planar_pose import planar_poses, point_poses
+from server.vision.pose_problem import PointSighting, Sighting
 
 CAMERA = machine().camera
 GRID = np.array([[x, y, 0.0] for y in (0.06, 0.02, -0.02, -0.06) for x in (-0.08, -0.04, 0.0, 0.04, 0.08)])

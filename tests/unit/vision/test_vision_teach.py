@@ -11,10 +11,9 @@ from vision_teaching import looking_at, seen_view, true_layout, ways
 from machine.poses import inverse_pose, pose
 from machine.rotations import rotation_from_rotvec
 from server.vision.marker_search import dictionary_by_name
-from server.vision.teach import TeachTask, teach_layout
+from server.vision.teach import LayoutFrame, TeachTask, teach_layout
 from server.vision.teach_contracts import TeachSettings, TeachStatus, angle_sigma_rad, position_sigma_m
 from server.vision.teach_fit import LayoutState, Priors, fit_layout, free_rows, moved, residuals_px
-from server.vision.teach_frame import LayoutFrame
 from server.vision.teach_start import SeenViews, corners_of
 from server.vision.teach_views import Offer, ViewKeeper, teach_view
 
