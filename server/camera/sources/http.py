@@ -6,9 +6,7 @@ A thread reads the stream and keeps the newest complete picture undecoded, so th
 import base64
 import contextlib
 import http.client
-import logging
 import socket
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from urllib.parse import SplitResult, unquote, urljoin, urlsplit
@@ -16,8 +14,8 @@ from urllib.parse import SplitResult, unquote, urljoin, urlsplit
 from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
+from server.camera.sources.live import LiveSource
 from server.camera.sources.multipart import MultipartParser, Part
-from server.camera.sources.newest import Newest
 from server.camera.sources.settings import HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side
 from server.shown_address import without_password
@@ -128,11 +126,7 @@ def _remedy(status: int, address: SplitResult) -> str:
 
 
 SILENCE_S = 2.0  # a camera that says nothing for this long is taken as lost
-BACK_OFF_FIRST_S = 0.2
-BACK_OFF_MAX_S = 3.0
 CHUNK_BYTES = 1 << 18
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,37 +136,22 @@ class _Received:
     connection: int
 
 
-class HttpStereoSource:
-    """Reads one camera stream for as long as it lives; a lost stream is opened again with back-off."""
+class HttpStereoSource(LiveSource[_Received]):
+    """Reads one camera stream for as long as it lives."""
+
+    BACK_OFF_S = (0.2, 3.0)
+    CLOSE_S = SILENCE_S + 1.0
+    ENDED = "the camera ended the stream"
+    EXPECTED = (OSError, http.client.HTTPException, StreamError)
 
     def __init__(self, settings: HttpSource) -> None:
         require_address(settings.url)
+        super().__init__(f"camera {without_password(settings.url)}", "connecting")
         self._url = settings.url
-        self._subject = f"camera {without_password(settings.url)}"
-        self._newest: Newest[_Received] = Newest()
-        self._stop = threading.Event()
-        self._state = f"{self._subject}: connecting"
-        self._connection = 0
         self._counted = 0
         self._bad_pictures = 0
         self._socket: socket.socket | None = None
-        self._thread = threading.Thread(target=self._run, name="camera-stream", daemon=True)
         self._thread.start()
-
-    @property
-    def skipped(self) -> int:
-        """Pictures replaced by newer ones before they were taken."""
-        return self._newest.skipped
-
-    @property
-    def state(self) -> str:
-        """Empty while pictures arrive."""
-        return self._state
-
-    @property
-    def ended(self) -> bool:
-        """Never: a stream may always come back."""
-        return False
 
     def read(self, timeout_s: float) -> StereoFrame | None:
         """The newest pair; a picture that cannot be decoded is passed over and reported in `state`."""
@@ -201,29 +180,10 @@ class HttpStereoSource:
         with contextlib.suppress(OSError):  # gone already
             if self._socket is not None:
                 self._socket.shutdown(socket.SHUT_RDWR)
-        self._thread.join(SILENCE_S + 1.0)
+        super().close()
 
-    def _run(self) -> None:
-        back_off_s = BACK_OFF_FIRST_S
-        while not self._stop.is_set():
-            try:
-                if self._stream():
-                    back_off_s = BACK_OFF_FIRST_S
-                reason = "the camera ended the stream"
-            except (OSError, http.client.HTTPException, StreamError) as error:
-                reason = str(error) or type(error).__name__
-            except Exception as error:  # outermost loop of the thread: whatever a camera sends, it is asked again
-                _log.exception(self._subject)
-                reason = repr(error)
-            if self._stop.is_set():
-                return
-            self._state = f"{self._subject}: {reason}; trying again"
-            _log.info("%s in %.1f s", self._state, back_off_s)
-            self._stop.wait(back_off_s)
-            back_off_s = min(2.0 * back_off_s, BACK_OFF_MAX_S)
-
-    def _stream(self) -> bool:
-        """Read one connection to its end; the name is resolved again each time. Returns whether any picture came."""
+    def _connected(self) -> bool:
+        """As its base has it; the host's name is resolved again each time."""
         with open_stream(self._url, SILENCE_S, self._take_socket) as response:
             self._connection += 1
             return self._read_parts(response)
