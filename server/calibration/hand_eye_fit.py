@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from machine.poses import pose
-from machine.rotations import nearest_rotation, rotation_from_rotvec
+from machine.poses import moved_pose, pose
+from machine.rotations import skews, nearest_rotation
 from server.calibration.contracts import Array
 
 Indices = NDArray[np.int64]
@@ -118,11 +118,7 @@ class HandEyeUnknowns:
         if free_scale:
             scale, rest = scale * float(np.exp(np.clip(rest[0], -0.5, 0.5))), rest[1:]
         offset_s = self.offset_s + (float(rest[0]) if len(rest) else 0.0)
-        return HandEyeUnknowns(_moved(self.X, change[:6]), _moved(self.Y, change[6:12]), scale, offset_s)
-
-
-def _moved(T: Array, change: Array) -> Array:
-    return pose(rotation_from_rotvec(change[:3]) @ T[:3, :3], T[:3, 3] + change[3:])
+        return HandEyeUnknowns(moved_pose(self.X, change[:6]), moved_pose(self.Y, change[6:12]), scale, offset_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +144,7 @@ class PoseModel:
         J = np.zeros((n, 6, 12 + self.free_scale + self.free_offset))
         J[:, :3, :3] = R_X.T
         J[:, :3, 6:9] = -R_XA
-        J[:, 3:, :3] = -at.scale * R_X.T @ _skews(w)
+        J[:, 3:, :3] = -at.scale * R_X.T @ skews(w)
         J[:, 3:, 3:6] = at.scale * R_X.T
         J[:, 3:, 9:12] = -at.scale * R_XA
         if self.free_scale:
@@ -192,12 +188,6 @@ def whiteners_of(covariances: Array, residuals: Array, weights: Array) -> Array:
     values, vectors = np.linalg.eigh(scatter - np.einsum("n,nij->ij", share, covariances))
     common = (vectors * np.maximum(values, 0.0)) @ vectors.T + 1e-4 * np.diag(np.diag(scatter))
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariances + common)), dtype=np.float64)
-
-
-def _skews(vectors: Array) -> Array:
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
 
 
 _FLOOR = 1e-7  # rad, m: exact data must not divide by 0

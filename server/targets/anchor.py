@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -119,30 +118,3 @@ def _in_target_axes(patch: SurfacePatch) -> Array:
         raise ValueError("the patch was refused; anchor measured patches only")
     R = np.kron(np.eye(2), patch.T_cam_target[:3, :3].T)
     return R @ patch.covariance @ R.T
-
-
-class CommonError(Protocol):
-    """What all looks at a target have in common: see AnchoredTarget."""
-
-    @property
-    def covariance_target(self) -> Array:
-        """Of its frame (6, 6), target axes."""
-        ...
-
-    @property
-    def sigma_scale_frac(self) -> float:
-        """Of all distances."""
-        ...
-
-
-def anchor_covariance(target: CommonError, T_cam_target: Array) -> Array:
-    """Covariance (6, 6) of a target's pose in camera axes that all its looks have in common.
-
-    Model:   the first measurement's noise, turned with the target, and the scale of its surroundings: a share of all
-             distances, so it shifts the target along its place in the camera.
-    """
-    R = np.kron(np.eye(2), T_cam_target[:3, :3])
-    C = R @ target.covariance_target @ R.T
-    place = T_cam_target[:3, 3]
-    C[3:, 3:] += target.sigma_scale_frac**2 * np.outer(place, place)
-    return C

@@ -109,6 +109,11 @@ class Landmarks:
     def __len__(self) -> int:
         return len(self.left_px)
 
+    def some(self, chosen: "BoolArray") -> "Landmarks":
+        """Only these landmarks."""
+        arrays = (self.left_px, self.right_px, self.points_target, self.covariances_target, self.support_target)
+        return Landmarks(*(array[chosen] for array in arrays))
+
 
 @dataclass(frozen=True, slots=True)
 class AnchoredTarget:
@@ -129,6 +134,11 @@ class AnchoredTarget:
     reference_right: Image
     surroundings: Landmarks
     surface: Landmarks
+
+    @property
+    def references(self) -> tuple[Image, Image]:
+        """Both eyes' reference images."""
+        return self.reference_left, self.reference_right
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,8 @@ import numpy as np
 
 from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
-from machine.poses import pose
-from machine.rotations import rotation_about, rotvec_from_rotation
+from machine.poses import pose, pose_difference
+from machine.rotations import rotation_about
 from server.targets.contracts import (
     BoolArray,
     PatchStatus,
@@ -390,9 +390,7 @@ def _pose_covariance(
     for k, step in enumerate(np.array([1e-3, 1e-6, 1e-6])):
         moved = abc.copy()
         moved[k] += step
-        T_moved = _frame_of(camera, ray, moved)
-        J[:3, k] = rotvec_from_rotation(T_moved[:3, :3] @ T[:3, :3].T) / step
-        J[3:, k] = (T_moved[:3, 3] - T[:3, 3]) / step
+        J[:, k] = pose_difference(T, _frame_of(camera, ray, moved)) / step
     C = J @ C_abc @ J.T
     C[:3, :3] += ROLL_SIGMA_RAD**2 * np.eye(3)
     C[3:, 3:] += (settings.sigma_px * T[2, 3] / camera.fx_px) ** 2 * np.eye(3)

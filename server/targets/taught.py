@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from machine.camera import project, project_stereo, undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, pose, transform_points
-from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation
+from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation, skew
 from server.targets.anchor import LANDMARKS_MIN, landmarks_of
-from server.targets.contracts import BoolArray, Landmarks, TargetSettings
+from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetSettings
 from server.targets.tracking import FIX_MIN, MarksPose, SeenMarks, align_marks, solve_pose
 from server.vision.contracts import Image
 from server.vision.odometry_align import align
@@ -173,10 +173,8 @@ def _in_right(
 
 def _frame_covariance(covariance: Array, T_cam_marker: Array, box: ObjectBox) -> Array:
     """Covariance (6, 6) of the object's frame, moved from the marker by a lever arm."""
-    arm = T_cam_marker[:3, :3] @ box.centre_m
-    x, y, z = arm
     J = np.eye(6)
-    J[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    J[3:, :3] = -skew(T_cam_marker[:3, :3] @ box.centre_m)
     return J @ covariance @ J.T
 
 
@@ -230,7 +228,9 @@ def _looked_up(view: TaughtView, other: TaughtView, camera: StereoCamera) -> tup
     size = (camera.height_px, camera.width_px)
     images = other.reference_left, other.reference_right
     masks = allowed_mask(size, other.masks_px[0]), allowed_mask(size, other.masks_px[1])
-    return align_marks(view, view.marks, images, masks, camera, other.T_cam_object)
+    return align_marks(
+        (view.reference_left, view.reference_right), view.marks, images, masks, camera, other.T_cam_object
+    )
 
 
 def _moved(view: TaughtView, T_cam_object: Array) -> Landmarks:
@@ -266,20 +266,9 @@ def _confirmed(
             fit = solve_pose(camera, view.marks, seen, other.T_cam_object, settings)
             agreed[seen.indices[fit.agree]] = True
             best = max(best, float(fit.agree.sum()) / visible)
-        kept.append(replace(view, marks=some_marks(view.marks, agreed), descriptors=view.descriptors[agreed]))
+        kept.append(replace(view, marks=view.marks.some(agreed), descriptors=view.descriptors[agreed]))
         shares.append(best)
     return kept, shares
-
-
-def some_marks(marks: Landmarks, chosen: BoolArray) -> Landmarks:
-    """Only these landmarks."""
-    return Landmarks(
-        marks.left_px[chosen],
-        marks.right_px[chosen],
-        marks.points_target[chosen],
-        marks.covariances_target[chosen],
-        marks.support_target[chosen],
-    )
 
 
 def _frame_shift(views: Sequence[TaughtView], placed: Sequence[TaughtView]) -> tuple[Array, Array]:
@@ -302,8 +291,7 @@ def _frame_shift(views: Sequence[TaughtView], placed: Sequence[TaughtView]) -> t
 
 def _lever_covariance(box: ObjectBox, settings: TargetSettings) -> Array:
     """Of the object's place (3, 3) [m^2]: the markers' frame is turned by print and mounting, in all views alike."""
-    x, y, z = box.centre_m
-    lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    lever = -skew(box.centre_m)
     return settings.sigma_frame_rad**2 * (lever @ lever.T)
 
 
@@ -323,3 +311,16 @@ def outline_px(camera: StereoCamera, T_cam_object: Array, size_m: Array) -> Arra
         [[-half[0], half[1], 0.0], [half[0], half[1], 0.0], [half[0], -half[1], 0.0], [-half[0], -half[1], 0.0]]
     )
     return project_stereo(camera, transform_points(T_cam_object, face))[0]
+
+
+def anchor_covariance(target: AnchoredTarget | TaughtObject, T_cam_target: Array) -> Array:
+    """Covariance (6, 6) of a target's pose in camera axes that all its looks have in common.
+
+    Model:   the first measurement's noise, turned with the target, and the scale of its surroundings: a share of all
+             distances, so it shifts the target along its place in the camera.
+    """
+    R = np.kron(np.eye(2), T_cam_target[:3, :3])
+    C = R @ target.covariance_target @ R.T
+    place = T_cam_target[:3, 3]
+    C[3:, 3:] += target.sigma_scale_frac**2 * np.outer(place, place)
+    return C

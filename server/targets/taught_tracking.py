@@ -144,7 +144,7 @@ class TaughtTracker:
         """The fix by one view's landmarks from a guess, verified."""
         camera, T, fit, seen = self._camera, guess, None, None
         for _ in range(2):  # the second time from the better guess
-            seen, _ = align_marks(view, view.marks, images, masks, camera, T)
+            seen, _ = align_marks((view.reference_left, view.reference_right), view.marks, images, masks, camera, T)
             if len(seen.indices) < FIX_MIN:
                 return self._not_seen(len(seen.indices))
             fit = solve_pose(camera, view.marks, seen, T, self._settings)

@@ -2,15 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import cv2
 import numpy as np
 
 from machine.camera import project_stereo, projection_jacobian, undistort_to_rays
 from machine.description import StereoCamera
-from machine.poses import pose, transform_points
-from machine.rotations import rotation_from_rotvec, skew
+from machine.poses import moved_pose, pose, transform_points
+from machine.rotations import skew, skews
 from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetFix, TargetSettings
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
@@ -29,7 +28,6 @@ AREA_MAX = 2.5  # of a patch against its reference: beyond, the images are compa
 AREA_MIN = 0.4
 LEVELS = 3
 PNP_PX = 3.0
-GUESS_MAX_PX = 3.0  # the alignment's basin
 TUKEY = 4.685
 STEPS, STEP_MIN = 8, 1e-7  # rad and m: a hundredth of what noise moves
 DEPTH_MIN_M = 0.05
@@ -55,20 +53,6 @@ class MarksPose:
     agree: BoolArray
     residual_px: float
     variance: float = 1.0
-
-
-class ReferencePair(Protocol):
-    """What was kept of the images of a target: the raw grey pair (h, w) of its landmarks."""
-
-    @property
-    def reference_left(self) -> Image:
-        """Of the left eye."""
-        ...
-
-    @property
-    def reference_right(self) -> Image:
-        """Of the right eye."""
-        ...
 
 
 class TargetTracker:
@@ -167,7 +151,7 @@ class TargetTracker:
         target, camera = self._target, self._camera
         T, seen, fit, visible = guess, None, None, 0
         for _ in range(2):  # the second time from the better guess
-            seen, visible = align_marks(target, target.surroundings, (left, right), masks, camera, T)
+            seen, visible = align_marks(target.references, target.surroundings, (left, right), masks, camera, T)
             if len(seen.indices) < FIX_MIN:
                 return not_found(len(seen.indices), visible), None
             fit = solve_pose(camera, target.surroundings, seen, T, self._settings)
@@ -224,14 +208,14 @@ def _disc_mask(target: AnchoredTarget, camera: StereoCamera, settings: TargetSet
 
 
 def align_marks(
-    target: ReferencePair,
+    references: tuple[Image, Image],
     marks: Landmarks,
     images: tuple[Image, Image],
     masks: tuple[Image, Image],
     camera: StereoCamera,
     T: Array,
 ) -> tuple[SeenMarks, int]:
-    """Landmarks found in both eyes, and how many should be visible at this pose.
+    """Landmarks found in both eyes, and how many should be visible at this pose; `references`: the pair they are of.
 
     Where the reference is magnified by more than the alignment allows, the new images are halved: their places are then
     good to 0.1 px instead of 0.05, at a range where a pixel is that much smaller.
@@ -255,7 +239,6 @@ def align_marks(
         return SeenMarks(indices, np.zeros((0, 4))), 0
     warps = np.asarray(np.linalg.inv(growth[indices] * scale), dtype=np.float64)
     found = []
-    references = (target.reference_left, target.reference_right)
     for eye, places, guesses in ((0, marks.left_px, left_px), (1, marks.right_px, right_px)):
         small = _halved(images[eye], level)
         at = align(references[eye], places[indices], warps, small, (guesses[indices] + 0.5) * scale - 0.5)
@@ -288,7 +271,7 @@ def solve_pose(
         cam = transform_points(T, points)
         both = [projection_jacobian(camera, cam), projection_jacobian(camera, cam - shift)]
         J_point = np.concatenate(both, axis=1)
-        turned = _turned(cam - T[:3, 3])
+        turned = -skews(cam - T[:3, 3])
         R = T[:3, :3]
         noise = settings.sigma_px**2 * np.eye(4) + J_point @ (R @ C @ R.T) @ J_point.transpose(0, 2, 1)
         root = np.linalg.inv(np.linalg.cholesky(noise))
@@ -300,7 +283,7 @@ def solve_pose(
         weights = np.clip(1.0 - (norm / (TUKEY * spread)) ** 2, 0.0, None) ** 2
         information = np.einsum("n,nki,nkj->ij", weights, J, J) + 1e-12 * np.eye(6)
         step = -np.linalg.solve(information, np.einsum("n,nki,nk->i", weights, J, white))
-        T = pose(rotation_from_rotvec(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
+        T = moved_pose(T, step)
         if float(np.abs(step).max()) < STEP_MIN:
             break
     agree = weights > 0.05
@@ -310,13 +293,6 @@ def solve_pose(
     shown = np.hstack(project_stereo(camera, transform_points(T, points)))[agree] - seen.pixels[agree]
     rms = float(np.sqrt(np.mean(shown**2))) if len(shown) else 0.0
     return MarksPose(T, 0.5 * (covariance + covariance.T), agree, rms, variance)
-
-
-def _turned(arms: Array) -> Array:
-    """d(exp(w) arm)/dw (n, 3, 3) of arms (n, 3)."""
-    x, y, z = arms.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
 
 
 def _patch_verdict(
@@ -331,22 +307,12 @@ def _patch_verdict(
 
     The middle of the patch is judged first, by itself: an object smaller than the patch may lie on it or have moved.
     """
-    for marks in (_middle_of(target.surface), target.surface):
+    near = np.linalg.norm(target.surface.points_target, axis=1) <= MIDDLE_M
+    for marks in (target.surface.some(near), target.surface):
         share, problem = _marks_verdict(target, marks, images, masks, camera, fit, settings)
         if problem:
             return share, problem
     return share, ""
-
-
-def _middle_of(marks: Landmarks) -> Landmarks:
-    near = np.linalg.norm(marks.points_target, axis=1) <= MIDDLE_M
-    return Landmarks(
-        marks.left_px[near],
-        marks.right_px[near],
-        marks.points_target[near],
-        marks.covariances_target[near],
-        marks.support_target[near],
-    )
 
 
 def _marks_verdict(
@@ -358,7 +324,7 @@ def _marks_verdict(
     fit: MarksPose,
     settings: TargetSettings,
 ) -> tuple[float, str]:
-    seen, visible = align_marks(target, marks, images, masks, camera, fit.T)
+    seen, visible = align_marks(target.references, marks, images, masks, camera, fit.T)
     if visible < VISIBLE_MIN:
         return float("nan"), ""  # under our own tool; the surroundings speak for it
     share = len(seen.indices) / visible

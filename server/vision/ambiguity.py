@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from machine.rotations import rotvec_from_rotation
+from machine.poses import pose_difference
 from server.vision.contracts import Array, ObjectPose, PoseStatus
 from server.vision.pose_refinement import PointObservations, kernel_arrays, sum_squares
 from server.vision.small_algebra import apply, rotated, solve_positive
@@ -58,8 +58,7 @@ def covariance_of_both(T_best: Array, T_rival: Array, margin_chi2: float, covari
 
     Model:   C + w d d^T, d the rival's deviation from the best, w = 1 / (1 + exp(margin / 2)) its probability.
     """
-    turn = rotvec_from_rotation(T_rival[:3, :3] @ T_best[:3, :3].T)
-    apart = np.concatenate([turn, T_rival[:3, 3] - T_best[:3, 3]])
+    apart = pose_difference(T_best, T_rival)
     return covariance + np.outer(apart, apart) / (1.0 + np.exp(0.5 * margin_chi2))
 
 
@@ -209,8 +208,7 @@ def widened_covariance(
         other = mirrored_pose(T, observations.points_object, observations.eye_x_m, share)
         rise = (profile_sum_squares(other, observations) - best_px2) / variance
         if rise < RISE_MAX:
-            apart = np.concatenate([rotvec_from_rotation(other[:3, :3] @ T[:3, :3].T), other[:3, 3] - T[:3, 3]])
-            wide = _at_most(wide, apart, max(rise, 1.0))
+            wide = _at_most(wide, pose_difference(T, other), max(rise, 1.0))
     return wide
 
 
@@ -267,7 +265,6 @@ def usable_prior(prior: PosePrior | None) -> bool:
 
 def chi2_to_prior(T_cam_object: Array, covariance: Array, prior: PosePrior, limits: MotionLimits) -> float:
     """How many chi2 (6 degrees of freedom) a pose lies from the prior, plausible motion allowed for."""
-    turn = rotvec_from_rotation(T_cam_object[:3, :3] @ prior.T_cam_object[:3, :3].T)
-    apart = np.concatenate([turn, T_cam_object[:3, 3] - prior.T_cam_object[:3, 3]])
+    apart = pose_difference(prior.T_cam_object, T_cam_object)
     motion = np.repeat([limits.turn_rate_rad_s * prior.age_s, limits.speed_m_s * prior.age_s], 3)
     return float(apart @ np.linalg.solve(covariance + prior.covariance + np.diag(motion**2), apart))

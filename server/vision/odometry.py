@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.description import StereoCamera
-from machine.poses import inverse_pose, transform_points
+from machine.poses import inverse_pose, pose_difference, transform_points
 from machine.rotations import nearest_rotation
 from server.vision.contracts import Array, Image, OdometryPose, OdometryStatus
 from server.vision.odometry_adjustment import adjust_keyframes
@@ -19,7 +19,6 @@ from server.vision.odometry_motion import (
     Twist,
     covariance_in_vo,
     moved_by_twist,
-    pose_difference,
     row_fractions,
     standing,
     with_scale_error,

@@ -11,8 +11,8 @@ import numpy as np
 
 from machine.description import StereoCamera
 from machine.markers import CORNER_SIGNS
-from machine.poses import inverse_pose, pose, transform_points
-from machine.rotations import nearest_rotation, rotvec_from_rotation
+from machine.poses import inverse_pose, pose, pose_difference, transform_points
+from machine.rotations import nearest_rotation
 from server.vision.contracts import Array
 from server.vision.object_pose import fitted_variance
 from server.vision.teach_checks import (
@@ -84,8 +84,7 @@ def placed_covariances(
         plus = place_layout(moved(state, step), ids, frame, reference)
         minus = place_layout(moved(state, -step), ids, frame, reference)
         for k in range(len(ids)):
-            turn = rotvec_from_rotation(plus[k, :3, :3] @ minus[k, :3, :3].T)
-            J[k, :, column] = np.concatenate([turn, plus[k, :3, 3] - minus[k, :3, 3]]) / (2.0 * STEP)
+            J[k, :, column] = pose_difference(minus[k], plus[k]) / (2.0 * STEP)
     found = J @ covariance[np.ix_(rows, rows)] @ J.transpose(0, 2, 1)
     return 0.5 * (found + found.transpose(0, 2, 1))
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.rotations import rotation_from_rotvec
+from machine.poses import moved_pose
 from server.vision.contracts import Array
 
 Indices = NDArray[np.intp]
@@ -234,7 +234,7 @@ def moved(state: LayoutState, step: Array) -> LayoutState:
     """The state after a step (7 m + 1) of markers and baseline; views stay."""
     n = len(state.Ts_ref_marker)
     per_marker = step[:-1].reshape(n, PER_MARKER)
-    Ts = _perturbed(state.Ts_ref_marker, per_marker[:, :6])
+    Ts = _all_moved(state.Ts_ref_marker, per_marker[:, :6])
     sides = state.sides_m + per_marker[:, 6]
     return replace(state, Ts_ref_marker=Ts, sides_m=sides, baseline_frac=state.baseline_frac + float(step[-1]))
 
@@ -245,16 +245,11 @@ def _moved(state: LayoutState, equations: _Equations, reference: int) -> LayoutS
     step[free] = _solved(equations.S[np.ix_(free, free)], -equations.g[free])
     back = equations.view_gradient + np.einsum("vij,j->vi", equations.cross, step)
     views = -np.einsum("vij,vj->vi", equations.view_inverse, back)
-    return replace(moved(state, step), Ts_cam_ref=_perturbed(state.Ts_cam_ref, views))
+    return replace(moved(state, step), Ts_cam_ref=_all_moved(state.Ts_cam_ref, views))
 
 
-def _perturbed(Ts: Array, steps: Array) -> Array:
-    """R <- exp(w) R, t <- t + dt for each pose."""
-    result = Ts.copy()
-    for T, step in zip(result, steps, strict=True):
-        T[:3, :3] = rotation_from_rotvec(step[:3]) @ T[:3, :3]
-        T[:3, 3] += step[3:]
-    return result
+def _all_moved(Ts: Array, steps: Array) -> Array:
+    return np.array([moved_pose(T, step) for T, step in zip(Ts, steps, strict=True)])
 
 
 def _scaled(S: Array) -> tuple[Array, Array]:
