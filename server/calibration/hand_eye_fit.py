@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from machine.poses import moved_pose, pose
-from machine.rotations import skews, nearest_rotation
+from machine.rotations import nearest_rotation, skews
 from server.calibration.contracts import Array
 
 Indices = NDArray[np.int64]

@@ -226,11 +226,9 @@ def _seen_in(view: TaughtView, other: TaughtView, camera: StereoCamera, settings
 
 def _looked_up(view: TaughtView, other: TaughtView, camera: StereoCamera) -> tuple[SeenMarks, int]:
     size = (camera.height_px, camera.width_px)
-    images = other.reference_left, other.reference_right
+    images, references = ((pair.reference_left, pair.reference_right) for pair in (other, view))
     masks = allowed_mask(size, other.masks_px[0]), allowed_mask(size, other.masks_px[1])
-    return align_marks(
-        (view.reference_left, view.reference_right), view.marks, images, masks, camera, other.T_cam_object
-    )
+    return align_marks(references, view.marks, images, masks, camera, other.T_cam_object)
 
 
 def _moved(view: TaughtView, T_cam_object: Array) -> Landmarks:
