@@ -29,7 +29,7 @@ from server.vision.object_pose import (
 )
 from server.vision.planar_pose import planar_poses
 from server.vision.pose_problem import PointSighting, Sighting
-from server.vision.pose_refinement import PointObservations, refine_pose
+from server.vision.pose_refinement import PointObservations, distinct_minima
 
 BLACK_MEAN_GREY = 4.0
 SATURATED_FRAC = 0.5
@@ -92,7 +92,8 @@ def warm_up_markers() -> None:
     sides_without_margin(image, square, np.eye(6, dtype=np.bool_))
     points = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
     start = pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 5.0]))
-    refine_pose(start, PointObservations(points, 100.0 * points[:, :2], np.zeros(4), np.array([500.0, 500.0])))
+    seen = PointObservations(points, 100.0 * points[:, :2], np.zeros(4), np.array([500.0, 500.0]))
+    distinct_minima(start[None], seen, 0.01)
 
 
 def warm_up_boards() -> None:

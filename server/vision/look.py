@@ -128,63 +128,43 @@ def _worth(r: float, n: int, limit: float) -> float:
 
 
 SPREAD_SIGMAS, DRIFT_SIGMAS = 2.0, 4.0  # of the predicted noise: more is motion, whatever the limits in mm say
+USED_MIN_FRAC = 0.5  # of the pairs: so many must show both objects
 USABLE = (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS)
 
 
-@dataclass(frozen=True, slots=True)
-class AverageSettings:
-    """When pairs make a look."""
-
-    spread_max_mm: float = 1.0  # robust spread of the tool-to-OOI position over the pairs
-    drift_max_mm: float = 1.0  # first third against last third of the window
-    used_min_frac: float = 0.5  # pairs that must show both objects
-
-
-@dataclass(frozen=True, slots=True)
-class Rest:
-    """Spread and drift of the tool-to-OOI position over the window [mm]."""
-
-    spread_mm: float
-    drift_mm: float
-
-
-def average_look(
-    observations: Sequence[PairObservation], spread_max_mm: float = 1.0, settings: AverageSettings | None = None
-) -> Look:
+def average_look(observations: Sequence[PairObservation], spread_max_mm: float = 1.0) -> Look:
     """Robust mean of tool and OOI in the left camera over pairs taken at rest.
 
     Model:   rest: p = position of tool minus OOI per pair; spread = 1.4826 median |p - median|,
              drift = |median of the last third - of the first|; a limit below the predicted noise is raised to it.
              Then `pose_mean` for each object.
-    Args:    observations: pairs in order of exposure. spread_max_mm: limit of spread and drift [mm] without `settings`.
+    Args:    observations: pairs in order of exposure. spread_max_mm: limit of spread and drift [mm].
     Returns: Look; its poses are None unless status is OK or ORIENTATION_AMBIGUOUS.
     """
-    limits = settings or AverageSettings(spread_max_mm=spread_max_mm, drift_max_mm=spread_max_mm)
     if not observations:
-        return _failed(
-            observations, LookStatus.NO_IMAGES, "no stereo pairs received; check the camera source and its cable"
-        )
+        reason = "no stereo pairs received; check the camera source and its cable"
+        return _failed(observations, LookStatus.NO_IMAGES, reason)
     usable = [pair for pair in observations if pair.tool.status in USABLE and pair.ooi.status in USABLE]
-    if len(usable) < max(1.0, limits.used_min_frac * len(observations)):
+    if len(usable) < max(1.0, USED_MIN_FRAC * len(observations)):
         return _failed(observations, *_why_unusable(observations))
-    rest = _rest(usable)
+    spread_mm, drift_mm = _spread_and_drift_mm(usable)
     noise_mm = _noise_mm(usable)  # far markers scatter by more than the limits without any motion
-    spread_max_mm = max(limits.spread_max_mm, SPREAD_SIGMAS * noise_mm)
-    drift_max_mm = max(limits.drift_max_mm, DRIFT_SIGMAS * noise_mm / np.sqrt(max(1.0, len(usable) / 3.0)))
-    if rest.spread_mm > spread_max_mm or rest.drift_mm > drift_max_mm:
+    drift_max_mm = max(spread_max_mm, DRIFT_SIGMAS * noise_mm / np.sqrt(max(1.0, len(usable) / 3.0)))
+    spread_max_mm = max(spread_max_mm, SPREAD_SIGMAS * noise_mm)
+    if spread_mm > spread_max_mm or drift_mm > drift_max_mm:
         reason = (
-            f"tool moves against the OOI: spread {rest.spread_mm:.2f} mm (limit {spread_max_mm:.2g} mm), drift "
-            f"{rest.drift_mm:.2f} mm (limit {drift_max_mm:.2g} mm) over {len(usable)} pairs; "
+            f"tool moves against the OOI: spread {spread_mm:.2f} mm (limit {spread_max_mm:.2g} mm), drift "
+            f"{drift_mm:.2f} mm (limit {drift_max_mm:.2g} mm) over {len(usable)} pairs; "
             "wait until the boom rests"
         )
-        return _failed(observations, LookStatus.NOT_AT_REST, reason, rest.spread_mm)
+        return _failed(observations, LookStatus.NOT_AT_REST, reason, spread_mm)
     clear = [pair for pair in usable if pair.tool.status is PoseStatus.OK and pair.ooi.status is PoseStatus.OK]
-    ambiguous = len(clear) < limits.used_min_frac * len(usable)
-    return _averaged(observations, usable if ambiguous else clear, rest, ambiguous)
+    ambiguous = len(clear) < USED_MIN_FRAC * len(usable)
+    return _averaged(observations, usable if ambiguous else clear, spread_mm, ambiguous)
 
 
 def _averaged(
-    observations: Sequence[PairObservation], taken: Sequence[PairObservation], rest: Rest, ambiguous: bool
+    observations: Sequence[PairObservation], taken: Sequence[PairObservation], spread_mm: float, ambiguous: bool
 ) -> Look:
     tool, ooi = _mean_of([pair.tool for pair in taken]), _mean_of([pair.ooi for pair in taken])
     both = tool.kept & ooi.kept
@@ -204,7 +184,7 @@ def _averaged(
         n_used=int(both.sum()),
         t_first_ns=observations[0].t_exposure_ns,
         t_last_ns=observations[-1].t_exposure_ns,
-        spread_mm=rest.spread_mm,
+        spread_mm=spread_mm,
         corners_px=_mean_corners(taken),
     )
 
@@ -237,12 +217,13 @@ def _vectors_m(observations: Sequence[PairObservation]) -> Array:
     return tools[:, :3, 3] - oois[:, :3, 3]
 
 
-def _rest(observations: Sequence[PairObservation]) -> Rest:
+def _spread_and_drift_mm(observations: Sequence[PairObservation]) -> tuple[float, float]:
+    """Of the tool-to-OOI position over the window."""
     positions_mm = _vectors_m(observations) * 1e3
     distance = np.linalg.norm(positions_mm - np.median(positions_mm, axis=0), axis=1)
     third = max(1, len(positions_mm) // 3)
     first, last = np.median(positions_mm[:third], axis=0), np.median(positions_mm[-third:], axis=0)
-    return Rest(MAD_TO_SIGMA * float(np.median(distance)), float(np.linalg.norm(last - first)))
+    return MAD_TO_SIGMA * float(np.median(distance)), float(np.linalg.norm(last - first))
 
 
 def _noise_mm(observations: Sequence[PairObservation]) -> float:

@@ -19,7 +19,7 @@ from server.vision.ambiguity import (
 )
 from server.vision.contracts import Array, MarkerView, ObjectPose, PoseStatus
 from server.vision.pose_problem import PointSighting, PoseProblem, SeenGroup, Sighting, pose_problem
-from server.vision.pose_refinement import PointObservations, RefinedPose, distinct_minima
+from server.vision.pose_refinement import RefinedPose, distinct_minima
 
 ObjectName = Literal["tool", "ooi"]
 SAME_MINIMUM_RAD = float(np.deg2rad(0.5))
@@ -76,17 +76,10 @@ def _doubly_seen(problem: PoseProblem) -> list[SeenGroup]:
 def _rms_without(problem: PoseProblem, group: SeenGroup, T_cam_object: Array, apart_rad: float) -> float:
     rows = np.ones(len(problem.observations.points_object), dtype=bool)
     rows[group.first : group.end] = False
-    found = distinct_minima(T_cam_object[None], _cut(problem.observations, rows), apart_rad)
+    found = distinct_minima(T_cam_object[None], problem.observations.some(rows), apart_rad)
     if not found:
         return float("inf")
     return float(np.sqrt(found[0].sum_squares_px2 / found[0].residuals_px.size))
-
-
-def _cut(whole: PointObservations, rows: Sequence[bool] | np.ndarray) -> PointObservations:
-    weights = None if whole.weights is None else whole.weights[rows]
-    return PointObservations(
-        whole.points_object[rows], whole.seen_px[rows], whole.eye_x_m[rows], whole.focal_px, weights
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from machine.poses import inverse_pose, pose_difference, transform_points
 from machine.rotations import nearest_rotation
 from server.vision.contracts import Array, Image, OdometryPose, OdometryStatus
 from server.vision.odometry_adjustment import adjust_keyframes
-from server.vision.odometry_covariance import KeyframeCovariances, Readout, readout_of
+from server.vision.odometry_covariance import KeyframeCovariances, readout_of
 from server.vision.odometry_features import allowed_mask, coverage
 from server.vision.odometry_keyframe import Keyframe, SeenHere, make_keyframe
 from server.vision.odometry_motion import (
@@ -62,11 +62,6 @@ class StereoOdometry:
     def keyframes(self) -> tuple[Keyframe, ...]:
         """The kept keyframes, the anchor first."""
         return tuple(self._keyframes)
-
-    @property
-    def readout(self) -> Readout:
-        """The rolling shutter's readout as given or learned so far."""
-        return self._readout
 
     def hides(self, left_px: Array) -> NDArray[np.bool_]:
         """Which places (n, 2) [raw px] of the left picture were recognised as own structure so far."""

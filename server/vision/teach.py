@@ -58,20 +58,18 @@ class LayoutFrame:
     present: Mapping[int, tuple[Array, float]]
 
 
-def place_layout(state: LayoutState, ids: Sequence[int], frame: LayoutFrame, reference: int) -> Array:
+def place_layout(state: LayoutState, ids: Sequence[int], frame: LayoutFrame) -> Array:
     """T_on_marker (m, 4, 4) in the wanted frame."""
     if frame.name == "middle":
-        T_on_ref = _from_middle(state, reference)
+        T_on_ref = _from_middle(state)
     elif frame.name == "present" and any(marker_id in frame.present for marker_id in ids):
         T_on_ref = _best_fit(state, ids, frame.present)
     else:
-        T_on_ref = frame.present.get(ids[reference], (np.eye(4), 0.0))[0]
+        T_on_ref = frame.present.get(ids[0], (np.eye(4), 0.0))[0]
     return T_on_ref @ state.Ts_ref_marker
 
 
-def placed_covariances(
-    state: LayoutState, covariance: Array, ids: Sequence[int], frame: LayoutFrame, reference: int
-) -> Array:
+def placed_covariances(state: LayoutState, covariance: Array, ids: Sequence[int], frame: LayoutFrame) -> Array:
     """Covariances (m, 6, 6) of T_on_marker in the wanted frame, by central differences through the frame's choice.
 
     Args: covariance (7 m + 1, 7 m + 1) of markers (T_ref_marker by left perturbation, side) and baseline.
@@ -81,8 +79,8 @@ def placed_covariances(
     for column, row in enumerate(rows):
         step = np.zeros(len(covariance))
         step[row] = STEP
-        plus = place_layout(moved(state, step), ids, frame, reference)
-        minus = place_layout(moved(state, -step), ids, frame, reference)
+        plus = place_layout(moved(state, step), ids, frame)
+        minus = place_layout(moved(state, -step), ids, frame)
         for k in range(len(ids)):
             J[k, :, column] = pose_difference(minus[k], plus[k]) / (2.0 * STEP)
     found = J @ covariance[np.ix_(rows, rows)] @ J.transpose(0, 2, 1)
@@ -103,7 +101,7 @@ def _best_fit(state: LayoutState, ids: Sequence[int], present: Mapping[int, tupl
     return pose(rotation, aim - rotation @ middle)
 
 
-def _from_middle(state: LayoutState, reference: int) -> Array:
+def _from_middle(state: LayoutState) -> Array:
     centres = state.Ts_ref_marker[:, :3, 3]
     middle = centres.mean(axis=0)
     z = state.Ts_ref_marker[:, :3, 2].mean(axis=0)
@@ -111,7 +109,7 @@ def _from_middle(state: LayoutState, reference: int) -> Array:
     if len(centres) >= 3 and extents[1] > FLAT_FRAC * extents[0]:
         z = axes[2] * np.sign(axes[2] @ z)
     z = z / np.linalg.norm(z)
-    x = state.Ts_ref_marker[reference, :3, 0]
+    x = state.Ts_ref_marker[0, :3, 0]
     x = x - (x @ z) * z
     x = x / np.linalg.norm(x)
     return inverse_pose(pose(np.column_stack([x, np.cross(z, x), z]), middle))
@@ -198,7 +196,7 @@ def _fits(
             f"marker {unknown} has no printed side and is never seen by both eyes; give its side, or show it to both"
         )
         return Refusal(TeachStatus.NOT_DETERMINED, reason)
-    start = start_of(seen, sides, camera, 0)
+    start = start_of(seen, sides, camera)
     if start is None:
         return Refusal(
             TeachStatus.CONTRADICTION, "no pose puts the markers in front of the camera; check the camera file"
@@ -229,7 +227,7 @@ def _shown(view: TeachView, ids: Sequence[int]) -> list[int]:
 
 def _priors(task: TeachTask, sides_m: Array, settings: TeachSettings) -> Priors:
     sigmas = [settings.side_sigma_m if marker_id in task.printed_m else np.inf for marker_id in task.ids]
-    return Priors(sides_m, np.array(sigmas), settings.baseline_sigma_frac, settings.sigma_px, reference=0)
+    return Priors(sides_m, np.array(sigmas), settings.baseline_sigma_frac, settings.sigma_px)
 
 
 def _refined(seen: SeenViews, corners: Corners, fit: LayoutFit, priors: Priors, n_dropped: int) -> _Fits:
@@ -245,8 +243,8 @@ def _refined(seen: SeenViews, corners: Corners, fit: LayoutFit, priors: Priors, 
 
 def _markers(fits: _Fits, task: TeachTask) -> tuple[TaughtMarker, ...]:
     state, ids = fits.known.state, task.ids
-    Ts = place_layout(state, ids, task.frame, 0)
-    covariances = placed_covariances(state, fits.known.covariance, ids, task.frame, 0)
+    Ts = place_layout(state, ids, task.frame)
+    covariances = placed_covariances(state, fits.known.covariance, ids, task.frame)
     n = len(ids)
     rms = sighting_rms_px(fits.known, fits.corners, len(fits.seen.views), n)
     side_sigmas, free_sigmas = (

@@ -264,9 +264,8 @@ def test_jacobian_and_covariance_against_finite_differences():
         np.full(3, 0.15),
         0.0,
     )
-    priors = Priors(np.full(3, 0.15), np.full(3, 2e-4), 2e-3, 0.06, reference=0)
+    priors = Priors(np.full(3, 0.15), np.full(3, 2e-4), 2e-3, 0.06)
     fit = fit_layout(state, corners, priors)
-    assert fit.converged
 
     def column(step, views_step=None):
         def at(sign):
@@ -281,7 +280,7 @@ def test_jacobian_and_covariance_against_finite_differences():
 
         return (at(1.0) - at(-1.0)) / 2e-6
 
-    k, free = 7 * 3 + 1, free_rows(3, 0)
+    k, free = 7 * 3 + 1, free_rows(3)
     J = np.column_stack(
         [column(1e-6 * np.eye(k)[row]) for row in free]
         + [column(np.zeros(k), 1e-6 * np.eye(24)[row].reshape(4, 6)) for row in range(24)]
