@@ -128,7 +128,7 @@ def cells_along_side(dictionary: "cv2.aruco.Dictionary") -> int:
 
 
 def search_parameters(image_size_px: int, perimeter_min_px: float) -> "cv2.aruco.DetectorParameters":
-    """OpenCV's, for markers of at least this perimeter in an image of this size [px]; corners as the contour has them."""
+    """OpenCV's, for markers of at least this perimeter in an image of this size [px]; unrefined corners."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.minMarkerPerimeterRate = float(np.clip(perimeter_min_px / image_size_px, 1e-3, 0.3))
     parameters.maxMarkerPerimeterRate = 8.0  # a region is hardly larger than its marker
