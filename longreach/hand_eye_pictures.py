@@ -12,7 +12,7 @@ from longreach.target_sources import SUFFIXES
 from machine.poses import pose
 from machine.rotations import Array, rotation_from_rotvec, skew
 from recording.files import read_text
-from server.camera.rectification_yaml import matrix, numbers, parse_yaml
+from server.camera.rectification_yaml import parse_yaml
 
 CORNERS_MIN = 8
 SIGMA_MIN_PX = 0.1  # of a corner coordinate
@@ -35,10 +35,10 @@ def read_lens(path: Path) -> tuple[Array, Array]:
     Raises: HandEyeError, CalibrationFileError: not readable, or a field is missing.
     """
     try:
-        tree = parse_yaml(read_text(path), path.name)
+        fields = parse_yaml(read_text(path), path.name)
     except OSError as error:
         raise HandEyeError(f"lens {path} cannot be read: {error.strerror}") from error
-    return matrix(tree, "camera_matrix", path.name, (3, 3)), numbers(tree, "distortion_coefficients", path.name)
+    return fields.matrix("camera_matrix", (3, 3)), fields.numbers("distortion_coefficients")
 
 
 def poses_of_pictures(folder: Path, board: "cv2.aruco.CharucoBoard", lens: tuple[Array, Array]) -> PicturePoses:
