@@ -20,10 +20,10 @@ from server.camera.contracts import (
 )
 from server.camera.health.blur import sharpness
 from server.camera.health.image_health import ImageHealth
-from server.camera.masking import ToolMask
 from server.camera.own_structure import SpreadPairs
 from server.camera.smallest_offset import SmallestOffset, aged
 from server.camera.target_measuring import TargetMeasuring
+from server.targets.tool_mask import ToolMask
 from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
 
 MAP_POINTS = 600  # reported at the end of a run, for the 3D view

@@ -31,12 +31,12 @@ from server.camera.contracts import (
 )
 from server.camera.errors import CameraError
 from server.camera.health.image_health import ImageHealth
-from server.camera.masking import ToolMask
 from server.camera.pipeline import Odometry, VisionPipeline
 from server.camera.sources.opening import open_ahead
 from server.camera.sources.side_by_side import decode_grey
 from server.camera.target_measuring import TargetMeasuring
 from server.targets.source import TargetPoseSource
+from server.targets.tool_mask import ToolMask
 from server.vision.contracts import Image, ObjectPoseSource
 from server.vision.marker_search import dictionary_by_name
 

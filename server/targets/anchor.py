@@ -11,7 +11,7 @@ from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
 from server.targets.contracts import AnchoredTarget, Landmarks, PatchStatus, SurfacePatch, TargetSettings
 from server.vision.contracts import Array, Image
-from server.vision.odometry_features import allowed_mask
+from server.vision.odometry_features import allowed_masks
 from server.vision.odometry_keyframe import triangulated
 from server.vision.odometry_sight import ImageSight, StereoMatches
 
@@ -74,7 +74,7 @@ def _around(
     """Corners around the patch, matched in both eyes."""
     if patch.T_cam_target is None:
         raise ValueError("the patch was refused; anchor measured patches only")
-    both = [allowed_mask((camera.height_px, camera.width_px), polygons) for polygons in masks_px]
+    both = allowed_masks((camera.height_px, camera.width_px), masks_px)
     radius_px = settings.surroundings_m * camera.fx_px / float(patch.T_cam_target[2, 3])
     disc = np.zeros_like(both[0])
     cv2.circle(disc, (round(patch.pixel[0]), round(patch.pixel[1])), round(radius_px), 255, -1)

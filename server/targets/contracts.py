@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from server.vision.contracts import Array, Image
 
+NAN = float("nan")
+
 
 class PatchStatus(Enum):
     """Whether a surface patch may become a target; every other member than OK is a refusal."""
@@ -90,7 +92,7 @@ class SurfacePatch:
 def refused_patch(status: PatchStatus, reason: str, pixel: tuple[float, float]) -> SurfacePatch:
     """A patch that could not be measured, with its reason."""
     none = np.zeros((0, 2))
-    return SurfacePatch(status, reason, pixel, None, None, none, np.zeros((0, 3)), 0.0, "plane", 0, float("nan"))
+    return SurfacePatch(status, reason, pixel, None, None, none, np.zeros((0, 3)), 0.0, "plane", 0, NAN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +158,11 @@ class TargetFix:
     agree_frac: float
     residual_px: float
     seen: bool = True  # False: nothing of the surroundings was recognised
+
+
+def no_fix(reason: str, n: int, share: float = NAN, residual_px: float = NAN, seen: bool = True) -> TargetFix:
+    """Why there is no pose, from n landmarks."""
+    return TargetFix(False, reason, None, None, n, share, residual_px, seen)
 
 
 BoolArray = NDArray[np.bool_]

@@ -13,10 +13,10 @@ from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation, skew
 from server.targets.anchor import LANDMARKS_MIN, landmarks_of
 from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetSettings
-from server.targets.tracking import FIX_MIN, MarksPose, SeenMarks, align_marks, solve_pose
+from server.targets.tracking import FIX_MIN, MarksPose, SearchedPair, align_marks, solve_pose
 from server.vision.contracts import Image
 from server.vision.odometry_align import align
-from server.vision.odometry_features import allowed_mask, inside_mask
+from server.vision.odometry_features import allowed_masks, inside_mask
 from server.vision.odometry_keyframe import triangulated
 from server.vision.odometry_sight import StereoMatches, flow, plausible
 
@@ -62,6 +62,11 @@ class TaughtView:
     marks: Landmarks
     descriptors: Descriptors
     masks_px: Polygons
+
+    @property
+    def references(self) -> tuple[Image, Image]:
+        """Both eyes' images."""
+        return self.reference_left, self.reference_right
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +123,7 @@ def teach_view(
     T_cam_object = T_cam_marker @ pose(np.eye(3), box.centre_m)
     polygons = tuple(masks_px[0]), tuple(masks_px[1])
     size = (camera.height_px, camera.width_px)
-    both = [allowed_mask(size, some) for some in polygons]
+    both = allowed_masks(size, polygons)
     inside = _box_mask(camera, T_cam_object, box, size)
     places, descriptors = features(left, np.asarray(np.minimum(both[0], inside)))
     first = _strongest_by_cell(places, CELL_PX, 1)
@@ -217,18 +222,17 @@ def teach_object(
 
 def _seen_in(view: TaughtView, other: TaughtView, camera: StereoCamera, settings: TargetSettings) -> MarksPose | None:
     """Where one view's landmarks place the object in another view; None where they are not found."""
-    seen, _ = _looked_up(view, other, camera)
+    pair = _as_pair(other, camera, settings)
+    seen, _ = align_marks(view.references, view.marks, pair, other.T_cam_object)
     if len(seen.indices) < FIX_MIN:
         return None
-    fit = solve_pose(camera, view.marks, seen, other.T_cam_object, settings)
+    fit = solve_pose(pair, view.marks, seen, other.T_cam_object)
     return fit if fit.agree.sum() >= FIX_MIN else None
 
 
-def _looked_up(view: TaughtView, other: TaughtView, camera: StereoCamera) -> tuple[SeenMarks, int]:
-    size = (camera.height_px, camera.width_px)
-    images, references = ((pair.reference_left, pair.reference_right) for pair in (other, view))
-    masks = allowed_mask(size, other.masks_px[0]), allowed_mask(size, other.masks_px[1])
-    return align_marks(references, view.marks, images, masks, camera, other.T_cam_object)
+def _as_pair(view: TaughtView, camera: StereoCamera, settings: TargetSettings) -> SearchedPair:
+    masks = allowed_masks((camera.height_px, camera.width_px), view.masks_px)
+    return SearchedPair(view.references, masks, camera, settings)
 
 
 def _moved(view: TaughtView, T_cam_object: Array) -> Landmarks:
@@ -258,10 +262,11 @@ def _confirmed(
         for other in views:
             if other is view:
                 continue
-            seen, visible = _looked_up(view, other, camera)
+            pair = _as_pair(other, camera, settings)
+            seen, visible = align_marks(view.references, view.marks, pair, other.T_cam_object)
             if len(seen.indices) < FIX_MIN:
                 continue
-            fit = solve_pose(camera, view.marks, seen, other.T_cam_object, settings)
+            fit = solve_pose(pair, view.marks, seen, other.T_cam_object)
             agreed[seen.indices[fit.agree]] = True
             best = max(best, float(fit.agree.sum()) / visible)
         kept.append(replace(view, marks=view.marks.some(agreed), descriptors=view.descriptors[agreed]))

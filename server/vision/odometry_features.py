@@ -26,6 +26,11 @@ def allowed_mask(shape: tuple[int, int], polygons_px: Sequence[Array]) -> Image:
     return mask
 
 
+def allowed_masks(shape: tuple[int, int], polygons_px: tuple[Sequence[Array], Sequence[Array]]) -> tuple[Image, Image]:
+    """`allowed_mask` of the left and the right eye."""
+    return allowed_mask(shape, polygons_px[0]), allowed_mask(shape, polygons_px[1])
+
+
 def inside_mask(mask: Image, points_px: Array) -> NDArray[np.bool_]:
     """Which points (n, 2) lie on allowed pixels."""
     with np.errstate(invalid="ignore"):
