@@ -1,4 +1,5 @@
-"""Checks at the public entries of this package: a broken contract raises, naming subject, value and limit."""
+"""Checks at the public entries of this package: a broken contract raises CalibrationInputError, naming subject, value
+and limit."""
 
 import numpy as np
 

@@ -95,7 +95,6 @@ def solve_ax_yb(
              (one camera without a known length); rng: for the triples, seed 0 if None. camera_covariances (n, 6, 6): of
              the target in the camera, as `ObjectPose.covariance`: far and frontal poses count for less.
     Returns: the estimate; no X when the poses do not determine it.
-    Raises:  CalibrationInputError: shapes.
     Source:  Park, Martin 1994; Zhuang, Roth, Sudhakar 1994 (A X = Y B).
     """
     As, Bs, good = _pairs(As, Bs)
@@ -252,7 +251,6 @@ def estimate_hand_eye(
     Args:    t_hand_s (m,), Ts_base_hand (m, 4, 4); t_cam_s (n,), Ts_cam_target (n, 4, 4): target in the camera;
              camera_covariances (n, 6, 6) of these, as in `solve_ax_yb`.
     Returns: the estimate with `time_offset_s` and its sigma; no pose when the streams do not determine it.
-    Raises:  CalibrationInputError: shapes.
     Source:  Furrer et al. 2017 (angles for the offset); Park, Martin 1994.
     """
     require_track_shape(t_hand_s, Ts_base_hand, "hand track")

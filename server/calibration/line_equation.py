@@ -53,7 +53,6 @@ def circle_points(
     Args:    T_base_tcp: present pose, after the orientation step (4, 4); radius_m: r; n_points: with the two centres;
              start_rad: where the circle begins (the paper: 0).
     Returns: (n_points, 3) [m].
-    Raises:  CalibrationInputError: not a pose, no radius, fewer than 5 points.
     Source:  Makinen et al. 2023, eq. 9-12, section 5.2.1 (18 points, r = 0.2 m).
     """
     T = require_pose(T_base_tcp, "T_base_tcp")
@@ -84,7 +83,6 @@ def line_reference(
     Args:    T_base_tcp_init: the circle's centre (4, 4); points_base: TCP where each distance was measured (n, 3) [m];
              distances_m: eq. 13 at each (n,) [m], NaN where nothing was seen; radius_m: r.
     Returns: the reference; OK, or TOO_FEW, DEGENERATE with the reason and no pose.
-    Raises:  CalibrationInputError: not a pose, shapes, a negative distance.
     Source:  Makinen et al. 2023, eq. 13-16.
     """
     T_init = require_pose(T_base_tcp_init, "T_base_tcp_init")
@@ -160,7 +158,6 @@ class LineServo:
              and distance; p_u (15) stays. The distance has no sign, so a direction that is off by some degrees is never
              corrected: the paper found no improvement, and neither does the simulation.
     Args:    direction_base: p_u (3,), unit; settings.
-    Raises:  CalibrationInputError: direction of another length than 1.
     Source:  Makinen et al. 2023, section 5.2.1 (last paragraph), eq. 16.
     """
 
@@ -180,7 +177,6 @@ class LineServo:
 
         Args:    T_base_tcp: present pose (4, 4); p_cam_tool, p_cam_ooi: as seen there (3,) [m].
         Returns: the step; without a reference while it is too early, and at the end.
-        Raises:  CalibrationInputError: not a pose, time running backwards.
         """
         T = require_pose(T_base_tcp, "T_base_tcp")
         if t_s < self._now_s:

@@ -91,7 +91,6 @@ def fit_line(
              minus tool in the viewing axes (n, 2) [m], NaN where not seen: camera axes as the paper's tables, or the
              OOI's own axes where its orientation is known well; R_tcp_view_nominal: those axes in the TCP's (3, 3).
     Returns: the fit: OK, or TOO_FEW, DEGENERATE, POOR_FIT with the reason and no pose.
-    Raises:  CalibrationInputError: shapes, not a pose or rotation.
     Source:  Makinen et al. 2023, section 3.2.1 (the set-up); Kabsch 1976, Umeyama 1991 (in the plane).
     """
     limits = settings or LineFitSettings()
@@ -271,7 +270,6 @@ def fit_line_moving(
              step_s: search range and grid; contrast_min: smallest relative rise of J at +-0.1 s.
     Returns: the fit at the best offset, or at 0 when J is flat or no offset gives a fit. POOR_FIT without a pose when
              J falls to the end of the search, which reaches one step beyond bound_s.
-    Raises:  CalibrationInputError: shapes, times that are not finite.
     """
     require_track(encoder.t_s, encoder.Ts_base_tcp, "encoder track")
     t, vectors = np.asarray(t_look_s, dtype=float), np.asarray(vectors_m, dtype=float)

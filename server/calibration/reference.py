@@ -22,7 +22,6 @@ def orientation_reference_paper(R_base_tcp: Array, R_cam_ooi: Array, R_cam_tool:
              camera's axes are parallel to the TCP's. `orientation_reference` is the frame-consistent form.
     Args:    R_base_tcp: present TCP; R_cam_ooi, R_cam_tool: as seen; each (3, 3).
     Returns: R_base_tcp_ref, (3, 3).
-    Raises:  CalibrationInputError: an argument is not a rotation.
     Source:  Makinen et al. 2023, eq. 7-8.
     """
     r_O = quat_wxyz_from_rotation(require_rotation(R_cam_ooi, "R_cam_ooi"))
@@ -41,7 +40,6 @@ def orientation_reference(R_base_tcp: Array, R_tcp_tool: Array, R_cam_tool: Arra
     Args:    R_base_tcp: TCP by the encoders at the look; R_tcp_tool: nominal tool mounting; R_cam_tool,
              R_cam_ooi: as seen; each (3, 3).
     Returns: R_base_tcp_ref, (3, 3).
-    Raises:  CalibrationInputError: an argument is not a rotation.
     Source:  Makinen et al. 2023, eq. 7-8, with the frames made consistent.
     """
     X = require_rotation(R_tcp_tool, "R_tcp_tool")
@@ -57,7 +55,6 @@ def orientation_reference_paper_axes(
     Model:   R_BT' = R_BT N, eq. 7-8 on R_BT', then back by N^T; N = nominal R_tcp_cam. Exact for a nominal mount.
     Args:    R_base_tcp, R_tcp_cam_nominal, R_cam_ooi, R_cam_tool: each (3, 3).
     Returns: R_base_tcp_ref, (3, 3).
-    Raises:  CalibrationInputError: an argument is not a rotation.
     Source:  Makinen et al. 2023, eq. 7-8 and section 4.1 (camera parallel to the torsion axis).
     """
     N = require_rotation(R_tcp_cam_nominal, "R_tcp_cam_nominal")
@@ -73,7 +70,6 @@ def position_reference_paper(
     Args:    T_base_tcp: present pose by the encoders (4, 4); R_base_cam: R_fm R_cfa (3, 3); p_cam_tool, p_cam_ooi: as
              seen (3,) [m]; stand_off_m: b, along the camera's z [m].
     Returns: T_base_tcp_ref, (4, 4).
-    Raises:  CalibrationInputError: not a pose or rotation.
     Source:  Makinen et al. 2023, eq. 20-22.
     """
     T = require_pose(T_base_tcp, "T_base_tcp")
@@ -94,7 +90,6 @@ def reference_from_look(
              T_tcp_tool: nominal, its lever arm is used; T_cam_tool, T_cam_ooi: the look; T_ooi_goal: the tool's wanted
              pose, R = I, p = (x, y, b).
     Returns: T_base_tcp_goal, (4, 4), in the same space: where the encoders are to end.
-    Raises:  CalibrationInputError: not a pose or rotation.
     Source:  Makinen et al. 2023, eq. 7-8 and 20-22, joined and made frame-consistent.
     """
     T = require_pose(T_base_tcp, "T_base_tcp")
@@ -124,7 +119,6 @@ def look_error_covariance(
     Args:    poses as in `reference_from_look`; covariances (6, 6): rotation vector [rad], then translation [m], camera
              axes. common (12, 12): of tool, then OOI (`joint_lens.common_covariance`).
     Returns: (3, 3) [m^2], camera axes.
-    Raises:  CalibrationInputError: not a pose or covariance.
     """
     C_tool = require_covariance(tool_covariance, 6, "tool_covariance")
     C_ooi = require_covariance(ooi_covariance, 6, "ooi_covariance")
@@ -156,7 +150,6 @@ def predicted_error_covariance(
     Args:    rotation_covariance: of R_tcp_cam (3, 3) [rad^2], TCP axes; the look as in `look_error_covariance`;
              sigma_stretch_frac: sd of the relative length error, each axis; sigma_floor_m: sd each axis [m].
     Returns: (3, 3) [m^2], OOI axes; its diagonal's root is the predicted one sigma of x, y, z.
-    Raises:  CalibrationInputError: not a pose, rotation or covariance.
     """
     R_cam_tcp = require_rotation(R_tcp_cam, "R_tcp_cam").T
     in_camera = R_cam_tcp @ require_covariance(rotation_covariance, 3, "rotation_covariance") @ R_cam_tcp.T

@@ -54,7 +54,6 @@ def judge_slip(before: ToolSeen, now: ToolSeen, limits: SlipLimits | None = None
 
     Model:   d = (log(R_now R_before^T), t_now - t_before); chi2 = d^T (C_before + C_now + floors)^-1 d. Slipped when
              chi2 is beyond its bound and the shift or the turn beyond its physical minimum; shifted if only the first.
-    Raises:  CalibrationInputError: not a pose or covariance.
     """
     bounds = limits or SlipLimits()
     T0, T1 = require_pose(before.T_cam_tool, "T_cam_tool before"), require_pose(now.T_cam_tool, "T_cam_tool now")

@@ -54,7 +54,6 @@ def prior_from_tool_marker(R_tcp_tool: Array, R_cam_tool: Array, sigma_rad: floa
     Args:    R_tcp_tool: nominal tool marker mounting (3, 3); R_cam_tool: as seen (3, 3); sigma_rad: of the mounting,
              each axis [rad], > 0.
     Returns: mounting with covariance sigma^2 I.
-    Raises:  CalibrationInputError: no rotation.
     """
     R = require_rotation(R_tcp_tool, "R_tcp_tool") @ require_rotation(R_cam_tool, "R_cam_tool").T
     return MountRotation(R_tcp_cam=R, covariance=require_covariance(sigma_rad**2 * np.eye(3), 3, "sigma_rad^2 I"))
@@ -115,7 +114,6 @@ def estimate_camera_rotation(
     Args:    camera, encoder: tracks on the PC clock; T_tcp_cam_nominal: its lever arm and, for refusal, its rotation
              are used (4, 4); prior: from the tool marker, or None.
     Returns: the estimate; a status with its reason and no rotation when streams or path do not determine one.
-    Raises:  CalibrationInputError: shapes, or a nominal or prior that is not a rotation.
     Source:  Makinen et al. 2023, eq. 17-22, with chords in place of the point set matching.
     """
     require_track_shape(camera.t_s, camera.Ts_vo_cam, "camera track")

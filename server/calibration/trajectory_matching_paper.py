@@ -47,7 +47,6 @@ def estimate_camera_rotation_paper(
              positions-only form.
     Args:    camera, encoder: tracks; R_tcp_cam_assumed: the mount as assumed (nominal) (3, 3).
     Returns: the estimate; covariance from the residuals over the path's information, as if all poses were independent.
-    Raises:  CalibrationInputError: shapes, times running backwards, no rotation.
     Source:  Makinen et al. 2023, section 3.2.2, eq. 20; Min, Wang, Meng 2018.
     """
     require_track_shape(camera.t_s, camera.Ts_vo_cam, "camera track")

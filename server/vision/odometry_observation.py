@@ -1,7 +1,8 @@
 """What a pair shows of the map: points of the keyframes, found again; and what stood still with the camera."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -65,13 +66,14 @@ class Tried:
 @dataclass(frozen=True, slots=True)
 class _Part:
     tried: Tried
-    keyframes: NDArray[np.int64]
-    indices: NDArray[np.int64]
+    number: int
     left_px: Array
     right_px: Array
-    points_vo: Array
-    covariances_vo: Array
     correlations: Array
+
+    @property
+    def indices(self) -> NDArray[np.int64]:
+        return self.tried.wanted.indices[self.tried.found]
 
 
 def observe_map(
@@ -97,15 +99,18 @@ def observe_map(
         part, expected = _observe_keyframe(number, keyframe, sight, wanted, points_max - n_found)
         parts.append(part)
         n_expected += expected
-        n_found += len(part.indices)
+        n_found += len(part.left_px)
         if n_expected >= points_max and n_found >= ENOUGH_FRAC * points_max:
             break
-    left_px = np.concatenate([part.left_px for part in parts])
-    right_px = np.concatenate([part.right_px for part in parts])
+
+    def together(of: Callable[[_Part], NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([of(part) for part in parts])
+
+    left_px, right_px = together(lambda part: part.left_px), together(lambda part: part.right_px)
     rays_left, rays_right = undistort_to_rays(camera, left_px), undistort_to_rays(camera, right_px)
     seen = StereoPoints(
-        points_vo=np.concatenate([part.points_vo for part in parts]),
-        covariances_vo=np.concatenate([part.covariances_vo for part in parts]),
+        points_vo=together(lambda part: part.tried.keyframe.points_vo[part.indices]),
+        covariances_vo=together(lambda part: part.tried.keyframe.covariances_vo[part.indices]),
         rays_left=rays_left,
         rays_right=rays_right,
         sigma_px=sigma_px,
@@ -113,12 +118,18 @@ def observe_map(
         baseline_m=camera.baseline_m,
         noise=np.stack([ray_noise(camera, rays_left), ray_noise(camera, rays_right)], axis=1),
     )
-    numbers = [np.concatenate([getattr(part, name) for part in parts]) for name in ("keyframes", "indices")]
-    tried = tuple(part.tried for part in parts)
-    points_row = np.concatenate([part.tried.keyframe.points_row[part.indices] for part in parts])
-    correlations = np.concatenate([part.correlations for part in parts])
-    votes = np.concatenate([part.tried.keyframe.votes[part.indices] for part in parts])
-    return Observed(numbers[0], numbers[1], left_px, right_px, n_expected, seen, points_row, votes, correlations, tried)
+    return Observed(
+        keyframes=np.repeat([part.number for part in parts], [len(part.left_px) for part in parts]),
+        indices=together(lambda part: part.indices),
+        left_px=left_px,
+        right_px=right_px,
+        n_expected=n_expected,
+        seen=seen,
+        points_row=together(lambda part: part.tried.keyframe.points_row[part.indices]),
+        votes=together(lambda part: part.tried.keyframe.votes[part.indices]),
+        correlations=together(lambda part: part.correlations),
+        tried=tuple(part.tried for part in parts),
+    )
 
 
 def expected_right(camera: StereoCamera, points_cam: Array) -> NDArray[np.bool_]:
@@ -143,19 +154,10 @@ def _observe_keyframe(number: int, keyframe: Keyframe, sight: Sight, wanted: Wan
     if len(wanted.indices) > room:
         wanted = wanted.some(np.linspace(0, len(wanted.indices) - 1, room).astype(np.int64))
     left, right = sight.find(keyframe.sight, wanted)
-    on, good = wanted.indices, left.good
-    left_px, right_px = left.points_px[good], np.where(right.good[:, None], right.points_px, np.nan)[good]
-    part = _Part(
-        tried=Tried(keyframe, wanted, good),
-        keyframes=np.full(int(good.sum()), number, dtype=np.int64),
-        indices=on[good],
-        left_px=left_px,
-        right_px=right_px,
-        points_vo=keyframe.points_vo[on[good]],
-        covariances_vo=keyframe.covariances_vo[on[good]],
-        correlations=left.correlation[good],
-    )
-    return part, len(on)
+    good = left.good
+    right_px = np.where(right.good[:, None], right.points_px, np.nan)[good]
+    part = _Part(Tried(keyframe, wanted, good), number, left.points_px[good], right_px, left.correlation[good])
+    return part, len(wanted.indices)
 
 
 VOTES_MAX = 8  # as many pairs in a row turn a cell's verdict round
