@@ -28,9 +28,6 @@ _EPSILON = np.array(
 )
 
 
-# Chords of every length together, each weighted by the odometry's drift and jitter: generalised least squares.
-
-
 @dataclass(frozen=True, slots=True)
 class ChordWeighting:
     """The information matrix P of one axis of a track's positions, without forming it.

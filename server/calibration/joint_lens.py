@@ -41,19 +41,14 @@ WALL_GRID, BORDER_PX, WAY_M = (8, 6), 20.0, 0.1
 
 @dataclass(frozen=True, slots=True)
 class LensPrior:
-    """What is believed before a measurement, one sigma (docs/decisions/0008-honest-ellipses.md).
+    """What is believed before a measurement, one sigma (docs/decisions/0008-honest-ellipses.md)."""
 
-    sigma_focal_frac: of a focal length from a data sheet, a factory or an old calibration. sigma_print_frac: scale of
-    a print, the same for all markers of one object: a ruler reads 0.3 mm of 150 mm. sigma_side_frac: of one marker
-    against the others of its print.
-    """
-
-    sigma_focal_frac: float = 0.01
+    sigma_focal_frac: float = 0.01  # from a data sheet, a factory or an old calibration
     sigma_principal_px: float = 1.0
     sigma_k1: float = 0.002
     sigma_disparity_px: float = 0.1
-    sigma_print_frac: float = 0.002
-    sigma_side_frac: float = 7e-4
+    sigma_print_frac: float = 0.002  # of all markers of one object: a ruler reads 0.3 mm of 150 mm
+    sigma_side_frac: float = 7e-4  # of one marker against the others of its print
     sigma_layout_m: float = 3e-4  # of each of the OOI's markers, per axis
     sigma_layout_rad: float = float(np.deg2rad(0.1))
 

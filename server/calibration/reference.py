@@ -21,7 +21,6 @@ def orientation_reference_paper(R_base_tcp: Array, R_cam_ooi: Array, R_cam_tool:
     Note:    r_delta is expressed in camera axes but multiplied from the right, as if in TCP axes: right only when the
              camera's axes are parallel to the TCP's. `orientation_reference` is the frame-consistent form.
     Args:    R_base_tcp: present TCP; R_cam_ooi, R_cam_tool: as seen; each (3, 3).
-    Returns: R_base_tcp_ref, (3, 3).
     Source:  Makinen et al. 2023, eq. 7-8.
     """
     r_O = quat_wxyz_from_rotation(require_rotation(R_cam_ooi, "R_cam_ooi"))
@@ -39,7 +38,6 @@ def orientation_reference(R_base_tcp: Array, R_tcp_tool: Array, R_cam_tool: Arra
              removes it.
     Args:    R_base_tcp: TCP by the encoders at the look; R_tcp_tool: nominal tool mounting; R_cam_tool,
              R_cam_ooi: as seen; each (3, 3).
-    Returns: R_base_tcp_ref, (3, 3).
     Source:  Makinen et al. 2023, eq. 7-8, with the frames made consistent.
     """
     X = require_rotation(R_tcp_tool, "R_tcp_tool")
@@ -54,7 +52,6 @@ def orientation_reference_paper_axes(
 
     Model:   R_BT' = R_BT N, eq. 7-8 on R_BT', then back by N^T; N = nominal R_tcp_cam. Exact for a nominal mount.
     Args:    R_base_tcp, R_tcp_cam_nominal, R_cam_ooi, R_cam_tool: each (3, 3).
-    Returns: R_base_tcp_ref, (3, 3).
     Source:  Makinen et al. 2023, eq. 7-8 and section 4.1 (camera parallel to the torsion axis).
     """
     N = require_rotation(R_tcp_cam_nominal, "R_tcp_cam_nominal")
@@ -69,7 +66,6 @@ def position_reference_paper(
     Model:   C_p_delta = p_O - p_T - (0, 0, b) (21); p_lc = R_fm R_cfa C_p_delta (20); p_ref = p_lc + B_p_T (22).
     Args:    T_base_tcp: present pose by the encoders (4, 4); R_base_cam: R_fm R_cfa (3, 3); p_cam_tool, p_cam_ooi: as
              seen (3,) [m]; stand_off_m: b, along the camera's z [m].
-    Returns: T_base_tcp_ref, (4, 4).
     Source:  Makinen et al. 2023, eq. 20-22.
     """
     T = require_pose(T_base_tcp, "T_base_tcp")

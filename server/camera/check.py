@@ -21,9 +21,6 @@ MATCHED_PAIRS_MAX = 6  # more add little: a still scene shows the same spots aga
 
 Observe = Callable[[Image, Image, int], PairObservation]
 
-
-# Collecting what the check looks at: every pair's times, and some pairs whole, spread over the time there is.
-
 RATE_PAIRS = 30
 
 

@@ -259,46 +259,23 @@ def _rows(fit: RigFit) -> CheckFinding:
 
 def _turns(camera: StereoCamera, fit: RigFit) -> list[CheckFinding]:
     """Each of the three as an angle or ratio, judged by what it moves in the picture, and only when it is certain."""
+    off, deg = fit.focal_ratio - 1.0, float(np.rad2deg(1.0))
     half_width, half_height = 0.5 * camera.width_px, 0.5 * camera.height_px
     rows = (
-        (
-            "pitch",
-            np.rad2deg(fit.pitch_rad),
-            np.rad2deg(fit.sigma[0]),
-            "deg",
-            fit.pitch_rad * camera.fy_px,
-            "everywhere",
-        ),
-        ("roll", np.rad2deg(fit.roll_rad), np.rad2deg(fit.sigma[1]), "deg", fit.roll_rad * half_width, "at the sides"),
-        (
-            "focal_ratio",
-            100.0 * (fit.focal_ratio - 1.0),
-            100.0 * fit.sigma[2],
-            "%",
-            (fit.focal_ratio - 1.0) * half_height,
-            "at top and bottom",
-        ),
+        ("pitch", fit.pitch_rad, deg, "deg", fit.pitch_rad * camera.fy_px, "everywhere"),
+        ("roll", fit.roll_rad, deg, "deg", fit.roll_rad * half_width, "at the sides"),
+        ("focal_ratio", off, 100.0, "%", off * half_height, "at top and bottom"),
     )
     findings = []
-    for name, value, sigma, unit, effect_px, where in rows:
+    for (name, raw, factor, unit, effect_px, where), raw_sigma in zip(rows, fit.sigma, strict=True):
+        value, sigma = factor * raw, factor * float(raw_sigma)
         certain = abs(value) > SIGMAS * sigma
         level = level_of(abs(effect_px), OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
         text = f"right eye against left {value:+.3f} +- {sigma:.3f} {unit}: {abs(effect_px):.1f} px {where}"
-        remedy = (
-            ""
-            if level is Level.OK
-            else f"the rig was bumped ({name}) or this is another camera's file: calibrate it again"
-        )
+        remedy = f"the rig was bumped ({name}) or this is another camera's file: calibrate it again"
         key = f"{name}_{'pct' if unit == '%' else unit}"
-        findings.append(
-            CheckFinding(
-                name,
-                level,
-                text,
-                remedy,
-                {key: float(value), f"{key}_sigma": float(sigma), "effect_px": float(effect_px)},
-            )
-        )
+        figures = {key: value, f"{key}_sigma": sigma, "effect_px": effect_px}
+        findings.append(CheckFinding(name, level, text, "" if level is Level.OK else remedy, figures))
     return findings
 
 
@@ -306,9 +283,6 @@ def _lens(fit: RigFit) -> CheckFinding:
     certain = abs(fit.lens) > SIGMAS * fit.lens_sigma
     level = level_of(fit.lens_effect_px, OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
     text = f"k1 off by {fit.lens:+.3f} +- {fit.lens_sigma:.3f}: {fit.lens_effect_px:.1f} px"
-    remedy = (
-        ""
-        if level is Level.OK
-        else "raw pictures are taken as rectified ones or the reverse, or it is another lens: give the right file"
-    )
-    return CheckFinding("lens", level, text, remedy, {"k1": fit.lens, "k1_sigma": fit.lens_sigma})
+    remedy = "raw pictures are taken as rectified ones or the reverse, or it is another lens: give the right file"
+    figures = {"k1": fit.lens, "k1_sigma": fit.lens_sigma}
+    return CheckFinding("lens", level, text, "" if level is Level.OK else remedy, figures)

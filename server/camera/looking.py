@@ -14,9 +14,6 @@ Average = Callable[[Sequence[PairObservation]], Look]
 
 FAILED_BATCHES = 2  # a look that fails by what it shows, not by motion, gets one more batch of pairs
 
-
-# Odometry poses of one run, and the camera track that calibration wants.
-
 SIGMA_MAX_M = (
     0.010  # chords of a calibration are 80 mm: what is known no better (another brick, two motions) says nothing
 )

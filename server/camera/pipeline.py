@@ -29,9 +29,6 @@ from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
 MAP_POINTS = 600  # reported at the end of a run, for the 3D view
 RATE_FRAMES = 30  # the frame rate is averaged over this many pairs
 
-
-# Camera clock -> PC clock: stamp plus the smallest (receive - stamp), aged by the clocks' drift.
-
 STEP_NS = 50_000_000  # most by which pairs must all be later than the map before it follows a clock that was set back
 STEP_PAIRS = 8
 

@@ -57,7 +57,6 @@ def parse_kitti(text: str, file: str, size_px: tuple[int, int]) -> RigCalibratio
 
     Model:   P = K [I | t]: baseline (P_left[0, 3] - P_right[0, 3]) / f. No lens, parallel eyes.
     Args:    size_px: of one eye; the file does not hold it.
-    Raises:  CalibrationFileError: file, field, remedy.
     Source:  Geiger et al. 2013, Vision meets robotics: the KITTI dataset, section IV.
     """
     left, right = _pair(text, file)
@@ -165,9 +164,8 @@ def _of_two(left: Fields, right: Fields, size_px: tuple[int, int]) -> RigCalibra
 def read_calibration(paths: Sequence[str], size_px: tuple[int, int], off_centre: bool = False) -> RigCalibration:
     """The rig of one or two files, or of a folder with EuRoC's, ROS', OpenCV's or KITTI's files.
 
-    Args:   off_centre: a principal point far from the middle is right.
-
-    Raises: CalibrationFileError: file, field, remedy.
+    Args:    off_centre: a principal point far from the middle is right.
+    Raises:  CalibrationFileError: file, field, remedy.
     """
     files = (
         _in_folder(Path(paths[0])) if len(paths) == 1 and Path(paths[0]).is_dir() else [Path(path) for path in paths]

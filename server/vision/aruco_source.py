@@ -103,8 +103,6 @@ def warm_up_boards() -> None:
     fit_saddles(image, np.full((1, 2), 31.5), 16.0 * np.eye(2)[None], np.ones(1, dtype=np.bool_), 0.2)
 
 
-# The ChArUco boards of a machine in one pair: their corners as sightings, or why there are none.
-
 Decoded = tuple[Mapping[int, Array], Mapping[int, Array]]
 
 

@@ -19,9 +19,6 @@ SIDE_MIN_PX = 12  # of a picture; the smallest marker has 6 cells
 BARE_SIDES = 3  # of four without white: a cover lies over one or two, and a print may touch something bright
 SAME_PLACE_FRAC = 0.25  # of a marker's size: closer than that, two finds are one marker
 
-
-# Is this square still the marker it was? Its printed cells, read where the corners say they are.
-
 CONTRAST_MIN_GREY = 12.0  # between the cells printed white and those printed black
 QUIET_CELLS = 1  # the black border
 NO_MATCH = 1000

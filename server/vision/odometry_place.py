@@ -19,9 +19,6 @@ from server.vision.odometry_sight import Sight
 
 CLIMBS_MAX = 8  # from place to better place in one pair
 
-
-# A start for the fit when prediction fails: flow from what was seen last, then recognition of any keyframe.
-
 NEIGHBOUR_MAX_PX = 60.0  # a recognised place takes the depth of the map point next to it
 RECOGNISED_PER_PAIR = 3  # keyframes; the rest has its turn with the next pair
 

@@ -25,9 +25,6 @@ DISPARITY_MIN_PX = 1.5
 SAMPLE = 40  # points that say which disparity is the right one where a texture repeats
 REPETITIONS_MAX = 8
 
-
-# Coarse correspondence between two images: pyramidal KLT, checked forward and backward.
-
 WINDOW_PX = 21
 LEVELS = 4
 RETURN_MAX_PX = 0.7  # a point must come back to within this

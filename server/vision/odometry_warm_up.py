@@ -14,8 +14,6 @@ from server.vision.odometry_pose import StereoPoints, pose_problem, refine_camer
 from server.vision.odometry_sensitivity import Shutter, sensitivity
 from server.vision.odometry_sight import ImageSight
 
-# Compiles the bundle adjustment's kernels: some 25 s of CPU on a new machine, cached afterwards.
-
 
 def warm_up_bundle() -> None:
     """Adjust two frames before twelve random points."""

@@ -2,8 +2,9 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,30 +13,8 @@ from server.camera.errors import CameraError, StreamError
 from server.camera.sources.live import LiveSource
 
 Picture = NDArray[Any]
-
-
-class Capture(Protocol):
-    """cv2.VideoCapture, as far as it is used."""
-
-    def isOpened(self) -> bool:
-        """Whether it can be read."""
-        ...
-
-    def set(self, propId: int, value: float, /) -> bool:
-        """Ask for a property; what came of it must be read back."""
-        ...
-
-    def get(self, propId: int, /) -> float:
-        """A property as it is."""
-        ...
-
-    def read(self) -> tuple[bool, Picture]:
-        """The next picture."""
-        ...
-
-    def release(self) -> None:
-        """Let go."""
-        ...
+Capture = cv2.VideoCapture
+OpenCapture = Callable[[int | str], Capture]
 
 
 class CapturedSource(LiveSource[tuple[Picture, int, int, int, int]]):
@@ -100,6 +79,3 @@ class CapturedSource(LiveSource[tuple[Picture, int, int, int, int]]):
             sequence += 1
             self._newest.put((picture, t_exposure_ns, t_receive_ns, sequence, self._connection))
         return sequence > 0
-
-
-OpenCapture = Callable[[int | str], Capture]

@@ -20,9 +20,6 @@ LONG_DIGITS = 16  # a longer count of pictures does not exist
 WILDCARDS = re.compile(r"(\*\*/|\*\*|\*|\?|\[[^\]]+\])")
 
 
-# Stereo pairs of a data set in EuRoC's layout: mav0/cam0/data.csv names stamps and files, cam1 the other eye's.
-
-
 class EurocStereoSource(StampedStereoSource):
     """Pairs of equal stamp; pictures without the other eye are left out and counted in `skipped`."""
 

@@ -30,8 +30,6 @@ from server.camera.sources.settings import (
 from server.camera.sources.side_by_side import split_side_by_side
 from server.camera.sources.stamped import Pacing
 
-# A source whose pairs come out rectified: nothing behind it knows that the camera has a lens.
-
 
 class RectifyingSource:
     """Wraps another source. Only pairs that are taken are rectified; those passed over cost nothing."""
@@ -73,9 +71,6 @@ class RectifyingSource:
         """Let go of the camera."""
         self._source.close()
         self._rectifier.close()
-
-
-# Stereo pairs from a video file of side-by-side frames.
 
 
 class FileStereoSource:
