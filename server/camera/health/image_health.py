@@ -78,9 +78,7 @@ class Latch:
 
 JUMP_MIN_PX = 4.0  # half of the smallest block of a JPEG
 ALIKE_MAX_PX = 0.5  # between the eyes: blocks shift both by the same, a step in depth does not
-INTERVAL_MAX_S = (
-    0.12  # of a 10 Hz camera; 4 px in it, from rest, at 1 m and 700 px focal length: 0.8 m/s^2, cranes have 0.5
-)
+INTERVAL_MAX_S = 0.12  # of a 10 Hz camera; 4 px in it from rest, at 1 m with 700 px: 0.8 m/s^2, cranes have 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
