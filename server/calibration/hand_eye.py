@@ -50,8 +50,7 @@ class HandEyeEstimate:
     """A X = Y B solved: X (hand from camera), Y (base from target), None unless status is OK.
 
     `covariance` (12, 12): of X and Y, each rotation vector [rad] (left perturbation) then translation [m].
-    `time_offset_s`: add to the camera's time to get the hand's.
-    `scale`: length as the camera measures it over the true one. `axis_spread_rad`: see the settings.
+    `time_offset_s`: add to the camera's time to get the hand's. `axis_spread_rad`: see the settings.
     """
 
     status: CalibrationStatus
@@ -63,7 +62,6 @@ class HandEyeEstimate:
     residual_median_mm: float
     n_used: int
     axis_spread_rad: float
-    scale: float = 1.0
     time_offset_s: float = 0.0
     time_offset_sigma_s: float = 0.0
 
@@ -80,29 +78,23 @@ ORDER = " (order of Euler angles or quaternion, or a pose the wrong way round?)"
 
 
 def solve_ax_yb(
-    As: Array,
-    Bs: Array,
-    unknown_scale: bool = False,
-    settings: HandEyeSettings = DEFAULT_SETTINGS,
-    rng: np.random.Generator | None = None,
-    camera_covariances: Array | None = None,
+    As: Array, Bs: Array, settings: HandEyeSettings = DEFAULT_SETTINGS, camera_covariances: Array | None = None
 ) -> HandEyeEstimate:
     """X and Y of A X = Y B from pairs of poses.
 
     Model:   best of Park-Martin on all and on random triples, then robust refinement of B^-1 = X^-1 A^-1 Y; once more
              weighted, where the images' covariances are known.
-    Args:    As: base from hand, Bs: target from camera (n, 4, 4) [m]; unknown_scale: B's lengths have an unknown factor
-             (one camera without a known length); rng: for the triples, seed 0 if None. camera_covariances (n, 6, 6): of
-             the target in the camera, as `ObjectPose.covariance`: far and frontal poses count for less.
+    Args:    As: base from hand, Bs: target from camera (n, 4, 4) [m]; camera_covariances (n, 6, 6): of the target in
+             the camera, as `ObjectPose.covariance`: far and frontal poses count for less.
     Returns: the estimate; no X when the poses do not determine it.
     Source:  Park, Martin 1994; Zhuang, Roth, Sudhakar 1994 (A X = Y B).
     """
     As, Bs, good = _pairs(As, Bs)
-    covariances = usable_covariances(camera_covariances, good)
-    return solve_poses(lambda offset_s: As, Bs, 0.0, unknown_scale, False, settings, rng, covariances)
+    covariances = _usable_covariances(camera_covariances, good)
+    return _solve_poses(lambda offset_s: As, Bs, 0.0, False, settings, covariances)
 
 
-def usable_covariances(camera_covariances: Array | None, good: NDArray[np.bool_]) -> Array | None:
+def _usable_covariances(camera_covariances: Array | None, good: NDArray[np.bool_]) -> Array | None:
     """Covariances (n, 6, 6) of the good poses; raises CalibrationInputError: not one of each of all poses."""
     if camera_covariances is None:
         return None
@@ -112,14 +104,12 @@ def usable_covariances(camera_covariances: Array | None, good: NDArray[np.bool_]
     return np.array([require_covariance(C, 6, "camera_covariances") for C in given[good]]).reshape(-1, 6, 6)
 
 
-def solve_poses(
+def _solve_poses(
     hand: HandTrack,
     Bs: Array,
     offset_start_s: float,
-    unknown_scale: bool,
     free_offset: bool,
     settings: HandEyeSettings,
-    rng: np.random.Generator | None,
     camera_covariances: Array | None = None,
 ) -> HandEyeEstimate:
     """A X = Y B with the hand as a function of the clock offset; `free_offset`: the offset is refined along."""
@@ -128,15 +118,12 @@ def solve_poses(
     refusal = _refusal(len(As), settings.poses_min, spread, settings)
     if refusal is not None:
         return refusal
-    X, Y = start_ax_yb(As, Bs, unknown_scale, np.random.default_rng(0) if rng is None else rng, settings.triples)
-    Ts_cam_target = inverse_poses(Bs)
-    scale = _start_scale(As, X, Y, Ts_cam_target) if unknown_scale else 1.0
-    model = PoseModel(hand, Ts_cam_target, unknown_scale, free_offset)
-    start = HandEyeUnknowns(X, Y, scale, offset_start_s)
-    found = refine(model, start, settings.freedom, settings.iterations_max, unknown_scale)
+    X, Y = start_ax_yb(As, Bs, np.random.default_rng(0), settings.triples)
+    model = PoseModel(hand, inverse_poses(Bs), free_offset)
+    found = refine(model, HandEyeUnknowns(X, Y, offset_start_s), settings.freedom, settings.iterations_max)
     if camera_covariances is not None:
         weighted = WeightedModel(model, whiteners_of(camera_covariances, found.residuals, found.weights))
-        again = refine(weighted, found.unknowns, settings.freedom, settings.iterations_max, unknown_scale)
+        again = refine(weighted, found.unknowns, settings.freedom, settings.iterations_max)
         found = replace(again, residuals=model.evaluate(again.unknowns)[0])
     centred = Bs[:, :3, 3] - np.median(Bs[:, :3, 3], axis=0)
     turns = rotation_vectors(motions_between(Bs, *_far_pairs(len(Bs)))[:, :3, :3])
@@ -176,12 +163,6 @@ def _refusal(n: int, n_min: int, spread: float, settings: HandEyeSettings) -> Ha
         text = f"all rotations are about one axis (second axis {found:.2f} deg rms, limit {limit:.1f} deg)"
         return refused(CalibrationStatus.DEGENERATE, f"{text}; turn the hand about two different axes", n, spread)
     return None
-
-
-def _start_scale(As: Array, X: Array, Y: Array, Ts_cam_target: Array) -> float:
-    predicted = (inverse_poses(As @ X) @ Y)[:, :3, 3]
-    ratios = np.linalg.norm(Ts_cam_target[:, :3, 3], axis=1) / np.maximum(np.linalg.norm(predicted, axis=1), 1e-9)
-    return float(np.median(ratios))
 
 
 def _median_norm(vectors: Array) -> float:
@@ -224,7 +205,6 @@ def _judged(
         residual_median_mm=1e3 * missed,
         n_used=n,
         axis_spread_rad=spread,
-        scale=found.unknowns.scale,
         time_offset_s=found.unknowns.offset_s,
         time_offset_sigma_s=offset_sigma,
     )
@@ -239,17 +219,14 @@ def estimate_hand_eye(
     Ts_base_hand: Array,
     t_cam_s: Array,
     Ts_cam_target: Array,
-    unknown_scale: bool = False,
     settings: HandEyeSettings = DEFAULT_SETTINGS,
-    camera_covariances: Array | None = None,
 ) -> HandEyeEstimate:
     """Hand-eye pose X, target pose Y and clock offset from two streams with unknown offset.
 
     Model:   A(t + tau) X = Y B(t). Start: the tau within the bound at which the rotation angles of both streams agree
              best (they do not depend on X); then tau is refined with X and Y. Never searched beyond the bound: on
              repeated motion a far peak can be the higher one.
-    Args:    t_hand_s (m,), Ts_base_hand (m, 4, 4); t_cam_s (n,), Ts_cam_target (n, 4, 4): target in the camera;
-             camera_covariances (n, 6, 6) of these, as in `solve_ax_yb`.
+    Args:    t_hand_s (m,), Ts_base_hand (m, 4, 4); t_cam_s (n,), Ts_cam_target (n, 4, 4): target in the camera.
     Returns: the estimate with `time_offset_s` and its sigma; no pose when the streams do not determine it.
     Source:  Furrer et al. 2017 (angles for the offset); Park, Martin 1994.
     """
@@ -262,15 +239,12 @@ def estimate_hand_eye(
     hand = HandPoses(t_hand_s[good_hand], Ts_base_hand[good_hand], settings.gap_max_s)
     good_cam &= hand.covers(t_cam_s, settings.offset_bound_s + 0.01)
     t_cam, Ts_cam = t_cam_s[good_cam], Ts_cam_target[good_cam]
-    covariances = usable_covariances(camera_covariances, good_cam)
     if len(t_cam) < _SAMPLES_MIN:
         counts = f"{len(t_cam)} camera poses lie within the hand's track, at least {_SAMPLES_MIN} are needed"
         return refused(CalibrationStatus.TOO_FEW, f"{counts}; record both streams", len(t_cam))
     start_s = _coarse_offset(hand, t_cam, Ts_cam, settings)
     track = inverse_poses(Ts_cam)
-    found = solve_poses(
-        lambda offset_s: hand.at(t_cam + offset_s), track, start_s, unknown_scale, True, settings, None, covariances
-    )
+    found = _solve_poses(lambda offset_s: hand.at(t_cam + offset_s), track, start_s, True, settings)
     if found.X is not None and abs(found.time_offset_s) >= settings.offset_bound_s:
         text = f"time offset {1e3 * found.time_offset_s:.0f} ms, bound {1e3 * settings.offset_bound_s:.0f} ms"
         return refused(CalibrationStatus.POOR_FIT, f"{text}; check the clocks", found.n_used, found.axis_spread_rad)

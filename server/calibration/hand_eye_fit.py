@@ -50,13 +50,11 @@ def motions_between(Ts: Array, first: Indices, second: Indices) -> Array:
     return inverse_poses(Ts[first]) @ Ts[second]
 
 
-def start_ax_yb(
-    As: Array, Bs: Array, unknown_scale: bool, rng: np.random.Generator, triples: int
-) -> tuple[Array, Array]:
+def start_ax_yb(As: Array, Bs: Array, rng: np.random.Generator, triples: int) -> tuple[Array, Array]:
     """X and Y of A X = Y B: of all poses, and of random triples, the one with the least median residual.
 
     Model:   three poses give three motions and by them X; Y = A X B^-1 averaged; half of the poses may be wrong.
-    Args:    As, Bs: (n, 4, 4); unknown_scale: then B's lengths are first scaled by what the triple or set itself says.
+    Args:    As, Bs: (n, 4, 4).
     """
     n = len(As)
     distance = float(np.median(np.linalg.norm(Bs[:, :3, 3], axis=1)))
@@ -67,31 +65,14 @@ def start_ax_yb(
     for trial in range(triples + 1):
         chosen = np.arange(len(As)) if trial == 0 else rng.choice(len(As), size=3, replace=False)
         other = np.roll(chosen, -shift if trial == 0 else -1)
-        A_motions, B_motions = motions_between(As, chosen, other), motions_between(Bs, chosen, other)
-        X = park_martin(A_motions, B_motions)
-        X, lengthen = _scaled(A_motions, B_motions, X) if unknown_scale else (X, 1.0)
-        scaled = _lengthened(Bs, lengthen)
-        Y = _mean_pose((As @ X @ inverse_poses(scaled))[chosen])
-        misses = inverse_poses(Y @ scaled) @ As @ X
+        X = park_martin(motions_between(As, chosen, other), motions_between(Bs, chosen, other))
+        Y = _mean_pose((As @ X @ inverse_poses(Bs))[chosen])
+        misses = inverse_poses(Y @ Bs) @ As @ X
         angles = np.linalg.norm(rotation_vectors(misses[:, :3, :3]), axis=1)
         cost = float(np.median(distance * angles + np.linalg.norm(misses[:, :3, 3], axis=1)))
         if cost < best_cost:
             best, best_cost = (X, Y), cost
     return best if best is not None else (np.eye(4), np.eye(4))
-
-
-def _scaled(As: Array, Bs: Array, X: Array) -> tuple[Array, float]:
-    """Translation of X together with the factor from B's lengths to A's: (R_A - I) t - f R_X t_B = -t_A."""
-    R_X = X[:3, :3]
-    left = np.hstack(((As[:, :3, :3] - np.eye(3)).reshape(-1, 3), -(Bs[:, :3, 3] @ R_X.T).reshape(-1, 1)))
-    found = np.asarray(np.linalg.lstsq(left, -As[:, :3, 3].reshape(-1), rcond=None)[0], dtype=float)
-    return pose(R_X, found[:3]), float(found[3])
-
-
-def _lengthened(Ts: Array, factor: float) -> Array:
-    out = Ts.copy()
-    out[:, :3, 3] *= factor
-    return out
 
 
 def _mean_pose(Ts: Array) -> Array:
@@ -105,54 +86,47 @@ _OFFSET_STEP_S = 0.005
 
 @dataclass(frozen=True, slots=True)
 class HandEyeUnknowns:
-    """X, Y, scale of the camera's lengths, clock offset [s]."""
+    """X, Y, clock offset [s]."""
 
     X: Array
     Y: Array
-    scale: float = 1.0
     offset_s: float = 0.0
 
-    def after(self, change: Array, free_scale: bool) -> "HandEyeUnknowns":
-        """Changed by (X 6, Y 6, log scale if free, offset if any are left)."""
-        scale, rest = self.scale, change[12:]
-        if free_scale:
-            scale, rest = scale * float(np.exp(np.clip(rest[0], -0.5, 0.5))), rest[1:]
-        offset_s = self.offset_s + (float(rest[0]) if len(rest) else 0.0)
-        return HandEyeUnknowns(moved_pose(self.X, change[:6]), moved_pose(self.Y, change[6:12]), scale, offset_s)
+    def after(self, change: Array) -> "HandEyeUnknowns":
+        """Changed by (X 6, Y 6, offset if it is free)."""
+        offset_s = self.offset_s + (float(change[12]) if len(change) > 12 else 0.0)
+        return HandEyeUnknowns(moved_pose(self.X, change[:6]), moved_pose(self.Y, change[6:12]), offset_s)
 
 
 @dataclass(frozen=True, slots=True)
 class PoseModel:
-    """A X = Y B over poses: predicts the target in the camera, B^-1 = X^-1 A^-1 Y, lengths times the scale.
+    """A X = Y B over poses: predicts the target in the camera, B^-1 = X^-1 A^-1 Y.
 
-    Residual (n, 6), in camera axes, where the camera's noise lives: log(R_seen R_pred^T), t_seen - scale t_pred.
+    Residual (n, 6), in camera axes, where the camera's noise lives: log(R_seen R_pred^T), t_seen - t_pred.
     """
 
     hand: HandTrack
     Ts_cam_target: Array
-    free_scale: bool
     free_offset: bool
 
     def evaluate(self, at: HandEyeUnknowns) -> tuple[Array, Array]:
-        """Residuals (n, 6) [rad, m] and their derivative (n, 6, 12 + scale + offset)."""
+        """Residuals (n, 6) [rad, m] and their derivative (n, 6, 12 + offset)."""
         As = self.hand(at.offset_s)
         R_pred, t_pred, w, R_XA = self._predicted(at, As)
         seen = self.Ts_cam_target
         turned = rotation_vectors(seen[:, :3, :3] @ R_pred.transpose(0, 2, 1))
-        residuals = np.hstack((turned, seen[:, :3, 3] - at.scale * t_pred))
+        residuals = np.hstack((turned, seen[:, :3, 3] - t_pred))
         n, R_X = len(As), at.X[:3, :3]
-        J = np.zeros((n, 6, 12 + self.free_scale + self.free_offset))
+        J = np.zeros((n, 6, 12 + self.free_offset))
         J[:, :3, :3] = R_X.T
         J[:, :3, 6:9] = -R_XA
-        J[:, 3:, :3] = -at.scale * R_X.T @ skews(w)
-        J[:, 3:, 3:6] = at.scale * R_X.T
-        J[:, 3:, 9:12] = -at.scale * R_XA
-        if self.free_scale:
-            J[:, 3:, 12] = -at.scale * t_pred
+        J[:, 3:, :3] = -R_X.T @ skews(w)
+        J[:, 3:, 3:6] = R_X.T
+        J[:, 3:, 9:12] = -R_XA
         if self.free_offset:
             sides = [self._predicted(at, self.hand(at.offset_s + side)) for side in (-_OFFSET_STEP_S, _OFFSET_STEP_S)]
             turned = rotation_vectors(sides[1][0] @ sides[0][0].transpose(0, 2, 1))
-            moved = at.scale * (sides[1][1] - sides[0][1])
+            moved = sides[1][1] - sides[0][1]
             J[:, :, -1] = -np.hstack((turned, moved)) / (2.0 * _OFFSET_STEP_S)
         return residuals, J
 
@@ -206,9 +180,7 @@ class Refined:
     settled: bool
 
 
-def refine(
-    model: PoseModel | WeightedModel, start: HandEyeUnknowns, freedom: float, iterations_max: int, free_scale: bool
-) -> Refined:
+def refine(model: PoseModel | WeightedModel, start: HandEyeUnknowns, freedom: float, iterations_max: int) -> Refined:
     """Unknowns of the largest likelihood under Student's t of the residuals, its 6x6 shape estimated from them.
 
     Model:   w = (nu + 6) / (nu + r^T S^-1 r); S = sum w r r^T / n; (sum w J^T S^-1 J) d = -sum w J^T S^-1 r, damped
@@ -227,7 +199,7 @@ def refine(
         cost = _cost(residuals, S, freedom)
         H, g = _normal(residuals, J, S, weights)
         change: Array = -np.linalg.lstsq(H + damping * np.diag(np.diag(H)), g, rcond=None)[0].astype(float)
-        tried = at.after(change, free_scale)
+        tried = at.after(change)
         tried_residuals, tried_J = model.evaluate(tried)
         if _cost(tried_residuals, S, freedom) <= cost + 1e-9:
             at, residuals, J, damping = tried, tried_residuals, tried_J, max(0.1 * damping, 1e-9)
