@@ -11,6 +11,7 @@ from machine.description import StereoCamera
 from machine.rotations import Array
 from server.camera.check_findings import CheckFinding, Level, level_of
 from server.vision.contracts import Image
+from server.vision.odometry_features import clear_matches
 
 FEATURES = 1500
 RATIO_MAX = 0.75  # of the best match's distance to the second best's
@@ -52,12 +53,7 @@ def _full_px(half_px: Sequence[Sequence[float]]) -> np.ndarray:
 
 def _nearest(words: np.ndarray, others: np.ndarray) -> dict[int, int]:
     """Index of the clearly nearest other word."""
-    found = cv2.BFMatcher(cv2.NORM_L2).knnMatch(words, others, k=2)
-    return {
-        pair[0].queryIdx: pair[0].trainIdx
-        for pair in found
-        if len(pair) == 2 and pair[0].distance < RATIO_MAX * pair[1].distance
-    }
+    return {match.queryIdx: match.trainIdx for match in clear_matches(words, others, cv2.NORM_L2, RATIO_MAX)}
 
 
 def _refined(left: Image, right: Image, from_px: np.ndarray, to_px: np.ndarray) -> Array:

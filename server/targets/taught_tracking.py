@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from machine.camera import project_stereo, undistort_to_rays
 from machine.description import StereoCamera
-from machine.poses import inverse_pose, pose, transform_points
+from machine.poses import inverse_pose, transform_points
 from machine.rotations import Array, geodesic_angle
 from server.targets.contracts import TargetFix, TargetSettings, no_fix
 from server.targets.stereo_match import coarse_disparity
@@ -18,7 +18,8 @@ from server.targets.taught import Descriptors, TaughtObject, TaughtView, feature
 from server.targets.tracking import AGREE_MIN_FRAC, FIX_MIN, MarksPose, SearchedPair, fitted_marks, moved_on
 from server.vision.contracts import Image
 from server.vision.odometry_align import CORRELATION_MIN
-from server.vision.odometry_features import RATIO_MAX, allowed_masks, inside_mask
+from server.vision.odometry_features import RATIO_MAX, allowed_masks, clear_matches, inside_mask
+from server.vision.odometry_pose import ransac_pose
 
 NEARER_PX = 3.0  # of disparity: the alignment's basin; what lies that much before the object covers it
 RECOGNISE_EVERY = 3  # lost pairs: recognition takes as long as several pairs
@@ -202,8 +203,8 @@ def _matched(seen: Descriptors, taught: Descriptors) -> NDArray[np.int64]:
     """
     if len(taught) < 2 or not len(seen):
         return np.zeros((0, 2), dtype=np.int64)
-    found = cv2.BFMatcher(cv2.NORM_L2).knnMatch(seen.astype(np.float32), taught.astype(np.float32), k=2)
-    good = [(a.distance, a.queryIdx, a.trainIdx) for a, b in found if a.distance < RATIO_MAX * b.distance]
+    found = clear_matches(seen.astype(np.float32), taught.astype(np.float32), cv2.NORM_L2, RATIO_MAX)
+    good = [(match.distance, match.queryIdx, match.trainIdx) for match in found]
     best: dict[int, tuple[float, int, int]] = {}
     for match in sorted(good):
         best.setdefault(match[2], match)
@@ -216,19 +217,8 @@ def _pnp(
     """T_cam_object by RANSAC in the left eye, and the inliers' indices; None for fewer than `least`."""
     if len(points) < least:
         return None
-    rays = undistort_to_rays(camera, pixels)
     cv2.setRNGSeed(1)
-    good, rvec, tvec, inliers = cv2.solvePnPRansac(
-        points.reshape(-1, 1, 3),
-        rays.reshape(-1, 1, 2),
-        np.eye(3),
-        None,
-        iterationsCount=500,
-        reprojectionError=PNP_PX / camera.fx_px,
-        confidence=0.999,
-        flags=cv2.SOLVEPNP_SQPNP,
-    )
-    if not good or inliers is None or len(inliers) < least or float(tvec[2, 0]) <= 0.0:
+    found = ransac_pose(points, undistort_to_rays(camera, pixels), PNP_PX / camera.fx_px, 500)
+    if found is None or len(found[1]) < least or found[0][2, 3] <= 0.0:
         return None
-    T = pose(np.asarray(cv2.Rodrigues(rvec)[0], dtype=float), np.asarray(tvec, dtype=float).reshape(3))
-    return T, np.asarray(inliers, dtype=np.int64).ravel()
+    return found

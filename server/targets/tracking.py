@@ -8,13 +8,14 @@ import numpy as np
 
 from machine.camera import project_stereo, projection_jacobian, undistort_to_rays
 from machine.description import StereoCamera
-from machine.poses import moved_pose, pose, transform_points
+from machine.poses import moved_pose, transform_points
 from machine.rotations import skew, skews
 from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetFix, TargetSettings, no_fix
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
 from server.vision.odometry_align import align
 from server.vision.odometry_features import allowed_masks, inside_mask, recognise
+from server.vision.odometry_pose import ransac_pose
 from server.vision.odometry_sight import flow
 
 FIX_MIN = 12  # landmarks in both eyes: half of them may be wrong, and six still overdetermine the pose
@@ -128,26 +129,9 @@ class TargetTracker:
     def _pnp(self, points: Array, pixels: Array, start: Array | None) -> Array | None:
         if len(points) < FIX_MIN:
             return None
-        rays = undistort_to_rays(self._camera, pixels)
-        rvec, tvec = (
-            (None, None) if start is None else (cv2.Rodrigues(start[:3, :3])[0], start[:3, 3].reshape(3, 1).copy())
-        )
-        good, rvec, tvec, inliers = cv2.solvePnPRansac(
-            points.reshape(-1, 1, 3),
-            rays.reshape(-1, 1, 2),
-            np.eye(3),
-            None,
-            rvec,
-            tvec,
-            useExtrinsicGuess=start is not None,
-            iterationsCount=200,
-            reprojectionError=PNP_PX / self._camera.fx_px,
-            confidence=0.999,
-            flags=cv2.SOLVEPNP_ITERATIVE,
-        )
-        if not good or inliers is None or len(inliers) < FIX_MIN:
-            return None
-        return pose(np.asarray(cv2.Rodrigues(rvec)[0], dtype=float), np.asarray(tvec, dtype=float).reshape(3))
+        rays, limit = undistort_to_rays(self._camera, pixels), PNP_PX / self._camera.fx_px
+        found = ransac_pose(points, rays, limit, 200, cv2.SOLVEPNP_ITERATIVE, start)
+        return None if found is None or len(found[1]) < FIX_MIN else found[0]
 
     def _aligned(self, pair: SearchedPair, guess: Array) -> tuple[TargetFix, Array | None]:
         """The fix from a guess; the pose None where the surroundings were not found."""

@@ -36,7 +36,6 @@ UNKNOWN_COVARIANCE = np.diag([np.pi**2] * 3 + [1e6] * 3)
 
 
 ROTATION_TOL = 1e-6
-SYMMETRY_TOL = 1e-9
 SIZE_MAX = 1e9  # m, px or rays: beyond, squares lose their digits
 
 

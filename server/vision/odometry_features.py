@@ -1,6 +1,7 @@
 """Features of an image: corners worth tracking, places recognised in another image, and repetitions in itself."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -101,6 +102,12 @@ REPEATS_MAX = 4  # nearest repetitions
 UNIQUE_RATIO_MAX = 0.8  # of the best dissimilarity to the second best: below, the best is unique (Lowe 2004)
 
 
+def clear_matches(words: NDArray[Any], others: NDArray[Any], norm: int, ratio_max: float) -> "list[cv2.DMatch]":
+    """Each word's nearest other word, where the second nearest is clearly farther (Lowe 2004)."""
+    found = cv2.BFMatcher(norm).knnMatch(words, others, k=2)
+    return [pair[0] for pair in found if len(pair) == 2 and pair[0].distance < ratio_max * pair[1].distance]
+
+
 def recognise(first: Image, mask_first: Image, second: Image, mask_second: Image) -> tuple[Array, Array]:
     """Places (n, 2) [px] of the first image and where they seem to be in the second; many may be wrong.
 
@@ -115,13 +122,8 @@ def recognise(first: Image, mask_first: Image, second: Image, mask_second: Image
             return none, none
         places.append(np.array([point.pt for point in points], dtype=np.float64))
         descriptors.append(found)
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    good = [
-        (pair[0].queryIdx, pair[0].trainIdx)
-        for pair in matcher.knnMatch(descriptors[0], descriptors[1], k=2)
-        if len(pair) == 2 and pair[0].distance < RATIO_MAX * pair[1].distance
-    ]
-    chosen = np.array(good, dtype=np.int64).reshape(-1, 2)
+    good = clear_matches(descriptors[0], descriptors[1], cv2.NORM_HAMMING, RATIO_MAX)
+    chosen = np.array([(match.queryIdx, match.trainIdx) for match in good], dtype=np.int64).reshape(-1, 2)
     return places[0][chosen[:, 0]], places[1][chosen[:, 1]]
 
 
