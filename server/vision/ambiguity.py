@@ -205,14 +205,12 @@ PLAUSIBLE_CHI2 = 16.8  # 6 degrees of freedom, 99 %
 class PosePrior:
     """Where the object was in the camera a moment ago, by images alone.
 
-    T_cam_object (4, 4); covariance (6, 6) rotation vector [rad], translation [m]; age_s: how long ago; ambiguous: that
-    pose was not sure of its own orientation, or was itself chosen by time: it is then not used.
+    T_cam_object (4, 4); covariance (6, 6) rotation vector [rad], translation [m]; age_s: how long ago.
     """
 
     T_cam_object: Array
     covariance: Array
     age_s: float
-    ambiguous: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,11 +230,6 @@ def prior_from(found: ObjectPose, age_s: float) -> PosePrior | None:
         return None
     ambiguous = found.status is not PoseStatus.OK or found.reason != ""
     return None if ambiguous else PosePrior(found.T_cam_object, found.covariance, age_s)
-
-
-def usable_prior(prior: PosePrior | None) -> bool:
-    """Whether a prior may take part in a choice."""
-    return prior is not None and not prior.ambiguous and 0.0 <= prior.age_s <= AGE_MAX_S
 
 
 def chi2_to_prior(T_cam_object: Array, covariance: Array, prior: PosePrior, limits: MotionLimits) -> float:

@@ -8,13 +8,13 @@ import numpy as np
 
 from machine.description import StereoCamera
 from server.vision.ambiguity import (
+    AGE_MAX_S,
     PLAUSIBLE_CHI2,
     MotionLimits,
     PosePrior,
     chi2_to_prior,
     covariance_of_both,
     mirrored_pose,
-    usable_prior,
     widened_covariance,
 )
 from server.vision.contracts import Array, MarkerView, ObjectPose, PoseStatus
@@ -248,7 +248,7 @@ def _chosen_by_time(
     both: tuple[_Candidate, _Candidate], settings: PoseSettings, prior: PosePrior | None
 ) -> _Candidate | None:
     """The one of two orientations that follows from the last moments, if these rule the other one out."""
-    if prior is None or not usable_prior(prior):
+    if prior is None or not 0.0 <= prior.age_s <= AGE_MAX_S:
         return None
     distances = [
         chi2_to_prior(candidate.fit.T_cam_object, candidate.covariance, prior, settings.motion) for candidate in both
