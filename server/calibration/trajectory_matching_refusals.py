@@ -46,16 +46,10 @@ class Refusal:
 
     def estimate(self, method: str, path_length_m: float) -> CameraRotationEstimate:
         """The result without a rotation."""
-        nan = float("nan")
         return CameraRotationEstimate(
-            status=self.status,
-            reason=self.reason,
-            method=method,
-            R_tcp_cam=None,
-            covariance=None,
-            time_offset_s=0.0,
-            residual_rms_mm=nan,
-            residual_max_mm=nan,
+            self.status,
+            self.reason,
+            method,
             n_used=self.n_used,
             observability=self.observability,
             path_length_m=path_length_m,

@@ -120,13 +120,7 @@ class LookCollector:
         return Look(
             status=LookStatus.NO_IMAGES,
             reason=text,
-            T_cam_tool=None,
-            T_cam_ooi=None,
-            tool_covariance=None,
-            ooi_covariance=None,
             n_pairs=len(self._pairs),
-            n_used=0,
             t_first_ns=self._pairs[0].t_exposure_ns if self._pairs else 0,
             t_last_ns=self._pairs[-1].t_exposure_ns if self._pairs else 0,
-            spread_mm=0.0,
         )

@@ -258,12 +258,7 @@ def _failed(
     return Look(
         status=status,
         reason=reason,
-        T_cam_tool=None,
-        T_cam_ooi=None,
-        tool_covariance=None,
-        ooi_covariance=None,
         n_pairs=len(observations),
-        n_used=0,
         t_first_ns=observations[0].t_exposure_ns if observations else 0,
         t_last_ns=observations[-1].t_exposure_ns if observations else 0,
         spread_mm=spread_mm,
