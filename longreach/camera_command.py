@@ -17,11 +17,10 @@ from longreach.lens_calibrate_command import calibrate
 from machine.description import Machine
 from server.camera.check import Gathering, check_camera, steps
 from server.camera.check_findings import CheckFinding, Level, exit_code, worst
-from server.camera.check_focal import Tape
 from server.camera.check_picture import edge_blur_px
+from server.camera.check_scale import Tape
 from server.camera.contracts import StereoSource
-from server.camera.masking import mask_polygons
-from server.camera.own_structure import Masks
+from server.camera.own_structure import Masks, mask_polygons
 from server.camera.sources.opening import open_source
 from server.camera.sources.settings import DeviceSource, HttpSource, RectifiedSource, RtspSource, SourceSettings
 from server.errors import SettingsError

@@ -117,7 +117,7 @@ def vision(machine: str) -> None:
     from server.camera.process import build_pipeline
     from server.camera.sources.settings import HttpSource
     from server.settings import read_machine
-    from server.vision.warm_up import warm_up_boards
+    from server.vision.aruco_source import warm_up_boards
 
     build_pipeline(VisionSettings(HttpSource("http://127.0.0.1/")), read_machine(machine)).close()
     warm_up_boards()

@@ -35,10 +35,8 @@ from recording.foreign.mapping import UrdfChain
 from recording.foreign.ros_bag import NotDecodedError, RosBag
 from recording.foreign.ros_collect import JOINT_STATE
 from recording.foreign.urdf_ends import chain_for
-from server.calibration.hand_eye import solve_ax_yb
-from server.calibration.hand_eye_contracts import HandEyeEstimate
-from server.calibration.hand_eye_linear import inverse_poses, rotation_vectors
-from server.calibration.hand_eye_tracks import HandPoses, estimate_hand_eye
+from server.calibration.hand_eye import HandEyeEstimate, HandPoses, estimate_hand_eye, solve_ax_yb
+from server.calibration.hand_eye_fit import inverse_poses, rotation_vectors
 
 ALIKE_SHOWN = 8
 GAP_MAX_S = 0.2

@@ -15,7 +15,7 @@ from machine.poses import pose
 from machine.rotations import Array, quat_wxyz_from_rotation, rotation_from_quat_wxyz, rotation_from_rotvec, skew
 from machine.urdf_shapes import origin
 from recording.files import read_text, write_durably
-from server.camera.rectification_yaml import matrix, numbers, parse_yaml
+from server.camera.rectification_yaml import parse_yaml
 from server.errors import ServerError
 
 QUATERNION_OFF_MAX = 1e-2
@@ -123,10 +123,10 @@ def read_lens(path: Path) -> tuple[Array, Array]:
     Raises: HandEyeError, CalibrationFileError: not readable, or a field is missing.
     """
     try:
-        tree = parse_yaml(read_text(path), path.name)
+        fields = parse_yaml(read_text(path), path.name)
     except OSError as error:
         raise HandEyeError(f"lens {path} cannot be read: {error.strerror}") from error
-    return matrix(tree, "camera_matrix", path.name, (3, 3)), numbers(tree, "distortion_coefficients", path.name)
+    return fields.matrix("camera_matrix", (3, 3)), fields.numbers("distortion_coefficients")
 
 
 def poses_of_pictures(folder: Path, board: "cv2.aruco.CharucoBoard", lens: tuple[Array, Array]) -> PicturePoses:

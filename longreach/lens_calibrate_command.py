@@ -17,8 +17,7 @@ from rich.table import Column, Table
 from longreach.target_sources import SUFFIXES, TargetError, board_of, corners_of, grey_picture, read_pair, stored_pairs
 from machine.rotations import Array, rotation_from_rotvec
 from recording.files import write_durably
-from server.calibration.lens_coverage import Coverage, coverage_of
-from server.calibration.lens_fit import BoardView, LensFit, LensFitError, fit_lens
+from server.calibration.lens_fit import BoardView, Coverage, LensFit, LensFitError, coverage_of, fit_lens
 from server.camera.rectification_zed import SECTIONS
 
 # A calibrated lens or rig in the formats of others: ROS camera_info, OpenCV, Kalibr, and ZED's conf.

@@ -21,13 +21,12 @@ from recording.files import write_durably
 from server.settings import read_machine, read_settings
 from server.vision.errors import VisionError
 from server.vision.marker_search import dictionary_by_name
-from server.vision.teach import TeachTask, teach_layout
+from server.vision.teach import FrameName, LayoutFrame, TeachTask, teach_layout
 from server.vision.teach_contracts import TaughtLayout, TeachSettings, TeachStatus, TeachView
-from server.vision.teach_frame import FrameName, LayoutFrame
 from server.vision.teach_views import Offer
 
 if TYPE_CHECKING:
-    from server.camera.sources import SourceSettings
+    from server.camera.sources.settings import SourceSettings
 
 app = typer.Typer(no_args_is_help=True)
 MachineFile = Annotated[str, typer.Option(help="machine file, or the name of a shipped one")]
@@ -191,7 +190,7 @@ def live_camera(url: str | None, settings_file: Path | None, nominal: Machine) -
 
     Raises: SettingsError, CalibrationFileError: file, field, remedy.
     """
-    from server.camera.sources import HttpSource  # here: stored pictures need no camera
+    from server.camera.sources.settings import HttpSource
     from server.settings_source import source_and_machine
 
     if url:

@@ -14,6 +14,13 @@ def skew(vector: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
+def skews(vectors: Array) -> Array:
+    """`skew` of vectors (n, 3): (n, 3, 3)."""
+    x, y, z = vectors.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+
+
 def rotation_from_rotvec(rotvec: Array) -> Array:
     """Rotation matrix of a rotation vector (Rodrigues).
 

@@ -7,7 +7,7 @@ from protocol.authentication import parse_key
 from protocol.errors import LocalProtocolError
 from recording.files import read_text
 from server.camera.contracts import VisionSettings
-from server.camera.masking import mask_polygons
+from server.camera.own_structure import mask_polygons
 from server.camera.sources.settings import SourceSettings
 from server.errors import SettingsError
 from server.link.client import LinkSettings

@@ -16,9 +16,8 @@ from machine.kinematics import tcp_pose, tcp_poses
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array
 from server.calibration.contracts import CameraTrack, EncoderTrack
-from server.calibration.fusion import prior_from_tool_marker
 from server.calibration.kinematic_errors import error_model, tcp_poses_with_errors
-from server.calibration.trajectory_matching import estimate_camera_rotation
+from server.calibration.trajectory_matching import estimate_camera_rotation, prior_from_tool_marker
 from server.motion.approach import plan_approach
 from server.motion.calibration_paths import plan_calibration_path
 from server.motion.contracts import sample

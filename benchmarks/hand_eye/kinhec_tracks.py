@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from server.calibration.hand_eye import solve_ax_yb
-from server.calibration.hand_eye_contracts import HandEyeEstimate
-from server.calibration.hand_eye_tracks import estimate_hand_eye
+from server.calibration.hand_eye import HandEyeEstimate, estimate_hand_eye, solve_ax_yb
 
-TRACKS = ("temporal", "outliers", "monocular", "robot_error")
+TRACKS = ("temporal", "outliers", "robot_error")
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +104,11 @@ def _judge(track: str, sequence: Any) -> SequenceResult:
 
 
 def _ours(sequence: Any) -> HandEyeEstimate:
-    unknown_scale = sequence.manifest["track"] == "monocular"
     if sequence.synchronous:
         As, Bs = sequence.axyb_poses()
-        return solve_ax_yb(As, Bs, unknown_scale)
+        return solve_ax_yb(As, Bs)
     robot, camera = sequence.robot, sequence.camera
-    return estimate_hand_eye(robot.t, robot.T_base_ee_meas, camera.t, camera.T_cam_target_meas, unknown_scale)
+    return estimate_hand_eye(robot.t, robot.T_base_ee_meas, camera.t, camera.T_cam_target_meas)
 
 
 def _chi2(found: HandEyeEstimate, X_true: Any) -> float | None:

@@ -8,13 +8,10 @@ import numpy as np
 from benchmarks.hand_eye.streams import read_hand_eye, read_trajectories
 from machine.rotations import Array, geodesic_angle
 from server.calibration.chord_rotation import fit_chord_rotation
-from server.calibration.chords import arc_lengths
-from server.calibration.hand_eye import solve_ax_yb
-from server.calibration.hand_eye_contracts import HandEyeEstimate
-from server.calibration.hand_eye_linear import inverse_poses, rotation_vectors
-from server.calibration.hand_eye_tracks import HandPoses, estimate_hand_eye
+from server.calibration.chords import arc_lengths, positions_at
+from server.calibration.hand_eye import HandEyeEstimate, HandPoses, estimate_hand_eye, solve_ax_yb
+from server.calibration.hand_eye_fit import inverse_poses, rotation_vectors
 from server.calibration.rotation_fit import fit_scale, kabsch
-from server.calibration.time_offset import positions_at
 
 _PAIR_WITHIN_S = 0.01
 

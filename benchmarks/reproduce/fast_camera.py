@@ -8,12 +8,10 @@ import numpy as np
 from benchmarks.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel
 from benchmarks.reproduce.true_corners import EYES, EyeName, SeenMarker, TrueView
 from machine.rotations import Array
-from server.vision.aruco_source import ArucoSettings
+from server.vision.aruco_source import ArucoSettings, MonoArucoPoseSource, markers_by_object, sightings_of
 from server.vision.contracts import Look, MarkerView, ObjectPose, PairObservation
 from server.vision.look import average_look
-from server.vision.mono_aruco import MonoArucoPoseSource
 from server.vision.object_pose import ObjectName, estimate_object_pose, not_seen
-from server.vision.sightings import markers_by_object, sightings_of
 from sim_plc.world import World, rng_for
 
 Source = Literal["stereo", "mono"]

@@ -6,9 +6,9 @@ import numpy as np
 
 from benchmarks.reproduce.paper_tables import PointSetErrors
 from machine.rotations import Array
+from server.calibration.chords import positions_at
 from server.calibration.contracts import CameraTrack, EncoderTrack
 from server.calibration.hybrid_mixture import register_poses
-from server.calibration.time_offset import positions_at
 from server.calibration.trajectory_matching_paper import DEFAULT_SETTINGS, coarse_frame_alignment, evenly_along
 
 

@@ -11,9 +11,8 @@ from benchmarks.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel,
 from benchmarks.reproduce.true_corners import EYES, EyeName, ObjectOn, TrueView, true_poses_cam
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_from_rotvec
-from server.vision.aruco_source import ArucoPoseSource
+from server.vision.aruco_source import ArucoPoseSource, MonoArucoPoseSource
 from server.vision.contracts import Image, ObjectPoseSource, PoseStatus
-from server.vision.mono_aruco import MonoArucoPoseSource
 from sim_plc.camera.renderer import StereoRenderer
 from sim_plc.world import World, rng_for
 

@@ -15,12 +15,12 @@ from benchmarks.reproduce.rendered_looks import as_sent
 from benchmarks.reproduce.true_corners import TrueView
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation
-from server.camera.masking import plate_and_shaft
 from server.jobs.context import Method, PlanContext
 from server.jobs.plans.calibrating import plan_path
 from server.jobs.plans.looking import good_look
 from server.jobs.requests import Arm, MachineReading, Move, Request, Settle, StartOdometry, expect
 from server.motion.contracts import PlanStatus
+from server.targets.tool_mask import plate_and_shaft
 from server.vision.contracts import OdometryStatus
 from server.vision.odometry import StereoOdometry
 from sim_plc.camera.renderer import StereoRenderer

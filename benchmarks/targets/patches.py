@@ -8,7 +8,7 @@ from benchmarks.targets.scene import bare_rock, left_eye, true_target, view
 from machine.description import Machine
 from server.targets.contracts import TargetSettings
 from server.targets.surface import CHI2_2_95, measure_patch, uncertainty_95
-from server.vision.pose_mean import deviations
+from server.vision.look import deviations
 from sim_plc.camera.renderer import StereoRenderer
 
 CHI2_3_95 = 7.815

@@ -12,7 +12,7 @@ from benchmarks.targets.virtual_jobs import tool_mask, virtual_bench
 from machine.description import Machine
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, geodesic_angle, rotation_about, rotation_from_rotvec, rotvec_from_rotation
-from server.camera.target_measuring import view_by_markers
+from server.camera.target_measuring import KeptPair, view_by_markers
 from server.jobs.context import PlanContext
 from server.jobs.plans.seeing import common_of
 from server.targets.contracts import TargetFix, TargetSettings
@@ -59,16 +59,6 @@ class TaughtCase:
         return self.served and self.kind not in GENUINE
 
 
-@dataclass(frozen=True, slots=True)
-class _Shown:
-    """What a renderer shows and the marker source sees of it."""
-
-    left: Image
-    right: Image
-    masks_px: tuple[tuple[Array, ...], tuple[Array, ...]]
-    seen: PairObservation
-
-
 class _Stage:
     """The camera of one drawn world before its wall, at any place."""
 
@@ -80,7 +70,7 @@ class _Stage:
 
     def show(
         self, T_ooi_tcp: Array, fixtures: tuple[FixtureTruth, ...], rng: np.random.Generator, relit: bool
-    ) -> tuple[_Shown, Array]:
+    ) -> tuple[KeptPair, PairObservation, Array]:
         """A pair, and the true T_ooi_cam of the left eye."""
         T_base_tcp = self.world.scene.T_base_ooi @ T_ooi_tcp
         self._renderer.show_fixtures(fixtures)
@@ -89,7 +79,8 @@ class _Stage:
             left, right = _relit(left, right, rng)
         seen = self._source.observe(left, right, 0)
         masks = self._source.masks_px
-        return _Shown(left, right, (tuple(masks[0]), tuple(masks[1])), seen), left_eye(self._renderer, T_base_tcp)
+        pair = KeptPair(0, left, right, (tuple(masks[0]), tuple(masks[1])), seen)
+        return pair, seen, left_eye(self._renderer, T_base_tcp)
 
 
 def taught_cases(machine: Machine, seed: int) -> list[TaughtCase]:
@@ -116,8 +107,10 @@ def teach(world: World, seed: int, rng: np.random.Generator, settings: TargetSet
     reasons: list[str] = []
     for across in TEACH_FROM_M:
         tilt = pose(rotation_from_rotvec(np.deg2rad(rng.uniform(-8.0, 8.0, 3))), np.zeros(3))
-        shown, _ = stage.show(demo_tcp_pose(machine, rng.uniform(0.3, 0.5), across) @ tilt, (fixture,), rng, False)
-        view = view_by_markers(shown, shown.seen, machine.camera, box, settings)
+        shown, seen, _ = stage.show(
+            demo_tcp_pose(machine, rng.uniform(0.3, 0.5), across) @ tilt, (fixture,), rng, False
+        )
+        view = view_by_markers(shown, seen, machine.camera, box, settings)
         if isinstance(view, str):
             reasons.append(view)
         else:
@@ -147,9 +140,9 @@ def _look(
         float(T_ooi_fixture[1, 3] + rng.uniform(-0.15, 0.05)),
     )
     fixtures = _fixtures(kind, seed, T_ooi_fixture)
-    shown, T_ooi_cam = stage.show(demo_tcp_pose(machine, distance, across) @ tilt, fixtures, rng, True)
+    shown, seen, T_ooi_cam = stage.show(demo_tcp_pose(machine, distance, across) @ tilt, fixtures, rng, True)
     fix = TaughtTracker(taught, machine.camera, settings).find(shown.left, shown.right, shown.masks_px)
-    return _judged(ctx, seed, kind, fix, inverse_pose(T_ooi_cam) @ T_ooi_fixture, shown.seen)
+    return _judged(ctx, seed, kind, fix, inverse_pose(T_ooi_cam) @ T_ooi_fixture, seen)
 
 
 def _fixtures(kind: str, seed: int, T_ooi_fixture: Array) -> tuple[FixtureTruth, ...]:

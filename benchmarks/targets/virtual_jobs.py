@@ -25,7 +25,6 @@ from benchmarks.targets.scene import left_eye, true_target
 from machine.description import Machine
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, geodesic_angle
-from server.camera.masking import ToolMask
 from server.errors import ServerError
 from server.jobs.context import PlanContext
 from server.jobs.plans.positioning import position
@@ -36,6 +35,7 @@ from server.targets.contracts import AnchoredTarget, TargetSettings
 from server.targets.source import TargetPoseSource
 from server.targets.surface import measure_patch
 from server.targets.taught import TaughtObject
+from server.targets.tool_mask import ToolMask
 from server.vision.aruco_source import ArucoPoseSource
 from server.vision.contracts import Image, Look, PairObservation
 from server.vision.look import average_look

@@ -8,20 +8,55 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
+import cv2
 import numpy as np
 
 from machine.description import StereoCamera
 from machine.rotations import geodesic_angle, nearest_rotation
 from server.vision.contracts import Array, Image, OdometryStatus
 from server.vision.edge_fit import SideFit
-from server.vision.errors import EvidenceError
-from server.vision.marker_search import FoundMarker, dictionary_by_name, find_all_markers, find_markers, refined
+from server.vision.errors import VisionError
+from server.vision.marker_search import (
+    SIDE_MIN_PX,
+    FoundMarker,
+    detect,
+    dictionary_by_name,
+    find_markers,
+    refined,
+    same_place,
+    search_parameters,
+)
 from server.vision.odometry import OdometrySettings, StereoOdometry
 
 REFERENCE_CENTRE_PX = 0.5  # the AprilTag reference detector calls the centre of the top left pixel (0.5, 0.5)
 MATCH_PX = 4.0  # between the middles of a find and a listed tag
 GROSS_PX = 2.0  # a corner farther off is another corner, not a badly measured one
 NANOSECONDS = 1e9
+
+
+class EvidenceError(VisionError):
+    """A truth or calibration text that does not hold what it should."""
+
+
+def find_all_markers(
+    image: Image, dictionary: "cv2.aruco.Dictionary", perimeter_min_px: float = 20.0
+) -> tuple[FoundMarker, ...]:
+    """As `find_markers`, slow and thorough: more thresholds, and a second pass at twice the size for cells of 2 px."""
+    if min(image.shape) < SIDE_MIN_PX:
+        return ()
+    thorough = search_parameters(2 * max(image.shape), perimeter_min_px)
+    thorough.adaptiveThreshWinSizeStep = 4
+    thorough.adaptiveThreshWinSizeMax = 43
+    thorough.perspectiveRemovePixelPerCell = 8
+    doubled = np.asarray(cv2.resize(image, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+    found = [
+        FoundMarker(marker.marker_id, (marker.corners_px + 0.5) / 2.0 - 0.5)  # resize keeps outer edges, not centres
+        for marker in detect(doubled, dictionary, thorough)
+    ]
+    for marker in detect(image, dictionary, thorough):
+        if not any(same_place(marker, other) for other in found):
+            found.append(marker)
+    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,5 @@
-"""Checks at the public entries of this package: a broken contract raises, naming subject, value and limit."""
+"""Checks at the public entries of this package: a broken contract raises CalibrationInputError, naming subject, value
+and limit."""
 
 import numpy as np
 
@@ -40,11 +41,17 @@ def require_covariance(covariance: Array, size: int, subject: str) -> Array:
     return C
 
 
-def require_track(t_s: Array, Ts: Array, subject: str) -> None:
-    """A track's times (n,) and poses (n, 4, 4). Raises: CalibrationInputError on shape or time running backwards."""
+def require_track_shape(t_s: Array, Ts: Array, subject: str) -> None:
+    """A track's times (n,) and poses (n, 4, 4). Raises: CalibrationInputError on any other shape."""
     t, poses = np.asarray(t_s), np.asarray(Ts)
     if t.ndim != 1 or poses.shape != (t.size, 4, 4):
         raise CalibrationInputError(f"{subject}: times {t.shape} and poses {poses.shape} must be (n,) and (n, 4, 4)")
+
+
+def require_track(t_s: Array, Ts: Array, subject: str) -> None:
+    """As `require_track_shape`. Raises: CalibrationInputError also on time running backwards."""
+    require_track_shape(t_s, Ts, subject)
+    t = np.asarray(t_s)
     if not np.isfinite(t).all() or (np.diff(t) <= 0.0).any():
         raise CalibrationInputError(
             f"{subject}: times must be finite and strictly increasing [s]; sort and deduplicate"

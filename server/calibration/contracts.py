@@ -54,11 +54,11 @@ class CameraRotationEstimate:
     status: CalibrationStatus
     reason: str
     method: str
-    R_tcp_cam: Array | None
-    covariance: Array | None
-    time_offset_s: float  # add to the camera track's time to get the encoder track's
-    residual_rms_mm: float
-    residual_max_mm: float
-    n_used: int
-    observability: float  # smallest information eigenvalue of the path over the largest, 0..1
-    path_length_m: float
+    R_tcp_cam: Array | None = None
+    covariance: Array | None = None
+    time_offset_s: float = 0.0  # add to the camera track's time to get the encoder track's
+    residual_rms_mm: float = float("nan")
+    residual_max_mm: float = float("nan")
+    n_used: int = 0
+    observability: float = 0.0  # smallest information eigenvalue of the path over the largest, 0..1
+    path_length_m: float = 0.0

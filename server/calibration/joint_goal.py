@@ -7,6 +7,7 @@ import numpy as np
 from machine.chain import Chain
 from machine.inverse import inverse_nearest
 from machine.kinematics import tcp_pose
+from machine.poses import pose_difference
 from machine.rotations import rotation_from_rotvec, rotvec_from_rotation, skew
 from server.calibration.contracts import Array
 from server.calibration.joint_estimate import JointEstimate
@@ -115,14 +116,14 @@ def goal_covariance(
     here = tool_in_ooi(model, state, q, side)
     steps = state_steps(model)
     columns = [
-        _change(tool_in_ooi(model, state.moved(step), q, side), here) / h
+        pose_difference(here, tool_in_ooi(model, state.moved(step), q, side)) / h
         for step, h in zip(np.diag(steps), steps, strict=True)
     ]
     J = np.column_stack(columns)
     step = 1e-5
     Jq = np.column_stack(
         [
-            _change(tool_in_ooi(model, state, q + step * (np.arange(len(q)) == j), side), here) / step
+            pose_difference(here, tool_in_ooi(model, state, q + step * (np.arange(len(q)) == j), side)) / step
             for j in range(len(q))
         ]
     )
@@ -147,7 +148,3 @@ def _of_layout(estimate: JointEstimate, T_ooi_tool: Array) -> Array:
     A = np.eye(6)
     A[3:, :3] = -skew(T_ooi_tool[:3, 3])
     return A @ estimate.layout_covariance @ A.T
-
-
-def _change(T: Array, before: Array) -> Array:
-    return np.concatenate([rotvec_from_rotation(T[:3, :3] @ before[:3, :3].T), T[:3, 3] - before[:3, 3]])

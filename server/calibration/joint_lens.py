@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from machine.camera import project, projection_jacobian, undistort_to_rays
 from machine.description import Machine, Marker, StereoCamera
 from machine.markers import marker_corners
-from machine.poses import transform_points
-from machine.rotations import rotation_from_rotvec, skew
+from machine.poses import moved_pose, transform_points
+from machine.rotations import skews
 from server.calibration.contracts import Array
 
 LENS_NAMES = (
@@ -41,19 +41,14 @@ WALL_GRID, BORDER_PX, WAY_M = (8, 6), 20.0, 0.1
 
 @dataclass(frozen=True, slots=True)
 class LensPrior:
-    """What is believed before a measurement, one sigma (docs/decisions/0008-honest-ellipses.md).
+    """What is believed before a measurement, one sigma (docs/decisions/0008-honest-ellipses.md)."""
 
-    sigma_focal_frac: of a focal length from a data sheet, a factory or an old calibration. sigma_print_frac: scale of
-    a print, the same for all markers of one object: a ruler reads 0.3 mm of 150 mm. sigma_side_frac: of one marker
-    against the others of its print.
-    """
-
-    sigma_focal_frac: float = 0.01
+    sigma_focal_frac: float = 0.01  # from a data sheet, a factory or an old calibration
     sigma_principal_px: float = 1.0
     sigma_k1: float = 0.002
     sigma_disparity_px: float = 0.1
-    sigma_print_frac: float = 0.002
-    sigma_side_frac: float = 7e-4
+    sigma_print_frac: float = 0.002  # of all markers of one object: a ruler reads 0.3 mm of 150 mm
+    sigma_side_frac: float = 7e-4  # of one marker against the others of its print
     sigma_layout_m: float = 3e-4  # of each of the OOI's markers, per axis
     sigma_layout_rad: float = float(np.deg2rad(0.1))
 
@@ -153,8 +148,7 @@ def odometry_sensitivity(camera: StereoCamera, T_cam_ooi: Array) -> Array:
         rows = _in_image(camera, pixels[:, :2]) & _in_image(camera, pixels[:, 2:])
         J = _point_jacobian(camera, seen[rows])
         unexplained = (J @ off[rows] - _lens_changes(camera, seen[rows])).reshape(-1, N_LENS)
-        turn = np.array([skew(-point) for point in seen[rows]])
-        J_camera = np.concatenate([J @ -turn, J], axis=2).reshape(-1, 6)
+        J_camera = np.concatenate([J @ skews(seen[rows]), J], axis=2).reshape(-1, 6)
         solved = np.linalg.lstsq(J_camera, unexplained, rcond=None)[0]
         found[:, :, axis] = solved[3:].T / WAY_M
     return found
@@ -174,11 +168,7 @@ def corners_of(markers: Sequence[Marker], grown: float = 0.0) -> Array:
 def _marker_off(marker: Marker, number: int, by: float) -> Array:
     """Corners (4, 3) of a marker turned (0 to 2), shifted (3 to 5) or grown (6)."""
     corners = marker_corners(marker.side_m * (1.0 + by if number == 6 else 1.0))
-    step = by * np.eye(7)[number]
-    T = marker.T_on_marker.copy()
-    T[:3, :3] = rotation_from_rotvec(step[:3]) @ T[:3, :3]
-    T[:3, 3] += step[3:6]
-    return transform_points(T, corners)
+    return transform_points(moved_pose(marker.T_on_marker, by * np.eye(7)[number, :6]), corners)
 
 
 def both_pixels(eyes: tuple[StereoCamera, StereoCamera], points_cam: Array) -> Array:
@@ -195,8 +185,7 @@ def _pose_inverse(camera: StereoCamera, T_cam_object: Array, corners: Array) -> 
 def pose_jacobian(camera: StereoCamera, T_cam_object: Array, corners: Array) -> Array:
     """d px / d pose (4 n, 6): rotation vector about the object's origin, then position, camera axes."""
     J_points = _point_jacobian(camera, transform_points(T_cam_object, corners))
-    arms = corners @ T_cam_object[:3, :3].T
-    turns = np.array([-skew(arm) for arm in arms])
+    turns = -skews(corners @ T_cam_object[:3, :3].T)
     return np.nan_to_num(np.concatenate([J_points @ turns, J_points], axis=2).reshape(-1, 6))
 
 

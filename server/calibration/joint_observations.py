@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine.poses import inverse_pose
-from machine.rotations import rotvec_from_rotation
+from machine.poses import inverse_pose, pose_difference
+from server.calibration.chords import arc_lengths
 from server.calibration.contracts import Array, CameraTrack
-from server.calibration.hand_eye_linear import rotation_vectors
+from server.calibration.hand_eye_fit import rotation_vectors
 from server.calibration.joint_lens import N_LENS
 from server.calibration.joint_state import JointState
 from server.calibration.kinematic_errors import ErrorModel, play_widths, tcp_poses_with_errors
@@ -84,7 +84,7 @@ class RunSamples:
 def thinned(run: OdometryRun, noise: NoiseModel) -> RunSamples:
     """Samples about evenly spaced along the path, the first one included."""
     positions = run.camera.Ts_vo_cam[:, :3, 3]
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    length = arc_lengths(positions)
     spacing = max(noise.sample_spacing_m, float(length[-1]) / noise.samples_max)
     wanted = np.arange(0.0, float(length[-1]) + 1e-9, spacing)
     index = np.unique(np.searchsorted(length, wanted).clip(0, len(length) - 1))
@@ -145,11 +145,8 @@ def look_residual(model: ErrorModel, state: JointState, look: LookAt, sensitivit
     T_base_tcp = tcp_poses_with_errors(model, look.q[None], state.errors, sides)[0]
     T_cam_tool = inverse_pose(state.T_tcp_cam) @ state.T_tcp_tool
     T_cam_ooi = inverse_pose(T_base_tcp @ state.T_tcp_cam) @ state.T_base_ooi
-    parts = []
-    for expected, measured in ((T_cam_tool, look.T_cam_tool), (T_cam_ooi, look.T_cam_ooi)):
-        parts.append(rotvec_from_rotation(expected[:3, :3] @ measured[:3, :3].T))
-        parts.append(expected[:3, 3] - measured[:3, 3])
-    return np.concatenate(parts) + sensitivity @ state.lens
+    tool, ooi = pose_difference(look.T_cam_tool, T_cam_tool), pose_difference(look.T_cam_ooi, T_cam_ooi)
+    return np.concatenate([tool, ooi]) + sensitivity @ state.lens
 
 
 def look_covariance(model: ErrorModel, state: JointState, look: LookAt, noise: NoiseModel) -> Array:

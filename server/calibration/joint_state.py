@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from machine.poses import inverse_pose, pose
-from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
+from machine.poses import inverse_pose, moved_pose, pose_difference
 from server.calibration.contracts import Array
 from server.calibration.joint_lens import LENS_STEPS, N_LENS
 from server.calibration.kinematic_errors import ErrorModel, tcp_poses_with_errors
@@ -34,9 +33,9 @@ class JointState:
         rest = step[p:]
         return JointState(
             errors=self.errors + step[:p],
-            T_tcp_cam=_turned(self.T_tcp_cam, rest[0:6]),
-            T_tcp_tool=_turned(self.T_tcp_tool, rest[6:12]),
-            T_base_ooi=_turned(self.T_base_ooi, rest[12:18]),
+            T_tcp_cam=moved_pose(self.T_tcp_cam, rest[0:6]),
+            T_tcp_tool=moved_pose(self.T_tcp_tool, rest[6:12]),
+            T_base_ooi=moved_pose(self.T_base_ooi, rest[12:18]),
             scale=self.scale + float(rest[18]),
             time_offset_s=self.time_offset_s + float(rest[19]),
             lens=self.lens + rest[20:],
@@ -45,19 +44,12 @@ class JointState:
     def less(self, believed: "JointState") -> Array:
         """The step (p + 27,) from `believed` to here."""
         poses = [
-            np.concatenate([rotvec_from_rotation(T[:3, :3] @ T0[:3, :3].T), T[:3, 3] - T0[:3, 3]])
-            for T, T0 in (
-                (self.T_tcp_cam, believed.T_tcp_cam),
-                (self.T_tcp_tool, believed.T_tcp_tool),
-                (self.T_base_ooi, believed.T_base_ooi),
-            )
+            pose_difference(believed.T_tcp_cam, self.T_tcp_cam),
+            pose_difference(believed.T_tcp_tool, self.T_tcp_tool),
+            pose_difference(believed.T_base_ooi, self.T_base_ooi),
         ]
         rest = [self.scale - believed.scale, self.time_offset_s - believed.time_offset_s]
         return np.concatenate([self.errors - believed.errors, *poses, rest, self.lens - believed.lens])
-
-
-def _turned(T: Array, step: Array) -> Array:
-    return pose(rotation_from_rotvec(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
 
 
 def state_steps(model: ErrorModel) -> Array:

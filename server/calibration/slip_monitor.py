@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine.rotations import rotvec_from_rotation
+from machine.poses import pose_difference
 from server.calibration.checks import require_covariance, require_pose
 from server.calibration.contracts import Array
 
@@ -54,17 +54,15 @@ def judge_slip(before: ToolSeen, now: ToolSeen, limits: SlipLimits | None = None
 
     Model:   d = (log(R_now R_before^T), t_now - t_before); chi2 = d^T (C_before + C_now + floors)^-1 d. Slipped when
              chi2 is beyond its bound and the shift or the turn beyond its physical minimum; shifted if only the first.
-    Raises:  CalibrationInputError: not a pose or covariance.
     """
     bounds = limits or SlipLimits()
     T0, T1 = require_pose(before.T_cam_tool, "T_cam_tool before"), require_pose(now.T_cam_tool, "T_cam_tool now")
-    turn, shift = rotvec_from_rotation(T1[:3, :3] @ T0[:3, :3].T), T1[:3, 3] - T0[:3, 3]
+    d = pose_difference(T0, T1)
     floors = np.repeat([bounds.turn_floor_rad**2, bounds.shift_floor_m**2], 3)
     C = require_covariance(before.covariance, 6, "covariance before")
     C = C + require_covariance(now.covariance, 6, "covariance now") + np.diag(floors)
-    d = np.concatenate([turn, shift])
     chi2 = float(d @ np.linalg.solve(C, d))
-    shift_m, turn_rad = float(np.linalg.norm(shift)), float(np.linalg.norm(turn))
+    shift_m, turn_rad = float(np.linalg.norm(d[3:])), float(np.linalg.norm(d[:3]))
     if chi2 <= bounds.chi2_max:
         return SlipVerdict(False, False, "", chi2, shift_m, turn_rad)
     large = shift_m > bounds.shift_min_m or turn_rad > bounds.turn_min_rad

@@ -5,11 +5,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from machine.rotations import geodesic_angle, nearest_rotation
-from server.calibration.checks import require_covariance, require_pose, require_rotation
-from server.calibration.chord_covariance import observability, rotation_information
+from machine.rotations import geodesic_angle, nearest_rotation, rotation_from_rotvec, rotvec_from_rotation
+from server.calibration.checks import require_covariance, require_pose, require_rotation, require_track_shape
 from server.calibration.chord_rotation import ChordRotation, fit_chord_rotation
-from server.calibration.chords import ChordPairs, arc_lengths, chord_pairs, chord_vectors
+from server.calibration.chords import (
+    ChordPairs,
+    arc_lengths,
+    chord_pairs,
+    chord_vectors,
+    find_time_offset,
+    observability,
+    positions_at,
+    rotation_information,
+)
 from server.calibration.contracts import (
     Array,
     CalibrationStatus,
@@ -18,21 +26,56 @@ from server.calibration.contracts import (
     EncoderTrack,
     MountRotation,
 )
-from server.calibration.fusion import fuse_rotations
 from server.calibration.rotation_fit import RotationFit, fit_rotation
-from server.calibration.time_offset import find_time_offset, positions_at
 from server.calibration.trajectory_matching_refusals import (
     MatchingSettings,
     Refusal,
     coarse_refusal,
     fine_refusal,
     path_refusal,
-    require_track_shape,
     time_refusal,
     usable_poses,
 )
 
-__all__ = ["DEFAULT_SETTINGS", "METHOD", "MatchingSettings", "estimate_camera_rotation"]
+
+@dataclass(frozen=True, slots=True)
+class FusedRotation:
+    """The joined rotation and how well the two agreed: `chi2` of their difference, 3 degrees of freedom."""
+
+    mount: MountRotation
+    chi2: float
+    inflated: bool
+
+
+def prior_from_tool_marker(R_tcp_tool: Array, R_cam_tool: Array, sigma_rad: float) -> MountRotation:
+    """The camera's mounting as the tool marker in the image shows it.
+
+    Model:   R_tcp_cam = R_tcp_tool R_cam_tool^T; its error is that of the marker's own mounting on the tool.
+    Args:    R_tcp_tool: nominal tool marker mounting (3, 3); R_cam_tool: as seen (3, 3); sigma_rad: of the mounting,
+             each axis [rad], > 0.
+    Returns: mounting with covariance sigma^2 I.
+    """
+    R = require_rotation(R_tcp_tool, "R_tcp_tool") @ require_rotation(R_cam_tool, "R_cam_tool").T
+    return MountRotation(R_tcp_cam=R, covariance=require_covariance(sigma_rad**2 * np.eye(3), 3, "sigma_rad^2 I"))
+
+
+def fuse_rotations(data: MountRotation, prior: MountRotation, chi2_max: float = 16.3) -> FusedRotation:
+    """Joint rotation of two independent estimates, in information form.
+
+    Model:   d = log(R_prior R_data^T); P = (P_data^-1 + P_prior^-1)^-1; R = exp(P P_prior^-1 d) R_data. When d is
+             improbable (chi2 = d^T (P_data + P_prior)^-1 d > chi2_max, 16.3 is 99.9 %), P is inflated by chi2 / 3.
+    Args:    data, prior: covariance (3, 3) [rad^2], left perturbation, TCP axes.
+    Returns: the joint mounting, its covariance, and the agreement.
+    """
+    d = rotvec_from_rotation(prior.R_tcp_cam @ data.R_tcp_cam.T)
+    information_prior = np.linalg.inv(prior.covariance)
+    P = np.linalg.inv(np.linalg.inv(data.covariance) + information_prior)
+    P = 0.5 * (P + P.T)
+    R = rotation_from_rotvec(P @ information_prior @ d) @ data.R_tcp_cam
+    chi2 = float(d @ np.linalg.solve(data.covariance + prior.covariance, d))
+    inflated = chi2 > chi2_max
+    return FusedRotation(MountRotation(R, P * (chi2 / 3.0) if inflated else P), chi2, inflated)
+
 
 METHOD = "chords"
 DEFAULT_SETTINGS = MatchingSettings()
@@ -71,7 +114,6 @@ def estimate_camera_rotation(
     Args:    camera, encoder: tracks on the PC clock; T_tcp_cam_nominal: its lever arm and, for refusal, its rotation
              are used (4, 4); prior: from the tool marker, or None.
     Returns: the estimate; a status with its reason and no rotation when streams or path do not determine one.
-    Raises:  CalibrationInputError: shapes, or a nominal or prior that is not a rotation.
     Source:  Makinen et al. 2023, eq. 17-22, with chords in place of the point set matching.
     """
     require_track_shape(camera.t_s, camera.Ts_vo_cam, "camera track")
@@ -111,7 +153,9 @@ def _match(
     tracks: _Tracks, R_nominal: Array, prior: MountRotation | None, settings: MatchingSettings
 ) -> CameraRotationEstimate | Refusal:
     pairs = chord_pairs(_points_at(tracks, 0.0), settings.chord_m)
-    coarse_offset_s = _coarse_offset(tracks, pairs, settings)
+    search = (settings.time_offset_bound_s, settings.time_offset_step_s, settings.time_offset_contrast_min)
+    t_cam_s, t_enc_s = tracks.t_cam_s, tracks.t_enc_s
+    coarse_offset_s = find_time_offset(t_cam_s, tracks.points_vo, t_enc_s, tracks.points_base, pairs, *search)
     tracks, pairs = _overlapping(tracks, coarse_offset_s, pairs)
     if len(pairs) < settings.chords_min:
         need = f"{len(pairs)} chords of {1e3 * settings.chord_m:.0f} mm, at least {settings.chords_min} are needed"
@@ -142,20 +186,6 @@ def _match(
         notes = [*notes, "time offset not observable on this path"]
     method = METHOD if prior is None else f"{METHOD}+tool_marker"
     return _estimate(tracks, fit, pairs, seen, mount, method, "; ".join(notes))
-
-
-def _coarse_offset(tracks: _Tracks, pairs: ChordPairs, settings: MatchingSettings) -> float:
-    found = find_time_offset(
-        tracks.t_cam_s,
-        tracks.points_vo,
-        tracks.t_enc_s,
-        tracks.points_base,
-        pairs,
-        settings.time_offset_bound_s,
-        settings.time_offset_step_s,
-        settings.time_offset_contrast_min,
-    )
-    return found.offset_s
 
 
 def _overlapping(tracks: _Tracks, offset_s: float, pairs: ChordPairs) -> tuple[_Tracks, ChordPairs]:

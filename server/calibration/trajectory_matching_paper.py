@@ -4,12 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.rotations import geodesic_angle, nearest_rotation
-from server.calibration.checks import require_rotation
-from server.calibration.chord_covariance import observability, rotation_information
-from server.calibration.chords import arc_lengths
-from server.calibration.contracts import Array, CalibrationStatus, CameraRotationEstimate, CameraTrack, EncoderTrack
+from server.calibration.checks import require_rotation, require_track_shape
+from server.calibration.chords import arc_lengths, observability, rotation_information
+from server.calibration.contracts import (
+    Array,
+    CalibrationStatus,
+    CameraRotationEstimate,
+    CameraTrack,
+    EncoderTrack,
+)
 from server.calibration.hybrid_mixture import MixtureMatch, MixtureSettings, register_poses
-from server.calibration.trajectory_matching_refusals import Refusal, require_track_shape, time_refusal, usable_poses
+from server.calibration.trajectory_matching_refusals import Refusal, time_refusal, usable_poses
 
 METHOD = "paper"
 DEFAULT_SETTINGS = MixtureSettings()
@@ -27,7 +32,10 @@ def coarse_frame_alignment(R_base_tcp: Array, R_tcp_cam_assumed: Array, R_vo_cam
 
 
 def estimate_camera_rotation_paper(
-    camera: CameraTrack, encoder: EncoderTrack, R_tcp_cam_assumed: Array, settings: MixtureSettings = DEFAULT_SETTINGS
+    camera: CameraTrack,
+    encoder: EncoderTrack,
+    R_tcp_cam_assumed: Array,
+    settings: MixtureSettings = DEFAULT_SETTINGS,
 ) -> CameraRotationEstimate:
     """The camera's rotation against the TCP by the paper's point set matching: no time offset, no lever arm.
 
@@ -39,7 +47,6 @@ def estimate_camera_rotation_paper(
              positions-only form.
     Args:    camera, encoder: tracks; R_tcp_cam_assumed: the mount as assumed (nominal) (3, 3).
     Returns: the estimate; covariance from the residuals over the path's information, as if all poses were independent.
-    Raises:  CalibrationInputError: shapes, times running backwards, no rotation.
     Source:  Makinen et al. 2023, section 3.2.2, eq. 20; Min, Wang, Meng 2018.
     """
     require_track_shape(camera.t_s, camera.Ts_vo_cam, "camera track")

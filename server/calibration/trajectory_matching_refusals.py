@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from server.calibration.checks import CalibrationInputError
 from server.calibration.chord_rotation import ChordRotation
 from server.calibration.chords import arc_lengths
 from server.calibration.contracts import Array, CalibrationStatus, CameraRotationEstimate
@@ -47,27 +46,14 @@ class Refusal:
 
     def estimate(self, method: str, path_length_m: float) -> CameraRotationEstimate:
         """The result without a rotation."""
-        nan = float("nan")
         return CameraRotationEstimate(
-            status=self.status,
-            reason=self.reason,
-            method=method,
-            R_tcp_cam=None,
-            covariance=None,
-            time_offset_s=0.0,
-            residual_rms_mm=nan,
-            residual_max_mm=nan,
+            self.status,
+            self.reason,
+            method,
             n_used=self.n_used,
             observability=self.observability,
             path_length_m=path_length_m,
         )
-
-
-def require_track_shape(t_s: Array, Ts: Array, subject: str) -> None:
-    """A track's times (n,) and poses (n, 4, 4). Raises: CalibrationInputError on any other shape."""
-    t, poses = np.asarray(t_s), np.asarray(Ts)
-    if t.ndim != 1 or poses.shape != (t.size, 4, 4):
-        raise CalibrationInputError(f"{subject}: times {t.shape} and poses {poses.shape} must be (n,) and (n, 4, 4)")
 
 
 def time_refusal(t_s: Array, subject: str) -> Refusal | None:

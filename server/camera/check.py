@@ -8,12 +8,10 @@ import numpy as np
 
 from machine.description import Machine
 from server.camera.check_findings import CheckFinding, Level
-from server.camera.check_focal import Tape, check_focal
 from server.camera.check_markers import check_markers, tally
-from server.camera.check_matching import match_eyes
 from server.camera.check_picture import check_exposure, check_sharpness
-from server.camera.check_rig import check_rig
-from server.camera.check_scale import check_scale, side_ratios
+from server.camera.check_rig import check_rig, match_eyes
+from server.camera.check_scale import Tape, check_focal, check_scale, side_ratios
 from server.camera.check_stream import StreamTimes, check_stream
 from server.camera.contracts import StereoFrame
 from server.camera.own_structure import Masks, check_own_structure
@@ -22,9 +20,6 @@ from server.vision.contracts import Image, PairObservation
 MATCHED_PAIRS_MAX = 6  # more add little: a still scene shows the same spots again
 
 Observe = Callable[[Image, Image, int], PairObservation]
-
-
-# Collecting what the check looks at: every pair's times, and some pairs whole, spread over the time there is.
 
 RATE_PAIRS = 30
 

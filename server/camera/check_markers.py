@@ -13,6 +13,7 @@ from server.camera.check_findings import CheckFinding, Level, level_of
 from server.vision.contracts import Array, Image, MarkerView, PairObservation, PoseStatus
 from server.vision.marker_search import cells_along_side, dictionary_by_name, marker_cells
 from server.vision.object_pose import ObjectName
+from server.vision.planar_pose import planar_poses
 
 CELL_WARN_PX, CELL_FAIL_PX = 5.0, 3.0
 CONTRAST_WARN_GREY, CONTRAST_FAIL_GREY = 50.0, 25.0
@@ -73,26 +74,15 @@ def marker_figures(
     own, camera = corners[name], machine.camera
     cells = cells_along_side(dictionary_by_name(machine.dictionary))
     sides = np.linalg.norm(own - np.roll(own, -1, axis=0), axis=1)
-    T = _mono_pose(camera, own, marker.side_m)
-    tilt, distance = _tilt_and_distance(T)
+    poses = planar_poses(undistort_to_rays(camera, own), marker.side_m)  # of one eye, whatever the other one does
+    if not poses:
+        return None
+    tilt, distance = _tilt_and_distance(poses[0])
     contrast, brighter = _light(image, own, marker.marker_id, machine.dictionary)
     turn = _turn(camera, corners, distance)
     return MarkerFigures(
         view.marker_id, tuple(corners), float(sides.min()) / cells, contrast, tilt, distance, *turn, brighter
     )
-
-
-def _mono_pose(camera: StereoCamera, corners_px: Array, side_m: float) -> Array:
-    """T_eye_marker by one eye: good enough to say how far and how oblique it is, whatever the other eye does."""
-    rays = undistort_to_rays(camera, corners_px)
-    half = 0.5 * side_m
-    square = np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
-    _, turn, place = cv2.solvePnP(
-        square, rays.reshape(-1, 1, 2), np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE_SQUARE
-    )
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], np.asarray(place).ravel()
-    return T
 
 
 def _tilt_and_distance(T_eye_marker: Array) -> tuple[float, float]:

@@ -185,33 +185,24 @@ class VisionClient:
     async def measure_target(
         self, sequence: int, pixel: tuple[float, float], roll_rad: float
     ) -> AnchoredTarget | SurfacePatch:
-        """Measure the surface at a raw left pixel of a pair that was shown.
-
-        Raises: CameraError: the vision process does not answer.
-        """
+        """Measure the surface at a raw left pixel of a pair that was shown."""
         command = MeasureTargetCommand(self._requests + 1, sequence, pixel, roll_rad)
         return (await self._answered(command, TargetMeasured)).found
 
     async def find_marks(self, sequence: int, diameters_m: tuple[float, ...]) -> MarksFound:
-        """Find boreholes and rings in a pair that was shown.
-
-        Raises: CameraError: the vision process does not answer.
-        """
+        """Find boreholes and rings in a pair that was shown."""
         answer = await self._answered(FindMarksCommand(self._requests + 1, sequence, diameters_m), MarksFound)
         self._requests += len(answer.marks)  # the marks' targets have these numbers
         return answer
 
     async def teach_view(self, sequence: int, box: ObjectBox) -> TaughtView | str:
-        """Landmarks of an object in a pair that was shown, or why that view cannot be used.
-
-        Raises: CameraError: the vision process does not answer.
-        """
+        """Landmarks of an object in a pair that was shown, or why that view cannot be used."""
         return (await self._answered(TeachViewCommand(self._requests + 1, sequence, box), ViewTaught)).found
 
     async def _answered(
         self, command: MeasureTargetCommand | FindMarksCommand | TeachViewCommand, kind: type[Answer]
     ) -> Answer:
-        """The answer with the command's number, which is of its kind."""
+        """The answer with the command's number, which is of its kind. Raises: CameraError: it does not come."""
         self._requests = command.request
         self._send(command)
         try:
@@ -255,7 +246,7 @@ class VisionClient:
             raise CameraError("odometry was not started; start it first")
         try:
             async with asyncio.timeout(FRESH_S):
-                await self._until(lambda: self._has_mapped(t_end_ns))
+                await self._until(lambda: self.latest is not None and self.latest.t_exposure_mapped_ns >= t_end_ns)
         except TimeoutError:
             _log.warning("no pair after the end of the odometry run within %.1f s", FRESH_S)
         self._track = None
@@ -286,9 +277,6 @@ class VisionClient:
                 await self._until(lambda: self.stream_text != STARTING)
         except TimeoutError:
             raise CameraError(f"vision process has not started within {PROCESS_START_S:.0f} s; see its log") from None
-
-    def _has_mapped(self, t_ns: int) -> bool:
-        return self.latest is not None and self.latest.t_exposure_mapped_ns >= t_ns
 
     async def _until(self, condition: Callable[[], bool]) -> None:
         while not condition():
@@ -363,8 +351,6 @@ class VisionClient:
         if message is None:
             return self._lost(pipe)
         self._begun = self._heard = True
-        if isinstance(message, SignOfLife):
-            return
         if isinstance(message, FrameReport):
             self._take(message)
         elif isinstance(message, TargetMeasured | MarksFound | ViewTaught):
@@ -374,7 +360,7 @@ class VisionClient:
             if message.run == self._map_wanted:
                 self.last_map = message
                 self._arrived.set()
-        else:
+        elif not isinstance(message, SignOfLife):
             self.stream_text = message.text
             self._arrived.set()
             _log.info("camera: %s", message.text or "pictures arrive")

@@ -14,12 +14,7 @@ Average = Callable[[Sequence[PairObservation]], Look]
 
 FAILED_BATCHES = 2  # a look that fails by what it shows, not by motion, gets one more batch of pairs
 
-
-# Odometry poses of one run, and the camera track that calibration wants.
-
-SIGMA_MAX_M = (
-    0.010  # chords of a calibration are 80 mm: what is known no better (another brick, two motions) says nothing
-)
+SIGMA_MAX_M = 0.010  # a calibration's chords are 80 mm: what is known no better (another brick, two motions) is no use
 POSES_MAX = 180 * 60  # as long as encoders are kept to match them with, at 60 pairs a second
 
 
@@ -125,13 +120,7 @@ class LookCollector:
         return Look(
             status=LookStatus.NO_IMAGES,
             reason=text,
-            T_cam_tool=None,
-            T_cam_ooi=None,
-            tool_covariance=None,
-            ooi_covariance=None,
             n_pairs=len(self._pairs),
-            n_used=0,
             t_first_ns=self._pairs[0].t_exposure_ns if self._pairs else 0,
             t_last_ns=self._pairs[-1].t_exposure_ns if self._pairs else 0,
-            spread_mm=0.0,
         )

@@ -1,12 +1,15 @@
-"""Where an eye sees the machine itself: proposed from what stood still in its picture while the camera moved. Pure."""
+"""Where an eye sees the machine itself: by the settings, and proposed from what stood still while the camera moved."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from machine.description import StereoCamera
 from server.camera.check_findings import CheckFinding, Level
-from server.camera.masking import outlines
+from server.errors import SettingsError
+from server.settings_camera import Mask
 from server.vision.contracts import Array, Image
 
 BLOCK_PX = 16
@@ -18,6 +21,7 @@ MOVED_FRAC = 0.7
 MOVED_BLOCKS_MIN_FRAC = 0.2  # of all blocks with texture: fewer, and the camera stood
 UNMASKED_MIN_FRAC = 0.02  # of the picture; outlines of blocks differ by less from run to run
 STILL_BLOCKS_MIN = 4  # of a part; fewer are chance
+OUTLINE_PX = 1.5  # an outline may be so far from the mask that it follows
 BORDER_BLOCKS = 1  # a mask reaches so far beyond what was seen: a corner's patch must not touch it
 
 
@@ -130,3 +134,33 @@ def mask_line(eye: str, mask: Image | None) -> str:
     polygons = () if mask is None else outlines(mask)
     texts = ", ".join("[" + ", ".join(f"[{u:.0f}, {v:.0f}]" for u, v in polygon) + "]" for polygon in polygons)
     return f"mask_{eye} = [{texts}]"
+
+
+def mask_polygons(mask: Mask, camera: StereoCamera, name: str) -> tuple[Array, ...]:
+    """Polygons (k, 2) [px] of a mask in the settings.
+
+    Raises: SettingsError: its picture cannot be read, or is not of the camera's size.
+    """
+    if not isinstance(mask, str):
+        return tuple(np.array(polygon, dtype=float) for polygon in mask)
+    try:
+        data = Path(mask).read_bytes()
+    except OSError as error:
+        raise SettingsError(f"[camera] {name} = '{mask}': {error.strerror}; give a picture file or polygons") from error
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+    if picture is None:
+        raise SettingsError(f"[camera] {name} = '{mask}' is not a picture; give a PNG, white where the machine is seen")
+    found, wanted = (picture.shape[1], picture.shape[0]), (camera.width_px, camera.height_px)
+    if found != wanted:
+        raise SettingsError(
+            f"[camera] {name} = '{mask}' is {found[0]} x {found[1]} px, an eye's picture {wanted[0]} x {wanted[1]} px; "
+            "make the mask in that size"
+        )
+    return outlines(np.asarray(picture >= 128, np.uint8))
+
+
+def outlines(mask: Image) -> tuple[Array, ...]:
+    """Polygons (k, 2) [px] around what is not 0 in a mask (h, w); holes are covered too."""
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    simple = (np.asarray(cv2.approxPolyDP(contour, OUTLINE_PX, True), float).reshape(-1, 2) for contour in contours)
+    return tuple(polygon for polygon in simple if len(polygon) >= 3)

@@ -18,18 +18,16 @@ from server.camera.contracts import (
     TargetCommand,
     VisionSettings,
 )
-from server.camera.health import ImageHealth, sharpness
-from server.camera.masking import ToolMask
+from server.camera.health.blur import sharpness
+from server.camera.health.image_health import ImageHealth
 from server.camera.own_structure import SpreadPairs
 from server.camera.smallest_offset import SmallestOffset, aged
 from server.camera.target_measuring import TargetMeasuring
+from server.targets.tool_mask import ToolMask
 from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
 
 MAP_POINTS = 600  # reported at the end of a run, for the 3D view
 RATE_FRAMES = 30  # the frame rate is averaged over this many pairs
-
-
-# Camera clock -> PC clock: stamp plus the smallest (receive - stamp), aged by the clocks' drift.
 
 STEP_NS = 50_000_000  # most by which pairs must all be later than the map before it follows a clock that was set back
 STEP_PAIRS = 8

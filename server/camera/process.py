@@ -30,13 +30,13 @@ from server.camera.contracts import (
     VisionSettings,
 )
 from server.camera.errors import CameraError
-from server.camera.health import ImageHealth
-from server.camera.masking import ToolMask
+from server.camera.health.image_health import ImageHealth
 from server.camera.pipeline import Odometry, VisionPipeline
 from server.camera.sources.opening import open_ahead
 from server.camera.sources.side_by_side import decode_grey
 from server.camera.target_measuring import TargetMeasuring
 from server.targets.source import TargetPoseSource
+from server.targets.tool_mask import ToolMask
 from server.vision.contracts import Image, ObjectPoseSource
 from server.vision.marker_search import dictionary_by_name
 
@@ -50,8 +50,7 @@ _log = logging.getLogger(__name__)
 
 def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline:
     """The pipeline with the marker detector and odometry of this machine, warmed up; its threads take short turns."""
-    from server.vision.aruco_source import ArucoPoseSource
-    from server.vision.mono_aruco import MonoArucoPoseSource
+    from server.vision.aruco_source import ArucoPoseSource, MonoArucoPoseSource
     from server.vision.odometry import StereoOdometry
 
     sys.setswitchinterval(HANDOVER_S)

@@ -10,11 +10,18 @@ import numpy as np
 from machine.lens import PRINCIPAL_OFF_MAX_FRAC, principal_off_frac
 from machine.rotations import Array
 from recording.files import read_text
-from server.camera.rectification_euroc import is_euroc, is_kalibr, parse_euroc, parse_kalibr
-from server.camera.rectification_opencv import is_opencv, parse_opencv
+from server.camera.rectification_formats import (
+    is_euroc,
+    is_kalibr,
+    is_opencv,
+    is_ros,
+    parse_euroc,
+    parse_kalibr,
+    parse_opencv,
+    parse_ros,
+)
 from server.camera.rectification_rig import CalibrationFileError, EyeCalibration, RigCalibration, checked_rig
-from server.camera.rectification_ros import is_ros, parse_ros
-from server.camera.rectification_yaml import Tree, parse_yaml
+from server.camera.rectification_yaml import Fields, parse_yaml
 from server.camera.rectification_zed import is_zed, parse_zed
 
 IN_FOLDER = (  # pairs looked for, in this order
@@ -26,17 +33,11 @@ IN_FOLDER = (  # pairs looked for, in this order
 )
 
 
-# Any known stereo calibration: texts of files -> rig. The text shows which format it is. Pure.
-
-__all__ = ["CalibrationFileError", "CalibrationText", "EyeCalibration", "RigCalibration", "parse_calibration"]
-
 KNOWN = (
     "a ZED's SNxxxx.conf, OpenCV's stereo YAML (one file, or intrinsics and extrinsics), two ROS camera_info YAML, two "
     "EuRoC sensor.yaml, a Kalibr camchain.yaml, or KITTI's calib.txt"
 )
 
-
-# Calibrations of KITTI, whose images are rectified already: projection matrices -> rig. Pure.
 
 LABEL = re.compile(r"^(P_rect_0|P)([0-3])\s*:\s*(.*)$")
 NUMBER = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
@@ -56,7 +57,6 @@ def parse_kitti(text: str, file: str, size_px: tuple[int, int]) -> RigCalibratio
 
     Model:   P = K [I | t]: baseline (P_left[0, 3] - P_right[0, 3]) / f. No lens, parallel eyes.
     Args:    size_px: of one eye; the file does not hold it.
-    Raises:  CalibrationFileError: file, field, remedy.
     Source:  Geiger et al. 2013, Vision meets robotics: the KITTI dataset, section IV.
     """
     left, right = _pair(text, file)
@@ -136,39 +136,36 @@ def _parsed(files: Sequence[CalibrationText], size_px: tuple[int, int]) -> RigCa
         return parse_zed(first.text, first.name, size_px)
     if len(files) == 1 and is_kitti(first.text):
         return parse_kitti(first.text, first.name, size_px)
-    trees = [parse_yaml(file.text, file.name) for file in files]
-    names = tuple(file.name for file in files)
-    return _of_one(trees[0], names[0], size_px) if len(trees) == 1 else _of_two(trees, (names[0], names[1]), size_px)
+    parsed = [parse_yaml(file.text, file.name) for file in files]
+    return _of_one(parsed[0], size_px) if len(parsed) == 1 else _of_two(parsed[0], parsed[1], size_px)
 
 
-def _of_one(tree: Tree, name: str, size_px: tuple[int, int]) -> RigCalibration:
-    if is_kalibr(tree):
-        return parse_kalibr(tree, name)
-    if is_opencv(tree):
-        return parse_opencv(tree, name, size_px)
-    if is_ros(tree) or is_euroc(tree):
-        raise CalibrationFileError(f"{name}: one eye only; give the other eye's file as well, the left one first")
-    raise CalibrationFileError(f"{name}: no calibration of a stereo rig; give {KNOWN}")
+def _of_one(fields: Fields, size_px: tuple[int, int]) -> RigCalibration:
+    if is_kalibr(fields):
+        return parse_kalibr(fields)
+    if is_opencv(fields):
+        return parse_opencv(fields, size_px)
+    if is_ros(fields) or is_euroc(fields):
+        raise fields.refused("one eye only; give the other eye's file as well, the left one first")
+    raise fields.refused(f"no calibration of a stereo rig; give {KNOWN}")
 
 
-def _of_two(trees: Sequence[Tree], names: tuple[str, str], size_px: tuple[int, int]) -> RigCalibration:
-    left, right = trees
+def _of_two(left: Fields, right: Fields, size_px: tuple[int, int]) -> RigCalibration:
     if is_ros(left) and is_ros(right):
-        return parse_ros(left, right, names)
+        return parse_ros(left, right)
     if is_euroc(left) and is_euroc(right):
-        return parse_euroc(left, right, names)
-    merged = {**left, **right}
+        return parse_euroc(left, right)
+    merged = Fields(f"{left.file} and {right.file}", {**left.tree, **right.tree})
     if is_opencv(merged):
-        return parse_opencv(merged, " and ".join(names), size_px)
-    raise CalibrationFileError(f"{names[0]} and {names[1]}: no calibration of a stereo rig together; give {KNOWN}")
+        return parse_opencv(merged, size_px)
+    raise merged.refused(f"no calibration of a stereo rig together; give {KNOWN}")
 
 
 def read_calibration(paths: Sequence[str], size_px: tuple[int, int], off_centre: bool = False) -> RigCalibration:
     """The rig of one or two files, or of a folder with EuRoC's, ROS', OpenCV's or KITTI's files.
 
-    Args:   off_centre: a principal point far from the middle is right.
-
-    Raises: CalibrationFileError: file, field, remedy.
+    Args:    off_centre: a principal point far from the middle is right.
+    Raises:  CalibrationFileError: file, field, remedy.
     """
     files = (
         _in_folder(Path(paths[0])) if len(paths) == 1 and Path(paths[0]).is_dir() else [Path(path) for path in paths]

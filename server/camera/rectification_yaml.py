@@ -1,6 +1,7 @@
-"""YAML of calibration files as trees of text, and numbers out of them with errors that name the field. Pure."""
+"""YAML of calibration files: trees of text, and numbers out of them with errors that name the field. Pure."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -9,14 +10,94 @@ import yaml
 from machine.rotations import Array
 from server.camera.rectification_rig import CalibrationFileError
 
-Tree = Mapping[str, object]
 TEXT_MAX_CHARS = 1_000_000
 
 
-def parse_yaml(text: str, file: str) -> Tree:
-    """The mapping at a YAML text's top; every leaf is text. OpenCV's head line and matrix tags are understood.
+@dataclass(frozen=True, slots=True)
+class Fields:
+    """What a file, or a part of it, holds by name; every reader raises CalibrationFileError with the file's name."""
 
-    Raises: CalibrationFileError: not YAML, or no mapping.
+    file: str
+    tree: Mapping[str, object]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.tree
+
+    def refused(self, text: str) -> CalibrationFileError:
+        """The error for something in this file."""
+        return CalibrationFileError(f"{self.file}: {text}")
+
+    def of_any(self, names: Sequence[str]) -> str | None:
+        """The first of these names that is there."""
+        return next((name for name in names if name in self), None)
+
+    def value(self, key: str) -> object:
+        """A field as it is."""
+        if key not in self:
+            raise self.refused(f"field {key} is missing; it has {', '.join(sorted(map(str, self.tree))[:12])}")
+        return self.tree[key]
+
+    def part(self, key: str) -> "Fields":
+        """A field that holds fields."""
+        value = self.value(key)
+        if not isinstance(value, dict):
+            raise self.refused(f"{key} = {str(value)[:40]!r} holds no fields")
+        return Fields(f"{self.file}: {key}", cast("Mapping[str, object]", value))
+
+    def numbers(self, key: str) -> Array:
+        """All numbers of a field in order (n,): a list, a list of lists, or a matrix with rows, cols and data."""
+        value, declared = self.value(key), None
+        if isinstance(value, dict):
+            part = self.part(key)
+            declared = part.whole("rows") * part.whole("cols") if "rows" in part and "cols" in part else None
+            value = part.value("data")
+        found = np.array([self._number(leaf, key) for leaf in _leaves(value)], dtype=float)
+        if declared is not None and declared != len(found):
+            raise self.refused(f"{key} has {len(found)} numbers, its rows x cols say {declared}")
+        return found
+
+    def matrix(self, key: str, shape: tuple[int, int]) -> Array:
+        """A matrix of a given shape."""
+        found = self.numbers(key)
+        if len(found) != shape[0] * shape[1]:
+            raise self.refused(f"{key} has {len(found)} numbers; give {shape[0]} x {shape[1]}")
+        return found.reshape(shape)
+
+    def whole(self, key: str) -> int:
+        """A whole number above 0 and below a million."""
+        value = self.value(key)
+        number = self._number(value, key)
+        if number != int(number) or not 0 < number < 1_000_000:
+            raise self.refused(f"{key} = {str(value)[:40]!r} is not a whole number above 0")
+        return int(number)
+
+    def word(self, key: str) -> str:
+        """A field of text, in small letters."""
+        value = self.value(key)
+        if not isinstance(value, str):
+            raise self.refused(f"{key} is not a word")
+        return value.strip().lower()
+
+    def _number(self, value: object, key: str) -> float:
+        try:
+            number = float(value) if isinstance(value, str) else float("nan")
+        except ValueError:
+            number = float("nan")
+        if not np.isfinite(number):
+            raise self.refused(f"{key}: {str(value)[:40]!r} is not a finite number")
+        return number
+
+
+def _leaves(value: object) -> list[object]:
+    if not isinstance(value, list):
+        return [value]
+    return [leaf for part in cast("Sequence[object]", value) for leaf in _leaves(part)]
+
+
+def parse_yaml(text: str, file: str) -> Fields:
+    """The fields at a YAML text's top; every leaf is text. OpenCV's head line and matrix tags are understood.
+
+    Raises: CalibrationFileError: not YAML, or no fields.
     """
     if len(text) > TEXT_MAX_CHARS:
         raise CalibrationFileError(f"{file}: {len(text)} characters (limit {TEXT_MAX_CHARS}); not a calibration file")
@@ -30,84 +111,4 @@ def parse_yaml(text: str, file: str) -> Tree:
         raise CalibrationFileError(f"{file}: not a calibration file in YAML ({reason})") from error
     if not isinstance(tree, dict):
         raise CalibrationFileError(f"{file}: no fields at its top level; give a calibration file")
-    return cast("Tree", tree)
-
-
-def child(tree: Tree, key: str, file: str) -> object:
-    """A field.
-
-    Raises: CalibrationFileError: it is missing.
-    """
-    if key not in tree:
-        raise CalibrationFileError(f"{file}: field {key} is missing; it has {', '.join(sorted(map(str, tree))[:12])}")
-    return tree[key]
-
-
-def mapping(tree: Tree, key: str, file: str) -> Tree:
-    """A field that holds fields."""
-    value = child(tree, key, file)
-    if not isinstance(value, dict):
-        raise CalibrationFileError(f"{file}: {key} = {str(value)[:40]!r} holds no fields")
-    return cast("Tree", value)
-
-
-def numbers(tree: Tree, key: str, file: str) -> Array:
-    """All numbers of a field in order (n,): a list, a list of lists, or a matrix with rows, cols and data.
-
-    Raises: CalibrationFileError: missing, not numbers, or a matrix whose data do not fill it.
-    """
-    value = child(tree, key, file)
-    declared: int | None = None
-    if isinstance(value, dict):
-        part = cast("Tree", value)
-        if "rows" in part and "cols" in part:
-            declared = whole(part, "rows", f"{file}: {key}") * whole(part, "cols", f"{file}: {key}")
-        value = child(part, "data", f"{file}: {key}")
-    found = np.array([_number(leaf, f"{file}: {key}") for leaf in _leaves(value, f"{file}: {key}")], dtype=float)
-    if declared is not None and declared != len(found):
-        raise CalibrationFileError(f"{file}: {key} has {len(found)} numbers, its rows x cols say {declared}")
-    return found
-
-
-def matrix(tree: Tree, key: str, file: str, shape: tuple[int, int]) -> Array:
-    """A matrix of a given shape."""
-    found = numbers(tree, key, file)
-    if len(found) != shape[0] * shape[1]:
-        raise CalibrationFileError(f"{file}: {key} has {len(found)} numbers; give {shape[0]} x {shape[1]}")
-    return found.reshape(shape)
-
-
-def whole(tree: Tree, key: str, file: str) -> int:
-    """A whole number above 0 and below a million."""
-    value = child(tree, key, file)
-    number = _number(value, f"{file}: {key}")
-    if number != int(number) or not 0 < number < 1_000_000:
-        raise CalibrationFileError(f"{file}: {key} = {str(value)[:40]!r} is not a whole number above 0")
-    return int(number)
-
-
-def text_of(tree: Tree, key: str, file: str) -> str:
-    """A field of text, in small letters."""
-    value = child(tree, key, file)
-    if not isinstance(value, str):
-        raise CalibrationFileError(f"{file}: {key} is not a word")
-    return value.strip().lower()
-
-
-def _leaves(value: object, subject: str) -> list[object]:
-    if not isinstance(value, list):
-        return [value]
-    flat: list[object] = []
-    for part in cast("Sequence[object]", value):
-        flat += _leaves(part, subject) if isinstance(part, list) else [part]
-    return flat
-
-
-def _number(value: object, subject: str) -> float:
-    try:
-        number = float(value) if isinstance(value, str) else float("nan")
-    except ValueError:
-        number = float("nan")
-    if not np.isfinite(number):
-        raise CalibrationFileError(f"{subject}: {str(value)[:40]!r} is not a finite number")
-    return number
+    return Fields(file, cast("Mapping[str, object]", tree))

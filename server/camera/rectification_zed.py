@@ -31,7 +31,6 @@ def parse_zed(text: str, file: str, size_px: tuple[int, int]) -> RigCalibration:
              left eye to the right one, t = -(Baseline, TY, TZ): the whole vector's sign is free in rectification, and
              the right eye lies at +x.
     Args:    text: the file. size_px: one eye's width and height, of which the file must know the calibration.
-    Raises:  CalibrationFileError: file, field, remedy.
     Source:  Stereolabs' own reader, stereolabs/zed-open-capture:examples/include/calibration.hpp; fields:
              docs.stereolabs.com, "Camera Calibration". Spelling BaseLine: willdzeng/zed_cpu_ros pull request 3.
     """

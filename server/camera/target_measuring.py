@@ -1,10 +1,9 @@
 """Measures targets in pairs that were kept, in a thread of its own, so that the stream goes on meanwhile."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -23,11 +22,12 @@ from server.camera.contracts import (
     ViewTaught,
 )
 from server.targets.anchor import anchor_target
-from server.targets.contracts import AnchoredTarget, PatchStatus, TargetSettings, refused_patch
+from server.targets.contracts import AnchoredTarget, PatchStatus, SurfacePatch, TargetSettings, refused_patch
 from server.targets.round_marks import find_round_marks
 from server.targets.source import TargetPoseSource
 from server.targets.surface import measure_patch, with_roll
 from server.targets.taught import ObjectBox, TaughtView, teach_view
+from server.targets.tool_mask import blown_up
 from server.vision.contracts import Array, Image, PairObservation
 
 PRINT_SCALE = 1.5  # a marker's quiet zone, and the edge of its plate
@@ -35,7 +35,9 @@ KEPT = 40  # pairs with a preview: 4 s at 10 a second, 74 MB at 720p
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
+class KeptPair:
+    """A raw grey pair (h, w), the own tool's polygons in it, and what the markers showed."""
+
     sequence: int
     left: Image
     right: Image
@@ -48,14 +50,16 @@ class TargetMeasuring:
 
     def __init__(self, camera: StereoCamera, source: TargetPoseSource, settings: TargetSettings | None = None) -> None:
         self._camera, self._source, self._settings = camera, source, settings or TargetSettings()
-        self._kept: deque[_Kept] = deque(maxlen=KEPT)
+        self._kept: deque[KeptPair] = deque(maxlen=KEPT)
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="target")
         self._running: deque[Future[TargetAnswer]] = deque()
 
     def keep(self, frame: StereoFrame) -> None:
         """Keep a pair that is shown to the operator, with the own tool's polygons in it."""
         source = self._source
-        self._kept.append(_Kept(frame.sequence, frame.left.copy(), frame.right.copy(), source.masks_px, source.markers))
+        self._kept.append(
+            KeptPair(frame.sequence, frame.left.copy(), frame.right.copy(), source.masks_px, source.markers)
+        )
 
     def obey(self, command: TargetCommand) -> None:
         """Serve a target from the next pair on, or begin to measure one; `finished` gives the answer."""
@@ -81,33 +85,31 @@ class TargetMeasuring:
         """End the thread."""
         self._thread.shutdown(cancel_futures=True)
 
-    def _view(self, command: TeachViewCommand, kept: tuple[_Kept, ...]) -> ViewTaught:
+    def _view(self, command: TeachViewCommand, kept: tuple[KeptPair, ...]) -> ViewTaught:
         pair = next((held for held in reversed(kept) if held.sequence == command.sequence), None)
         if pair is None or pair.markers is None:
             reason = f"Image {command.sequence} is not kept any more; take the view in a newer image"
             return ViewTaught(command.request, reason)
-        return ViewTaught(
-            command.request, view_by_markers(pair, pair.markers, self._camera, command.box, self._settings)
-        )
+        found = view_by_markers(pair, pair.markers, self._camera, command.box, self._settings)
+        return ViewTaught(command.request, found)
 
-    def _measured(self, command: MeasureTargetCommand, kept: tuple[_Kept, ...]) -> TargetMeasured:
-        pair = _pair_of(kept, command.sequence)
+    def _measured(self, command: MeasureTargetCommand, kept: tuple[KeptPair, ...]) -> TargetMeasured:
+        return TargetMeasured(command.request, self._target(command, _pair_of(kept, command.sequence)))
+
+    def _target(self, command: MeasureTargetCommand, pair: KeptPair | str) -> AnchoredTarget | SurfacePatch:
         if isinstance(pair, str):
-            reason = pair
-            return TargetMeasured(command.request, refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, command.pixel))
+            return refused_patch(PatchStatus.OUTSIDE_IMAGE, pair, command.pixel)
         if _is_masked(pair.masks_px[0], command.pixel):
             reason = "The own tool is at this pixel; choose a place next to it"
-            return TargetMeasured(command.request, refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, command.pixel))
-        patch = measure_patch(pair.left, pair.right, self._camera, command.pixel, self._settings)
+            return refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, command.pixel)
+        camera, settings = self._camera, self._settings
+        patch = measure_patch(pair.left, pair.right, camera, command.pixel, settings)
         if not patch.ok:
-            return TargetMeasured(command.request, patch)
+            return patch
         patch = with_roll(patch, command.roll_rad)
-        found = anchor_target(
-            command.request, patch, pair.left, pair.right, self._camera, self._settings, pair.masks_px
-        )
-        return TargetMeasured(command.request, found)
+        return anchor_target(command.request, patch, pair.left, pair.right, camera, settings, pair.masks_px)
 
-    def _marks(self, command: FindMarksCommand, kept: tuple[_Kept, ...]) -> MarksFound:
+    def _marks(self, command: FindMarksCommand, kept: tuple[KeptPair, ...]) -> MarksFound:
         """All marks of a pair, each anchored now: the pair will not be kept until one is chosen."""
         pair = _pair_of(kept, command.sequence)
         if isinstance(pair, str):
@@ -123,7 +125,7 @@ class TargetMeasuring:
         return MarksFound(command.request, tuple(marks), found.reason)
 
 
-def _pair_of(kept: tuple[_Kept, ...], sequence: int) -> _Kept | str:
+def _pair_of(kept: tuple[KeptPair, ...], sequence: int) -> KeptPair | str:
     """The kept pair of that number, or why there is none."""
     pair = next((pair for pair in reversed(kept) if pair.sequence == sequence), None)
     if pair is not None:
@@ -132,44 +134,21 @@ def _pair_of(kept: tuple[_Kept, ...], sequence: int) -> _Kept | str:
     return f"Image {sequence} is not kept any more (kept: {numbers}); choose in a newer image"
 
 
-class Pair(Protocol):
-    """A raw grey pair (h, w) and the own tool's polygons in it."""
-
-    @property
-    def left(self) -> Image:
-        """Of the left eye."""
-        ...
-
-    @property
-    def right(self) -> Image:
-        """Of the right eye."""
-        ...
-
-    @property
-    def masks_px(self) -> tuple[Sequence[Array], Sequence[Array]]:
-        """Left and right."""
-        ...
-
-
 def view_by_markers(
-    pair: Pair, markers: PairObservation, camera: StereoCamera, box: ObjectBox, settings: TargetSettings
+    pair: KeptPair, markers: PairObservation, camera: StereoCamera, box: ObjectBox, settings: TargetSettings
 ) -> TaughtView | str:
     """One view of an object whose frame the OOI's markers in the picture give, or why it cannot be used."""
     ooi = markers.ooi
     if ooi.T_cam_object is None or ooi.covariance is None:
         return f"the object's markers are not seen ({ooi.reason}); put them next to the object, into both eyes' view"
-    left = (*pair.masks_px[0], *(_print(view.corners_left_px) for view in markers.views))
-    right = (*pair.masks_px[1], *(_print(view.corners_right_px) for view in markers.views))
-    masks = tuple(p for p in left if p is not None), tuple(p for p in right if p is not None)
-    return teach_view(pair.left, pair.right, camera, ooi.T_cam_object, ooi.covariance, box, masks, settings)
+    left = (*pair.masks_px[0], *_prints(view.corners_left_px for view in markers.views))
+    right = (*pair.masks_px[1], *_prints(view.corners_right_px for view in markers.views))
+    return teach_view(pair.left, pair.right, camera, ooi.T_cam_object, ooi.covariance, box, (left, right), settings)
 
 
-def _print(corners_px: Array | None) -> Array | None:
-    """Polygon (4, 2) [px] over a marker's whole print."""
-    if corners_px is None:
-        return None
-    middle = corners_px.mean(axis=0)
-    return middle + PRINT_SCALE * (corners_px - middle)
+def _prints(corners_px: Iterable[Array | None]) -> list[Array]:
+    """Polygons (4, 2) [px] over the whole prints of markers."""
+    return [blown_up(corners, PRINT_SCALE) for corners in corners_px if corners is not None]
 
 
 def _is_masked(polygons: Sequence[Array], pixel: tuple[float, float]) -> bool:

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -12,7 +11,7 @@ from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
 from server.targets.contracts import AnchoredTarget, Landmarks, PatchStatus, SurfacePatch, TargetSettings
 from server.vision.contracts import Array, Image
-from server.vision.odometry_features import allowed_mask
+from server.vision.odometry_features import allowed_masks
 from server.vision.odometry_keyframe import triangulated
 from server.vision.odometry_sight import ImageSight, StereoMatches
 
@@ -75,7 +74,7 @@ def _around(
     """Corners around the patch, matched in both eyes."""
     if patch.T_cam_target is None:
         raise ValueError("the patch was refused; anchor measured patches only")
-    both = [allowed_mask((camera.height_px, camera.width_px), polygons) for polygons in masks_px]
+    both = allowed_masks((camera.height_px, camera.width_px), masks_px)
     radius_px = settings.surroundings_m * camera.fx_px / float(patch.T_cam_target[2, 3])
     disc = np.zeros_like(both[0])
     cv2.circle(disc, (round(patch.pixel[0]), round(patch.pixel[1])), round(radius_px), 255, -1)
@@ -119,30 +118,3 @@ def _in_target_axes(patch: SurfacePatch) -> Array:
         raise ValueError("the patch was refused; anchor measured patches only")
     R = np.kron(np.eye(2), patch.T_cam_target[:3, :3].T)
     return R @ patch.covariance @ R.T
-
-
-class CommonError(Protocol):
-    """What all looks at a target have in common: see AnchoredTarget."""
-
-    @property
-    def covariance_target(self) -> Array:
-        """Of its frame (6, 6), target axes."""
-        ...
-
-    @property
-    def sigma_scale_frac(self) -> float:
-        """Of all distances."""
-        ...
-
-
-def anchor_covariance(target: CommonError, T_cam_target: Array) -> Array:
-    """Covariance (6, 6) of a target's pose in camera axes that all its looks have in common.
-
-    Model:   the first measurement's noise, turned with the target, and the scale of its surroundings: a share of all
-             distances, so it shifts the target along its place in the camera.
-    """
-    R = np.kron(np.eye(2), T_cam_target[:3, :3])
-    C = R @ target.covariance_target @ R.T
-    place = T_cam_target[:3, 3]
-    C[3:, 3:] += target.sigma_scale_frac**2 * np.outer(place, place)
-    return C

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from server.vision.contracts import Array, Image
 
+NAN = float("nan")
+
 
 class PatchStatus(Enum):
     """Whether a surface patch may become a target; every other member than OK is a refusal."""
@@ -27,36 +29,21 @@ class PatchStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class TargetSettings:
-    """Limits of a target.
+    """Limits of a target; normal_max_deg and position_max_m: of the 95 % uncertainty at the largest radius."""
 
-    radii_m: radii of the measured patch, tried from the smallest until the normal's 95 % uncertainty is below
-    normal_wanted_deg: the tolerance of a move is 1 deg by two sigma, tool and camera included.
-    normal_max_deg, position_max_m: a target is refused when its 95 % uncertainty of normal or position exceeds this at
-    the largest radius; 4 mm leave the rest of a move's 5 mm to tool and motion.
-    oblique_max_deg: at 60 deg a surface is foreshortened to half, which also halves the texture that can be matched.
-    clipped_max_frac: share of clipped pixels in the patch that cannot be measured.
-    depth_min_m, depth_max_m: range of the stereo search along the epipolar line.
-    sigma_px: standard deviation of one aligned coordinate of a landmark (0.05 px: docs/vision.md, odometry alignment).
-    sigma_floor_px: what interpolation leaves of a disparity error without image noise; in part alike all over a patch.
-    sigma_disparity_px: disparity bias left after camera calibration, the prior of the lens model.
-    surroundings_m: radius of the landmarks around the target.
-    sigma_frame_rad: rotation of the markers' frame that an object is taught with, by print and mounting, one sigma: as
-    the layout prior of the position settings.
-    """
-
-    radii_m: tuple[float, ...] = (0.03, 0.045, 0.06, 0.08, 0.1)
-    normal_wanted_deg: float = 0.8
+    radii_m: tuple[float, ...] = (0.03, 0.045, 0.06, 0.08, 0.1)  # of the patch, tried from the smallest on until ...
+    normal_wanted_deg: float = 0.8  # ... its normal is known so well: a move's 1 deg is two sigma, tool and camera too
     normal_max_deg: float = 2.0
-    position_max_m: float = 0.004
-    oblique_max_deg: float = 60.0
-    clipped_max_frac: float = 0.05
-    depth_min_m: float = 0.25
+    position_max_m: float = 0.004  # leaves the rest of a move's 5 mm to tool and motion
+    oblique_max_deg: float = 60.0  # foreshortened to half, which also halves the texture that can be matched
+    clipped_max_frac: float = 0.05  # of the pixels; clipped ones cannot be measured
+    depth_min_m: float = 0.25  # range of the stereo search along the epipolar line
     depth_max_m: float = 3.0
-    sigma_px: float = 0.05
-    sigma_floor_px: float = 0.02
-    sigma_disparity_px: float = 0.1
-    surroundings_m: float = 0.4
-    sigma_frame_rad: float = float(np.deg2rad(0.1))
+    sigma_px: float = 0.05  # of one aligned coordinate of a landmark: docs/vision.md, odometry alignment
+    sigma_floor_px: float = 0.02  # what interpolation leaves of a disparity without noise; in part alike in a patch
+    sigma_disparity_px: float = 0.1  # bias left after camera calibration, the prior of the lens model
+    surroundings_m: float = 0.4  # radius of the landmarks around the target
+    sigma_frame_rad: float = float(np.deg2rad(0.1))  # turn of the teaching markers' frame: the layout prior
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +77,7 @@ class SurfacePatch:
 def refused_patch(status: PatchStatus, reason: str, pixel: tuple[float, float]) -> SurfacePatch:
     """A patch that could not be measured, with its reason."""
     none = np.zeros((0, 2))
-    return SurfacePatch(status, reason, pixel, None, None, none, np.zeros((0, 3)), 0.0, "plane", 0, float("nan"))
+    return SurfacePatch(status, reason, pixel, None, None, none, np.zeros((0, 3)), 0.0, "plane", 0, NAN)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +95,11 @@ class Landmarks:
 
     def __len__(self) -> int:
         return len(self.left_px)
+
+    def some(self, chosen: "BoolArray") -> "Landmarks":
+        """Only these landmarks."""
+        arrays = (self.left_px, self.right_px, self.points_target, self.covariances_target, self.support_target)
+        return Landmarks(*(array[chosen] for array in arrays))
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +122,11 @@ class AnchoredTarget:
     surroundings: Landmarks
     surface: Landmarks
 
+    @property
+    def references(self) -> tuple[Image, Image]:
+        """Both eyes' reference images."""
+        return self.reference_left, self.reference_right
+
 
 @dataclass(frozen=True, slots=True)
 class TargetFix:
@@ -146,6 +143,11 @@ class TargetFix:
     agree_frac: float
     residual_px: float
     seen: bool = True  # False: nothing of the surroundings was recognised
+
+
+def no_fix(reason: str, n: int, share: float = NAN, residual_px: float = NAN, seen: bool = True) -> TargetFix:
+    """Why there is no pose, from n landmarks."""
+    return TargetFix(False, reason, None, None, n, share, residual_px, seen)
 
 
 BoolArray = NDArray[np.bool_]

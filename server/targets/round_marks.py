@@ -14,7 +14,7 @@ from server.targets.contracts import SurfacePatch, TargetSettings
 from server.targets.stereo_match import noise_grey
 from server.targets.surface import ROLL_SIGMA_RAD, measure_around, target_frame
 from server.vision.contracts import Array, Image
-from server.vision.odometry_features import allowed_mask
+from server.vision.odometry_features import allowed_masks
 
 LOG10_NFA_MAX = -2.0  # one chance circle in a hundred pictures
 RIM_MIN_FRAC = 0.5  # of a rim with an edge within half a pixel: a chip of rock is round by and large, never so exactly
@@ -63,8 +63,7 @@ def find_round_marks(
     Args:    left, right: raw grey pair (h, w). diameters_m: nominal outer diameters [m]. masks_px: polygons (k, 2) [px]
              of own structure in both images.
     """
-    size = (camera.height_px, camera.width_px)
-    masks = allowed_mask(size, masks_px[0]), allowed_mask(size, masks_px[1])
+    masks = allowed_masks((camera.height_px, camera.width_px), masks_px)
     places = find_places(left, right, camera, diameters_m, settings, masks)
     if isinstance(places, str):
         return RoundMarks((), places)

@@ -2,33 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
 
 from machine.description import StereoCamera
 from server.targets.contracts import AnchoredTarget, TargetFix, TargetSettings
 from server.targets.taught import TaughtObject
 from server.targets.taught_tracking import TaughtTracker
+from server.targets.tool_mask import ToolMask
 from server.targets.tracking import TargetTracker
-from server.vision.contracts import Array, Image, MarkerView, ObjectPose, ObjectPoseSource, PairObservation, PoseStatus
+from server.vision.contracts import Array, Image, ObjectPose, ObjectPoseSource, PairObservation, PoseStatus
 from server.vision.object_pose import NO_RIVAL
-
-
-class OwnToolMask(Protocol):
-    """Where the own tool covers the images: polygons (k, 2) [px]."""
-
-    def update(self, views: Sequence[MarkerView]) -> None:
-        """Take over where the tool's markers are in this pair."""
-        ...
-
-    @property
-    def left(self) -> tuple[Array, ...]:
-        """Polygons in the left image."""
-        ...
-
-    @property
-    def right(self) -> tuple[Array, ...]:
-        """Polygons in the right image."""
-        ...
 
 
 class TargetPoseSource:
@@ -38,15 +20,13 @@ class TargetPoseSource:
         self,
         markers: ObjectPoseSource,
         camera: StereoCamera,
-        tool_mask: OwnToolMask,
+        tool_mask: ToolMask,
         settings: TargetSettings | None = None,
     ) -> None:
         self._markers, self._camera, self._mask = markers, camera, tool_mask
         self._settings = settings or TargetSettings()
         self._tracker: TargetTracker | TaughtTracker | None = None
-        self.markers: PairObservation | None = (
-            None  # what the markers showed in the last pair, also with a target in use
-        )
+        self.markers: PairObservation | None = None  # what they showed in the last pair, also with a target in use
 
     @property
     def masks_px(self) -> tuple[Sequence[Array], Sequence[Array]]:

@@ -12,7 +12,7 @@ from machine.description import StereoCamera
 from server.targets.contracts import BoolArray
 from server.vision.contracts import Array, Image
 from server.vision.odometry_align import HALF_PX, align
-from server.vision.odometry_recognition import UNIQUE_RATIO_MAX
+from server.vision.odometry_features import UNIQUE_RATIO_MAX
 
 ROWS_OFF_PX = 1  # EPIPOLAR_MAX_PX of the odometry: rows of the two eyes agree to one pixel
 NOISE_MIN_GREY = 1.0  # standard deviation of the least noise that an 8-bit image has

@@ -8,8 +8,8 @@ import numpy as np
 
 from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
-from machine.poses import pose
-from machine.rotations import rotation_about, rotvec_from_rotation
+from machine.poses import pose, pose_difference
+from machine.rotations import rotation_about
 from server.targets.contracts import BoolArray, PatchStatus, SurfacePatch, TargetSettings, refused_patch
 from server.targets.stereo_match import coarse_disparity, fine_disparities, sample_places, texture_sigma_px
 from server.vision.contracts import Array, Image
@@ -41,6 +41,25 @@ class _Fit:
     shape: Shape
 
 
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """A raw left pixel of a raw pair whose surface is wanted; `name`: for the reasons."""
+
+    left: Image
+    right: Image
+    camera: StereoCamera
+    pixel: tuple[float, float]
+    settings: TargetSettings
+    name: str
+
+    @property
+    def ray(self) -> Array:
+        return undistort_to_rays(self.camera, np.array([self.pixel]))[0]
+
+    def refused(self, status: PatchStatus, reason: str) -> SurfacePatch:
+        return refused_patch(status, f"{self.name}{reason}", self.pixel)
+
+
 def measure_patch(
     left: Image, right: Image, camera: StereoCamera, pixel: tuple[float, float], settings: TargetSettings
 ) -> SurfacePatch:
@@ -52,20 +71,19 @@ def measure_patch(
     Args:    left, right: raw grey pair (h, w). pixel: (u, v) [px], raw left image.
     Returns: SurfacePatch; refused ones say what is wrong, by how much, and what would help.
     """
-    at = f"Patch at ({pixel[0]:.0f}, {pixel[1]:.0f}) px"
-    problem = _image_problem(left, pixel, at, settings)
+    place = _Place(left, right, camera, pixel, settings, f"Patch at ({pixel[0]:.0f}, {pixel[1]:.0f}) px")
+    problem = _image_problem(place)
     if problem is not None:
         return problem
-    ray = undistort_to_rays(camera, np.array([pixel]))[0]
     bf = camera.fx_px * camera.baseline_m
     coarse = coarse_disparity(
-        camera, left, right, ray, CENTRE_HALF_PX, (bf / settings.depth_max_m, bf / settings.depth_min_m)
+        camera, left, right, place.ray, CENTRE_HALF_PX, (bf / settings.depth_max_m, bf / settings.depth_min_m)
     )
     if coarse.correlation < 0.0:
-        return refused_patch(PatchStatus.NO_TEXTURE, f"{at} has no texture; choose a rougher place or add light", pixel)
-    found = refused_patch(PatchStatus.NO_TEXTURE, "", pixel)
+        return place.refused(PatchStatus.NO_TEXTURE, " has no texture; choose a rougher place or add light")
+    found = place.refused(PatchStatus.NO_TEXTURE, "")
     for radius_m in settings.radii_m:
-        larger = _measured(left, right, camera, pixel, ray, coarse.disparity_px, radius_m, at, settings)
+        larger = _measured(place, coarse.disparity_px, radius_m)
         if found.ok and not larger.ok:
             break  # the smaller patch lies on one surface, the larger one reaches beyond it
         found = larger
@@ -73,23 +91,19 @@ def measure_patch(
             break
         if found.covariance is not None and uncertainty_95(found.covariance)[0] <= settings.normal_wanted_deg:
             break
-    if (
-        not coarse.is_unique
-        and coarse.correlation < CORRELATION_MIN
-        and found.status not in (PatchStatus.OK, PatchStatus.NO_TEXTURE)
-    ):
-        reason = (
-            f"{at} covers a depth edge: no single depth explains it (correlation {coarse.correlation:.2f}, limit "
-            f"{CORRELATION_MIN:.2f}); choose a place farther from the edge"
+    if coarse.is_unique or found.status is PatchStatus.NO_TEXTURE:
+        return found
+    if coarse.correlation < CORRELATION_MIN and not found.ok:
+        return place.refused(
+            PatchStatus.DEPTH_EDGE,
+            f" covers a depth edge: no single depth explains it (correlation {coarse.correlation:.2f}, limit "
+            f"{CORRELATION_MIN:.2f}); choose a place farther from the edge",
         )
-        return refused_patch(PatchStatus.DEPTH_EDGE, reason, pixel)
-    if not coarse.is_unique and found.status is not PatchStatus.NO_TEXTURE:
-        reason = (
-            f"{at} repeats along the row: dissimilarity of the best to the second-best match {coarse.ambiguity:.2f} "
-            "(limit 0.80); choose a place whose texture differs from its neighbours"
-        )
-        return refused_patch(PatchStatus.REPEATED_TEXTURE, reason, pixel)
-    return found
+    return place.refused(
+        PatchStatus.REPEATED_TEXTURE,
+        f" repeats along the row: dissimilarity of the best to the second-best match {coarse.ambiguity:.2f} "
+        "(limit 0.80); choose a place whose texture differs from its neighbours",
+    )
 
 
 def measure_around(
@@ -103,101 +117,82 @@ def measure_around(
 ) -> SurfacePatch:
     """The surface around a hole whose rim is depth_m away: as `measure_patch`, from samples outside the discs
     (u, v, radius) [px] to avoid."""
-    at = f"Surface around ({pixel[0]:.0f}, {pixel[1]:.0f}) px"
-    ray = undistort_to_rays(camera, np.array([pixel]))[0]
-    disparity_px = camera.fx_px * camera.baseline_m / depth_m
-    found = refused_patch(PatchStatus.NO_TEXTURE, f"{at} was not measured", pixel)
+    place = _Place(left, right, camera, pixel, settings, f"Surface around ({pixel[0]:.0f}, {pixel[1]:.0f}) px")
+    found = place.refused(PatchStatus.NO_TEXTURE, " was not measured")
     for radius_m in settings.radii_m:
         radius_px = radius_m * camera.fx_px / depth_m
         if len(sample_places(left.shape, pixel, radius_px, avoid)[0]) < AROUND_MIN and radius_m < settings.radii_m[-1]:
             continue
-        found = _measured(left, right, camera, pixel, ray, disparity_px, radius_m, at, settings, avoid)
+        found = _measured(place, camera.fx_px * camera.baseline_m / depth_m, radius_m, avoid)
         if found.covariance is not None and uncertainty_95(found.covariance)[0] <= settings.normal_wanted_deg:
             break
     return found
 
 
-def _image_problem(image: Image, pixel: tuple[float, float], at: str, settings: TargetSettings) -> SurfacePatch | None:
-    height, width = image.shape
-    margin = min(pixel[0], pixel[1], width - 1 - pixel[0], height - 1 - pixel[1])
+def _image_problem(place: _Place) -> SurfacePatch | None:
+    (u, v), (height, width) = place.pixel, place.left.shape
+    margin = min(u, v, width - 1 - u, height - 1 - v)
     if not margin >= CENTRE_HALF_PX:
-        reason = f"{at} lies {margin:.0f} px from the image border (limit {CENTRE_HALF_PX} px); turn the camera to it"
-        return refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, pixel)
-    u, v = round(pixel[0]), round(pixel[1])
-    window = image[v - CENTRE_HALF_PX : v + CENTRE_HALF_PX + 1, u - CENTRE_HALF_PX : u + CENTRE_HALF_PX + 1]
-    clipped = float(np.mean(window >= CLIPPED_GREY))
-    if clipped > settings.clipped_max_frac:
-        reason = (
-            f"{at} is over-exposed: {100 * clipped:.0f} % of its pixels are clipped (limit "
-            f"{100 * settings.clipped_max_frac:.0f} %); shade it or lower the exposure"
+        reason = f" lies {margin:.0f} px from the image border (limit {CENTRE_HALF_PX} px); turn the camera to it"
+        return place.refused(PatchStatus.OUTSIDE_IMAGE, reason)
+    top, left = round(v) - CENTRE_HALF_PX, round(u) - CENTRE_HALF_PX
+    window = place.left[top : top + 2 * CENTRE_HALF_PX + 1, left : left + 2 * CENTRE_HALF_PX + 1]
+    clipped, limit = float(np.mean(window >= CLIPPED_GREY)), place.settings.clipped_max_frac
+    if clipped > limit:
+        return place.refused(
+            PatchStatus.GLARE,
+            f" is over-exposed: {100 * clipped:.0f} % of its pixels are clipped (limit {100 * limit:.0f} %); shade it "
+            "or lower the exposure",
         )
-        return refused_patch(PatchStatus.GLARE, reason, pixel)
     return None
 
 
 def _measured(
-    left: Image,
-    right: Image,
-    camera: StereoCamera,
-    pixel: tuple[float, float],
-    ray: Array,
-    disparity_px: float,
-    radius_m: float,
-    at: str,
-    settings: TargetSettings,
-    avoid: Sequence[tuple[float, float, float]] = (),
+    place: _Place, disparity_px: float, radius_m: float, avoid: Sequence[tuple[float, float, float]] = ()
 ) -> SurfacePatch:
+    camera, settings, ray = place.camera, place.settings, place.ray
     depth_m = camera.fx_px * camera.baseline_m / disparity_px
     radius_px = max(radius_m * camera.fx_px / depth_m, SIZE_PX / 2.0)
-    samples, wanted = sample_places(left.shape, pixel, radius_px, avoid)
+    samples, wanted = sample_places(place.left.shape, place.pixel, radius_px, avoid)
     if len(samples) < ON_SURFACE_MIN_FRAC * wanted:
-        reason = f"{at}: its surroundings of {1e3 * radius_m:.0f} mm leave the image; turn the camera to it"
-        return refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, pixel)
+        reason = f": its surroundings of {1e3 * radius_m:.0f} mm leave the image; turn the camera to it"
+        return place.refused(PatchStatus.OUTSIDE_IMAGE, reason)
     rays = undistort_to_rays(camera, samples)
     uv = (rays - ray) * [camera.fx_px, camera.fy_px]
     limits = disparity_px - SLACK_PX, disparity_px + SLACK_PX
-    coarse = [coarse_disparity(camera, left, right, sample_ray, SAMPLE_HALF_PX, limits) for sample_ray in rays]
+    coarse = [coarse_disparity(camera, place.left, place.right, one, SAMPLE_HALF_PX, limits) for one in rays]
     guess = np.array([found.disparity_px for found in coarse])
     usable = np.isfinite(guess)
-    sigma_texture = texture_sigma_px(left, pixel, radius_px)
+    sigma_texture = texture_sigma_px(place.left, place.pixel, radius_px)
     sigma_depth_m = depth_m**2 / (camera.fx_px * camera.baseline_m) * sigma_texture
     if sigma_depth_m * np.sqrt(CHI2_1_95) > settings.position_max_m or usable.mean() < ON_SURFACE_MIN_FRAC:
-        reason = (
-            f"{at} has too little texture: it would give the depth to {2e3 * sigma_depth_m:.1f} mm (limit "
-            f"{1e3 * settings.position_max_m:.1f} mm); choose a rougher place, add light or come nearer"
+        return place.refused(
+            PatchStatus.NO_TEXTURE,
+            f" has too little texture: it would give the depth to {2e3 * sigma_depth_m:.1f} mm (limit "
+            f"{1e3 * settings.position_max_m:.1f} mm); choose a rougher place, add light or come nearer",
         )
-        return refused_patch(PatchStatus.NO_TEXTURE, reason, pixel)
     per_sample_px = sigma_texture * np.sqrt(np.pi) * radius_px / SIZE_PX  # the bound of one sample's smaller patch
     sampled = replace(settings, sigma_px=float(np.hypot(per_sample_px, settings.sigma_floor_px)))
-    fit, good = _fitted(left, right, camera, samples, uv, guess, radius_px, sampled)
+    fit, good = _fitted(replace(place, settings=sampled), samples, uv, guess, radius_px)
     if fit is None or good.mean() < ON_SURFACE_MIN_FRAC:
-        reason = (
-            f"{at}: only {100 * good.mean():.0f} % of it is found in the right eye (limit "
-            f"{100 * ON_SURFACE_MIN_FRAC:.0f} %); move so that both eyes see it, or clear what covers it"
+        return place.refused(
+            PatchStatus.NOT_IN_BOTH_EYES,
+            f": only {100 * good.mean():.0f} % of it is found in the right eye (limit "
+            f"{100 * ON_SURFACE_MIN_FRAC:.0f} %); move so that both eyes see it, or clear what covers it",
         )
-        return refused_patch(PatchStatus.NOT_IN_BOTH_EYES, reason, pixel)
     share = float(fit.on_surface.sum() / good.sum())
     if share < ON_SURFACE_MIN_FRAC:
-        reason = (
-            f"{at} covers a depth edge: {100 * share:.0f} % of it lies on one surface (limit "
-            f"{100 * ON_SURFACE_MIN_FRAC:.0f} %); choose a place farther from the edge"
+        return place.refused(
+            PatchStatus.DEPTH_EDGE,
+            f" covers a depth edge: {100 * share:.0f} % of it lies on one surface (limit "
+            f"{100 * ON_SURFACE_MIN_FRAC:.0f} %); choose a place farther from the edge",
         )
-        return refused_patch(PatchStatus.DEPTH_EDGE, reason, pixel)
     coherent = settings.sigma_floor_px * np.array([1.0, 1.0 / radius_px, 1.0 / radius_px])
     fit.covariance[:3, :3] += np.diag(coherent**2)  # interpolation errs alike where the sub-pixel phase is alike
-    return _judged(camera, pixel, ray, fit, samples, uv, radius_m, at, settings)
+    return _judged(place, fit, samples, uv, radius_m)
 
 
-def _fitted(
-    left: Image,
-    right: Image,
-    camera: StereoCamera,
-    samples: Array,
-    uv: Array,
-    guess: Array,
-    radius_px: float,
-    settings: TargetSettings,
-) -> tuple[_Fit | None, BoolArray]:
+def _fitted(place: _Place, samples: Array, uv: Array, guess: Array, radius_px: float) -> tuple[_Fit | None, BoolArray]:
     """Fine disparities by the plane of the coarse ones, then the surface through them."""
     start = _robust_plane(uv, guess)
     good = np.zeros(len(samples), dtype=bool)
@@ -205,13 +200,14 @@ def _fitted(
     for _ in range(2):  # the second time with the slopes of the first
         expected = _terms(uv, "plane") @ start
         near = np.abs(guess - expected) < 2.0  # a coarse match is good to a pixel; else the neighbours' surface
+        slopes = np.tile(start[1:3], (len(uv), 1))
         found = fine_disparities(
-            camera, left, right, samples, np.where(near, expected, guess), np.tile(start[1:3], (len(uv), 1))
+            place.camera, place.left, place.right, samples, np.where(near, expected, guess), slopes
         )
         good = found.good
         if good.sum() < 12:
             return None, good
-        fit = _surface(uv, found.disparity_px, good, radius_px, settings)
+        fit = _surface(uv, found.disparity_px, good, radius_px, place.settings)
         start = fit.coefficients[:3]
     return fit, good
 
@@ -314,51 +310,32 @@ def _frame_of(camera: StereoCamera, ray: Array, abc: Array) -> Array:
     return target_frame(-np.array([beta, gamma, alpha]), origin)
 
 
-def _judged(
-    camera: StereoCamera,
-    pixel: tuple[float, float],
-    ray: Array,
-    fit: _Fit,
-    samples: Array,
-    uv: Array,
-    radius_m: float,
-    at: str,
-    settings: TargetSettings,
-) -> SurfacePatch:
-    abc = fit.coefficients[:3]
-    T = _frame_of(camera, ray, abc)
-    covariance = _pose_covariance(camera, ray, abc, fit.covariance[:3, :3], T, settings)
+def _judged(place: _Place, fit: _Fit, samples: Array, uv: Array, radius_m: float) -> SurfacePatch:
+    camera, settings, abc = place.camera, place.settings, fit.coefficients[:3]
+    T = _frame_of(camera, place.ray, abc)
+    covariance = _pose_covariance(place, abc, fit.covariance[:3, :3], T)
     view = T[:3, 3] / np.linalg.norm(T[:3, 3])
     oblique_deg = float(np.rad2deg(np.arccos(np.clip(-view @ T[:3, 2], -1.0, 1.0))))
     if oblique_deg > settings.oblique_max_deg:
-        reason = (
-            f"{at} is seen too obliquely: {oblique_deg:.0f} deg off its normal (limit {settings.oblique_max_deg:.0f} "
-            "deg); face it more squarely"
+        return place.refused(
+            PatchStatus.TOO_OBLIQUE,
+            f" is seen too obliquely: {oblique_deg:.0f} deg off its normal (limit {settings.oblique_max_deg:.0f} deg); "
+            "face it more squarely",
         )
-        return refused_patch(PatchStatus.TOO_OBLIQUE, reason, pixel)
     normal_deg, depth_m = uncertainty_95(covariance)
     if normal_deg > settings.normal_max_deg or depth_m > settings.position_max_m:
-        reason = (
-            f"{at} at {T[2, 3]:.2f} m is known to {normal_deg:.1f} deg (limit {settings.normal_max_deg:.1f} deg) and "
-            f"{1e3 * depth_m:.1f} mm (limit {1e3 * settings.position_max_m:.1f} mm) only; come nearer"
+        return place.refused(
+            PatchStatus.TOO_FAR,
+            f" at {T[2, 3]:.2f} m is known to {normal_deg:.1f} deg (limit {settings.normal_max_deg:.1f} deg) and "
+            f"{1e3 * depth_m:.1f} mm (limit {1e3 * settings.position_max_m:.1f} mm) only; come nearer",
         )
-        return refused_patch(PatchStatus.TOO_FAR, reason, pixel)
     on = fit.on_surface
     disparity = _terms(uv[on], fit.shape) @ fit.coefficients
     rays = undistort_to_rays(camera, samples[on])
     points = np.column_stack([rays, np.ones(len(rays))]) * (camera.fx_px * camera.baseline_m / disparity)[:, None]
+    n_used, residual_px = int(on.sum()), fit.residual_px
     return SurfacePatch(
-        PatchStatus.OK,
-        "",
-        pixel,
-        T,
-        covariance,
-        samples[on],
-        points,
-        radius_m,
-        fit.shape,
-        int(on.sum()),
-        fit.residual_px,
+        PatchStatus.OK, "", place.pixel, T, covariance, samples[on], points, radius_m, fit.shape, n_used, residual_px
     )
 
 
@@ -376,18 +353,14 @@ def uncertainty_95(covariance: Array) -> tuple[float, float]:
     return float(np.rad2deg(tilt)), float(place)
 
 
-def _pose_covariance(
-    camera: StereoCamera, ray: Array, abc: Array, C_abc: Array, T: Array, settings: TargetSettings
-) -> Array:
+def _pose_covariance(place: _Place, abc: Array, C_abc: Array, T: Array) -> Array:
     """First-order covariance (6, 6) of the pose; the pixel is exact, so across the ray only the alignment's noise."""
     J = np.zeros((6, 3))
     for k, step in enumerate(np.array([1e-3, 1e-6, 1e-6])):
         moved = abc.copy()
         moved[k] += step
-        T_moved = _frame_of(camera, ray, moved)
-        J[:3, k] = rotvec_from_rotation(T_moved[:3, :3] @ T[:3, :3].T) / step
-        J[3:, k] = (T_moved[:3, 3] - T[:3, 3]) / step
+        J[:, k] = pose_difference(T, _frame_of(place.camera, place.ray, moved)) / step
     C = J @ C_abc @ J.T
     C[:3, :3] += ROLL_SIGMA_RAD**2 * np.eye(3)
-    C[3:, 3:] += (settings.sigma_px * T[2, 3] / camera.fx_px) ** 2 * np.eye(3)
+    C[3:, 3:] += (place.settings.sigma_px * T[2, 3] / place.camera.fx_px) ** 2 * np.eye(3)
     return 0.5 * (C + C.T)

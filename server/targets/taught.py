@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from machine.camera import project, project_stereo, undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, pose, transform_points
-from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation
+from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation, skew
 from server.targets.anchor import LANDMARKS_MIN, landmarks_of
-from server.targets.contracts import BoolArray, Landmarks, TargetSettings
-from server.targets.tracking import FIX_MIN, MarksPose, SeenMarks, align_marks, solve_pose
+from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetSettings
+from server.targets.tracking import FIX_MIN, MarksPose, SearchedPair, align_marks, solve_pose
 from server.vision.contracts import Image
 from server.vision.odometry_align import align
-from server.vision.odometry_features import allowed_mask, inside_mask
+from server.vision.odometry_features import allowed_masks, inside_mask
 from server.vision.odometry_keyframe import triangulated
 from server.vision.odometry_sight import StereoMatches, flow, plausible
 
@@ -62,6 +62,11 @@ class TaughtView:
     marks: Landmarks
     descriptors: Descriptors
     masks_px: Polygons
+
+    @property
+    def references(self) -> tuple[Image, Image]:
+        """Both eyes' images."""
+        return self.reference_left, self.reference_right
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +123,7 @@ def teach_view(
     T_cam_object = T_cam_marker @ pose(np.eye(3), box.centre_m)
     polygons = tuple(masks_px[0]), tuple(masks_px[1])
     size = (camera.height_px, camera.width_px)
-    both = [allowed_mask(size, some) for some in polygons]
+    both = allowed_masks(size, polygons)
     inside = _box_mask(camera, T_cam_object, box, size)
     places, descriptors = features(left, np.asarray(np.minimum(both[0], inside)))
     first = _strongest_by_cell(places, CELL_PX, 1)
@@ -173,10 +178,8 @@ def _in_right(
 
 def _frame_covariance(covariance: Array, T_cam_marker: Array, box: ObjectBox) -> Array:
     """Covariance (6, 6) of the object's frame, moved from the marker by a lever arm."""
-    arm = T_cam_marker[:3, :3] @ box.centre_m
-    x, y, z = arm
     J = np.eye(6)
-    J[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    J[3:, :3] = -skew(T_cam_marker[:3, :3] @ box.centre_m)
     return J @ covariance @ J.T
 
 
@@ -219,18 +222,17 @@ def teach_object(
 
 def _seen_in(view: TaughtView, other: TaughtView, camera: StereoCamera, settings: TargetSettings) -> MarksPose | None:
     """Where one view's landmarks place the object in another view; None where they are not found."""
-    seen, _ = _looked_up(view, other, camera)
+    pair = _as_pair(other, camera, settings)
+    seen, _ = align_marks(view.references, view.marks, pair, other.T_cam_object)
     if len(seen.indices) < FIX_MIN:
         return None
-    fit = solve_pose(camera, view.marks, seen, other.T_cam_object, settings)
+    fit = solve_pose(pair, view.marks, seen, other.T_cam_object)
     return fit if fit.agree.sum() >= FIX_MIN else None
 
 
-def _looked_up(view: TaughtView, other: TaughtView, camera: StereoCamera) -> tuple[SeenMarks, int]:
-    size = (camera.height_px, camera.width_px)
-    images = other.reference_left, other.reference_right
-    masks = allowed_mask(size, other.masks_px[0]), allowed_mask(size, other.masks_px[1])
-    return align_marks(view, view.marks, images, masks, camera, other.T_cam_object)
+def _as_pair(view: TaughtView, camera: StereoCamera, settings: TargetSettings) -> SearchedPair:
+    masks = allowed_masks((camera.height_px, camera.width_px), view.masks_px)
+    return SearchedPair(view.references, masks, camera, settings)
 
 
 def _moved(view: TaughtView, T_cam_object: Array) -> Landmarks:
@@ -260,26 +262,16 @@ def _confirmed(
         for other in views:
             if other is view:
                 continue
-            seen, visible = _looked_up(view, other, camera)
+            pair = _as_pair(other, camera, settings)
+            seen, visible = align_marks(view.references, view.marks, pair, other.T_cam_object)
             if len(seen.indices) < FIX_MIN:
                 continue
-            fit = solve_pose(camera, view.marks, seen, other.T_cam_object, settings)
+            fit = solve_pose(pair, view.marks, seen, other.T_cam_object)
             agreed[seen.indices[fit.agree]] = True
             best = max(best, float(fit.agree.sum()) / visible)
-        kept.append(replace(view, marks=some_marks(view.marks, agreed), descriptors=view.descriptors[agreed]))
+        kept.append(replace(view, marks=view.marks.some(agreed), descriptors=view.descriptors[agreed]))
         shares.append(best)
     return kept, shares
-
-
-def some_marks(marks: Landmarks, chosen: BoolArray) -> Landmarks:
-    """Only these landmarks."""
-    return Landmarks(
-        marks.left_px[chosen],
-        marks.right_px[chosen],
-        marks.points_target[chosen],
-        marks.covariances_target[chosen],
-        marks.support_target[chosen],
-    )
 
 
 def _frame_shift(views: Sequence[TaughtView], placed: Sequence[TaughtView]) -> tuple[Array, Array]:
@@ -302,8 +294,7 @@ def _frame_shift(views: Sequence[TaughtView], placed: Sequence[TaughtView]) -> t
 
 def _lever_covariance(box: ObjectBox, settings: TargetSettings) -> Array:
     """Of the object's place (3, 3) [m^2]: the markers' frame is turned by print and mounting, in all views alike."""
-    x, y, z = box.centre_m
-    lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    lever = -skew(box.centre_m)
     return settings.sigma_frame_rad**2 * (lever @ lever.T)
 
 
@@ -323,3 +314,16 @@ def outline_px(camera: StereoCamera, T_cam_object: Array, size_m: Array) -> Arra
         [[-half[0], half[1], 0.0], [half[0], half[1], 0.0], [half[0], -half[1], 0.0], [-half[0], -half[1], 0.0]]
     )
     return project_stereo(camera, transform_points(T_cam_object, face))[0]
+
+
+def anchor_covariance(target: AnchoredTarget | TaughtObject, T_cam_target: Array) -> Array:
+    """Covariance (6, 6) of a target's pose in camera axes that all its looks have in common.
+
+    Model:   the first measurement's noise, turned with the target, and the scale of its surroundings: a share of all
+             distances, so it shifts the target along its place in the camera.
+    """
+    R = np.kron(np.eye(2), T_cam_target[:3, :3])
+    C = R @ target.covariance_target @ R.T
+    place = T_cam_target[:3, 3]
+    C[3:, 3:] += target.sigma_scale_frac**2 * np.outer(place, place)
+    return C

@@ -9,18 +9,17 @@ from numpy.typing import NDArray
 
 from machine.camera import project_stereo, undistort_to_rays
 from machine.description import StereoCamera
-from machine.poses import inverse_pose, pose, transform_points
+from machine.poses import inverse_pose, transform_points
 from machine.rotations import Array, geodesic_angle
-from server.targets.contracts import TargetFix, TargetSettings
+from server.targets.contracts import TargetFix, TargetSettings, no_fix
 from server.targets.stereo_match import coarse_disparity
 from server.targets.surface import SAMPLE_HALF_PX
 from server.targets.taught import Descriptors, TaughtObject, TaughtView, features
-from server.targets.tracking import AGREE_MIN_FRAC, FIX_MIN, MarksPose, align_marks, inside_image, solve_pose
+from server.targets.tracking import AGREE_MIN_FRAC, FIX_MIN, MarksPose, SearchedPair, fitted_marks, moved_on
 from server.vision.contracts import Image
 from server.vision.odometry_align import CORRELATION_MIN
-from server.vision.odometry_features import allowed_mask, inside_mask
-from server.vision.odometry_recognition import RATIO_MAX
-from server.vision.odometry_sight import flow
+from server.vision.odometry_features import RATIO_MAX, allowed_masks, clear_matches, inside_mask
+from server.vision.odometry_pose import ransac_pose
 
 NEARER_PX = 3.0  # of disparity: the alignment's basin; what lies that much before the object covers it
 RECOGNISE_EVERY = 3  # lost pairs: recognition takes as long as several pairs
@@ -29,7 +28,6 @@ RIVAL_MIN = 8  # four points make a pose; one more agrees with it by chance in a
 MOVED_MIN = 5  # one gives the shift; another one within 3 px of it by chance: 1 of 1000
 RIVAL_PX = 2.0 * PNP_PX  # farther apart, two poses place a landmark at two places
 VARIANCE_MAX = 9.0  # residuals three times what noise and landmarks explain: another geometry
-NAN = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,14 +56,14 @@ class TaughtTracker:
 
         Args:    masks_px: polygons (k, 2) [px] of the own tool in the left and the right image.
         """
-        size = (self._camera.height_px, self._camera.width_px)
-        masks = allowed_mask(size, masks_px[0]), allowed_mask(size, masks_px[1])
+        masks = allowed_masks((self._camera.height_px, self._camera.width_px), masks_px)
+        pair = SearchedPair((left, right), masks, self._camera, self._settings)
         guess = self._by_flow(left, masks[0])
         fix = self._not_seen(0)
         if guess is not None:
-            fix = self._fixed(self._nearest_view(guess), (left, right), masks, guess)
+            fix = self._fixed(pair, guess)
         if not fix.ok and self._lost % RECOGNISE_EVERY == 0:
-            fix = self._recognised((left, right), masks)
+            fix = self._recognised(pair)
         self._lost = 0 if fix.ok else self._lost + 1
         self._last = None if fix.T_cam_target is None else (left.copy(), fix.T_cam_target)
         return fix
@@ -74,13 +72,8 @@ class TaughtTracker:
         """The pose by landmarks that moved on from the last image."""
         if self._last is None:
             return None
-        image, T = self._last
-        points = self._nearest_view(T).marks.points_target
-        before = project_stereo(self._camera, transform_points(T, points))[0]
-        indices = np.flatnonzero(np.isfinite(before).all(axis=1) & inside_image(before, left.shape))
-        found = flow(image, left, before[indices])
-        good = found.good & inside_mask(mask, found.points_px)
-        solved = _pnp(self._camera, points[indices[good]], found.points_px[good])
+        view = self._nearest_view(self._last[1])
+        solved = _pnp(self._camera, *moved_on(self._camera, self._last, view.marks.points_target, left, mask))
         return None if solved is None else solved[0]
 
     def _nearest_view(self, T_cam_object: Array) -> TaughtView:
@@ -94,9 +87,9 @@ class TaughtTracker:
 
         return min(self._taught.views, key=unlike)
 
-    def _recognised(self, images: tuple[Image, Image], masks: tuple[Image, Image]) -> TargetFix:
+    def _recognised(self, pair: SearchedPair) -> TargetFix:
         """The fix from features alone, wherever the camera is."""
-        places, descriptors = features(images[0], masks[0])
+        places, descriptors = features(pair.images[0], pair.masks[0])
         found = [self._candidate(view, places, descriptors) for view in self._taught.views]
         known = [candidate for candidate in found if candidate is not None]
         if not known:
@@ -109,8 +102,8 @@ class TaughtTracker:
                 "there are two of them in view, or it is a similar one with other measures. "
                 "Cover the other one, or teach this object"
             )
-            return _refused(reason, best.inliers)
-        return self._fixed(self._nearest_view(best.T), images, masks, best.T)
+            return no_fix(reason, best.inliers)
+        return self._fixed(pair, best.T)
 
     def _candidate(self, view: TaughtView, places: Array, descriptors: Descriptors) -> _Candidate | None:
         pairs = _matched(descriptors, view.descriptors)
@@ -139,50 +132,21 @@ class TaughtTracker:
         number = int((apart > RIVAL_PX).sum())
         return max(moved, number if number >= RIVAL_MIN else 0)
 
-    def _fixed(
-        self, view: TaughtView, images: tuple[Image, Image], masks: tuple[Image, Image], guess: Array
-    ) -> TargetFix:
-        """The fix by one view's landmarks from a guess, verified."""
-        camera, T, fit, seen = self._camera, guess, None, None
-        for _ in range(2):  # the second time from the better guess
-            seen, _ = align_marks(view, view.marks, images, masks, camera, T)
-            if len(seen.indices) < FIX_MIN:
-                return self._not_seen(len(seen.indices))
-            fit = solve_pose(camera, view.marks, seen, T, self._settings)
-            T = fit.T
-        if seen is None or fit is None:
-            return self._not_seen(0)
-        missing = self._uncovered(
-            view, np.setdiff1d(np.arange(len(view.marks)), seen.indices[fit.agree]), images, masks, T
-        )
-        return self._verdict(fit, int(fit.agree.sum()) + missing)
-
-    def _uncovered(
-        self,
-        view: TaughtView,
-        missing: NDArray[np.int64],
-        images: tuple[Image, Image],
-        masks: tuple[Image, Image],
-        T: Array,
-    ) -> int:
-        """How many landmarks that were not found have nothing before them: there the object itself looks different."""
-        camera = self._camera
-        left_px, right_px = project_stereo(camera, transform_points(T, view.marks.points_target[missing]))
-        visible = inside_mask(masks[0], left_px) & inside_mask(masks[1], right_px)
-        rays, others = undistort_to_rays(camera, left_px[visible]), undistort_to_rays(camera, right_px[visible])
-        nearest = camera.fx_px * camera.baseline_m / self._settings.depth_min_m
-        covered = 0
-        for ray, expected in zip(rays, (rays[:, 0] - others[:, 0]) * camera.fx_px, strict=True):
-            found = coarse_disparity(camera, *images, ray, SAMPLE_HALF_PX, (expected - NEARER_PX, nearest))
-            covered += found.correlation > CORRELATION_MIN and found.disparity_px > expected + NEARER_PX
-        return int(visible.sum()) - covered
+    def _fixed(self, pair: SearchedPair, guess: Array) -> TargetFix:
+        """The fix from a guess by the landmarks of the view nearest to it, verified."""
+        view = self._nearest_view(guess)
+        seen, _, fit = fitted_marks(view.references, view.marks, pair, guess)
+        if fit is None:
+            return self._not_seen(len(seen.indices))
+        missing = np.setdiff1d(np.arange(len(view.marks)), seen.indices[fit.agree])
+        return self._verdict(fit, int(fit.agree.sum()) + _uncovered(view.marks.points_target[missing], pair, fit.T))
 
     def _verdict(self, fit: MarksPose, visible: int) -> TargetFix:
         n = int(fit.agree.sum())
         share, name = n / max(visible, 1), self._taught.name
         limit = AGREE_MIN_FRAC * self._taught.agree_frac
         if n < FIX_MIN or share < limit:
-            return _refused(
+            return no_fix(
                 f"object '{name}': {n} of {visible} landmarks that nothing covers are where they were taught "
                 f"({100 * share:.0f} %, limits {FIX_MIN} and {100 * limit:.0f} %); it has changed, needs light, or is "
                 "a similar one. Clean and light it, or teach this object",
@@ -190,7 +154,7 @@ class TaughtTracker:
                 share,
             )
         if fit.variance > VARIANCE_MAX:
-            return _refused(
+            return no_fix(
                 f"object '{name}': its landmarks fit {np.sqrt(fit.variance):.1f} times worse than their noise (limit "
                 f"{np.sqrt(VARIANCE_MAX):.0f}); it is a similar one with other measures, or bent. Teach this object",
                 n,
@@ -203,11 +167,21 @@ class TaughtTracker:
             f"object '{self._taught.name}': {n} of its landmarks are recognised (limit {FIX_MIN}); bring it into view, "
             "clear what covers it, or add light"
         )
-        return TargetFix(False, reason, None, None, n, NAN, NAN, seen=False)
+        return no_fix(reason, n, seen=False)
 
 
-def _refused(reason: str, n: int, share: float = NAN) -> TargetFix:
-    return TargetFix(False, reason, None, None, n, share, NAN)
+def _uncovered(points_object: Array, pair: SearchedPair, T: Array) -> int:
+    """How many landmarks that were not found have nothing before them: there the object itself looks different."""
+    camera = pair.camera
+    left_px, right_px = project_stereo(camera, transform_points(T, points_object))
+    visible = inside_mask(pair.masks[0], left_px) & inside_mask(pair.masks[1], right_px)
+    rays, others = undistort_to_rays(camera, left_px[visible]), undistort_to_rays(camera, right_px[visible])
+    nearest = camera.fx_px * camera.baseline_m / pair.settings.depth_min_m
+    covered = 0
+    for ray, expected in zip(rays, (rays[:, 0] - others[:, 0]) * camera.fx_px, strict=True):
+        found = coarse_disparity(camera, *pair.images, ray, SAMPLE_HALF_PX, (expected - NEARER_PX, nearest))
+        covered += found.correlation > CORRELATION_MIN and found.disparity_px > expected + NEARER_PX
+    return int(visible.sum()) - covered
 
 
 def _moved_alike(expected_px: Array, pixels: Array) -> int:
@@ -229,8 +203,8 @@ def _matched(seen: Descriptors, taught: Descriptors) -> NDArray[np.int64]:
     """
     if len(taught) < 2 or not len(seen):
         return np.zeros((0, 2), dtype=np.int64)
-    found = cv2.BFMatcher(cv2.NORM_L2).knnMatch(seen.astype(np.float32), taught.astype(np.float32), k=2)
-    good = [(a.distance, a.queryIdx, a.trainIdx) for a, b in found if a.distance < RATIO_MAX * b.distance]
+    found = clear_matches(seen.astype(np.float32), taught.astype(np.float32), cv2.NORM_L2, RATIO_MAX)
+    good = [(match.distance, match.queryIdx, match.trainIdx) for match in found]
     best: dict[int, tuple[float, int, int]] = {}
     for match in sorted(good):
         best.setdefault(match[2], match)
@@ -243,19 +217,8 @@ def _pnp(
     """T_cam_object by RANSAC in the left eye, and the inliers' indices; None for fewer than `least`."""
     if len(points) < least:
         return None
-    rays = undistort_to_rays(camera, pixels)
     cv2.setRNGSeed(1)
-    good, rvec, tvec, inliers = cv2.solvePnPRansac(
-        points.reshape(-1, 1, 3),
-        rays.reshape(-1, 1, 2),
-        np.eye(3),
-        None,
-        iterationsCount=500,
-        reprojectionError=PNP_PX / camera.fx_px,
-        confidence=0.999,
-        flags=cv2.SOLVEPNP_SQPNP,
-    )
-    if not good or inliers is None or len(inliers) < least or float(tvec[2, 0]) <= 0.0:
+    found = ransac_pose(points, undistort_to_rays(camera, pixels), PNP_PX / camera.fx_px, 500)
+    if found is None or len(found[1]) < least or found[0][2, 3] <= 0.0:
         return None
-    T = pose(np.asarray(cv2.Rodrigues(rvec)[0], dtype=float), np.asarray(tvec, dtype=float).reshape(3))
-    return T, np.asarray(inliers, dtype=np.int64).ravel()
+    return found

@@ -2,21 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import cv2
 import numpy as np
 
 from machine.camera import project_stereo, projection_jacobian, undistort_to_rays
 from machine.description import StereoCamera
-from machine.poses import pose, transform_points
-from machine.rotations import rotation_from_rotvec, skew
-from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetFix, TargetSettings
+from machine.poses import moved_pose, transform_points
+from machine.rotations import skew, skews
+from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetFix, TargetSettings, no_fix
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
 from server.vision.odometry_align import align
-from server.vision.odometry_features import allowed_mask, inside_mask
-from server.vision.odometry_recognition import recognise
+from server.vision.odometry_features import allowed_masks, inside_mask, recognise
+from server.vision.odometry_pose import ransac_pose
 from server.vision.odometry_sight import flow
 
 FIX_MIN = 12  # landmarks in both eyes: half of them may be wrong, and six still overdetermine the pose
@@ -30,10 +29,19 @@ AREA_MAX = 2.5  # of a patch against its reference: beyond, the images are compa
 AREA_MIN = 0.4
 LEVELS = 3
 PNP_PX = 3.0
-GUESS_MAX_PX = 3.0  # the alignment's basin
 TUKEY = 4.685
 STEPS, STEP_MIN = 8, 1e-7  # rad and m: a hundredth of what noise moves
 DEPTH_MIN_M = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class SearchedPair:
+    """A raw pair in which landmarks are looked for: grey (h, w), and 255 in the masks where they may lie."""
+
+    images: tuple[Image, Image]
+    masks: tuple[Image, Image]
+    camera: StereoCamera
+    settings: TargetSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,20 +66,6 @@ class MarksPose:
     variance: float = 1.0
 
 
-class ReferencePair(Protocol):
-    """What was kept of the images of a target: the raw grey pair (h, w) of its landmarks."""
-
-    @property
-    def reference_left(self) -> Image:
-        """Of the left eye."""
-        ...
-
-    @property
-    def reference_right(self) -> Image:
-        """Of the right eye."""
-        ...
-
-
 class TargetTracker:
     """Keeps the last image and pose of one target; each call takes the next pair."""
 
@@ -79,8 +73,8 @@ class TargetTracker:
         self._target, self._camera = target, camera
         self._settings = settings or TargetSettings()
         self._last: tuple[Image, Array] | None = (target.reference_left, target.T_ref_target)
-        size = (camera.height_px, camera.width_px)
-        self._mask_reference = _disc_mask(target, camera, self._settings, size)
+        self._size = (camera.height_px, camera.width_px)
+        self._mask_reference = _disc_mask(target, camera, self._settings, self._size)
         self._lost = 0
 
     def find(
@@ -91,14 +85,14 @@ class TargetTracker:
         Args:    masks_px: polygons (k, 2) [px] of the own tool in the left and the right image; what lies under them is
                  covered by us and counts neither for nor against the target.
         """
-        size = (self._camera.height_px, self._camera.width_px)
-        masks = allowed_mask(size, masks_px[0]), allowed_mask(size, masks_px[1])
+        masks = allowed_masks(self._size, masks_px)
+        pair = SearchedPair((left, right), masks, self._camera, self._settings)
         guess = self._by_flow(left, masks[0])
-        fix, T = self._aligned(left, right, masks, guess) if guess is not None else (_LOST, None)
+        fix, T = self._aligned(pair, guess) if guess is not None else (_LOST, None)
         if T is None and self._lost % RECOGNISE_EVERY == 0:
             guess = self._recognised(left, masks[0])
             if guess is not None:
-                fix, T = self._aligned(left, right, masks, guess)
+                fix, T = self._aligned(pair, guess)
         self._lost = 0 if T is not None else self._lost + 1
         self._last = None if T is None else (left.copy(), T)
         return fix
@@ -107,13 +101,8 @@ class TargetTracker:
         """The pose by landmarks that moved on from the last image."""
         if self._last is None:
             return None
-        image, T = self._last
-        points = self._target.surroundings.points_target
-        before = project_stereo(self._camera, transform_points(T, points))[0]
-        indices = np.flatnonzero(np.isfinite(before).all(axis=1) & inside_image(before, left.shape))
-        found = flow(image, left, before[indices])
-        good = found.good & inside_mask(mask, found.points_px)
-        return self._pnp(points[indices[good]], found.points_px[good], T)
+        points, pixels = moved_on(self._camera, self._last, self._target.surroundings.points_target, left, mask)
+        return self._pnp(points, pixels, self._last[1])
 
     def _recognised(self, left: Image, mask: Image) -> Array | None:
         """The pose by features of the reference, wherever the camera is."""
@@ -140,59 +129,29 @@ class TargetTracker:
     def _pnp(self, points: Array, pixels: Array, start: Array | None) -> Array | None:
         if len(points) < FIX_MIN:
             return None
-        rays = undistort_to_rays(self._camera, pixels)
-        rvec, tvec = (
-            (None, None) if start is None else (cv2.Rodrigues(start[:3, :3])[0], start[:3, 3].reshape(3, 1).copy())
-        )
-        good, rvec, tvec, inliers = cv2.solvePnPRansac(
-            points.reshape(-1, 1, 3),
-            rays.reshape(-1, 1, 2),
-            np.eye(3),
-            None,
-            rvec,
-            tvec,
-            useExtrinsicGuess=start is not None,
-            iterationsCount=200,
-            reprojectionError=PNP_PX / self._camera.fx_px,
-            confidence=0.999,
-            flags=cv2.SOLVEPNP_ITERATIVE,
-        )
-        if not good or inliers is None or len(inliers) < FIX_MIN:
-            return None
-        return pose(np.asarray(cv2.Rodrigues(rvec)[0], dtype=float), np.asarray(tvec, dtype=float).reshape(3))
+        rays, limit = undistort_to_rays(self._camera, pixels), PNP_PX / self._camera.fx_px
+        found = ransac_pose(points, rays, limit, 200, cv2.SOLVEPNP_ITERATIVE, start)
+        return None if found is None or len(found[1]) < FIX_MIN else found[0]
 
-    def _aligned(
-        self, left: Image, right: Image, masks: tuple[Image, Image], guess: Array
-    ) -> tuple[TargetFix, Array | None]:
+    def _aligned(self, pair: SearchedPair, guess: Array) -> tuple[TargetFix, Array | None]:
         """The fix from a guess; the pose None where the surroundings were not found."""
-        target, camera = self._target, self._camera
-        T, seen, fit, visible = guess, None, None, 0
-        for _ in range(2):  # the second time from the better guess
-            seen, visible = align_marks(target, target.surroundings, (left, right), masks, camera, T)
-            if len(seen.indices) < FIX_MIN:
-                return not_found(len(seen.indices), visible), None
-            fit = solve_pose(camera, target.surroundings, seen, T, self._settings)
-            T = fit.T
-        if seen is None or fit is None:
-            return _LOST, None
+        target = self._target
+        seen, visible, fit = fitted_marks(target.references, target.surroundings, pair, guess)
+        if fit is None:
+            return not_found(len(seen.indices), visible), None
         n = int(fit.agree.sum())
         if n < FIX_MIN or n < FOUND_MIN_FRAC * visible:
             return not_found(n, visible), None
-        agree, problem = _patch_verdict(target, (left, right), masks, camera, fit, self._settings)
+        agree, problem = _patch_verdict(target, pair, fit)
         if problem:
-            return TargetFix(False, problem, None, None, n, agree, fit.residual_px), fit.T
+            return no_fix(problem, n, agree, fit.residual_px), fit.T
         return TargetFix(True, "", fit.T, fit.covariance, n, agree, fit.residual_px), fit.T
 
 
 RECOGNISE_EVERY = 3  # lost pairs: recognition takes as long as two pairs
-_LOST = TargetFix(
-    False,
+_LOST = no_fix(
     "target: its surroundings are not recognised in the left eye; bring it into view, or clear what covers it",
-    None,
-    None,
     0,
-    float("nan"),
-    float("nan"),
     seen=False,
 )
 
@@ -203,7 +162,7 @@ def not_found(n: int, visible: int) -> TargetFix:
         f"target: {n} of {visible} visible landmarks found in both eyes (limits {FIX_MIN} and "
         f"{100 * FOUND_MIN_FRAC:.0f} %); clear the view, restore the light, or choose the target again"
     )
-    return TargetFix(False, reason, None, None, n, float("nan"), float("nan"), seen=False)
+    return no_fix(reason, n, seen=False)
 
 
 def _quadratic(rays: Array) -> Array:
@@ -211,9 +170,17 @@ def _quadratic(rays: Array) -> Array:
     return np.column_stack([np.ones(len(rays)), x, y, x * x, x * y, y * y])
 
 
-def inside_image(pixels: Array, shape: tuple[int, ...]) -> BoolArray:
-    """Which pixels (n, 2) lie in an image of that shape."""
-    return np.asarray((pixels >= 0.0).all(axis=1) & (pixels < [shape[1], shape[0]]).all(axis=1))
+def moved_on(
+    camera: StereoCamera, last: tuple[Image, Array], points_target: Array, left: Image, mask: Image
+) -> tuple[Array, Array]:
+    """Those of the points (n, 3) that flow from the last image and its pose finds in this one, and their pixels."""
+    image, T = last
+    before = project_stereo(camera, transform_points(T, points_target))[0]
+    inside = (before >= 0.0).all(axis=1) & (before < [left.shape[1], left.shape[0]]).all(axis=1)
+    indices = np.flatnonzero(np.isfinite(before).all(axis=1) & inside)
+    found = flow(image, left, before[indices])
+    good = found.good & inside_mask(mask, found.points_px)
+    return points_target[indices[good]], found.points_px[good]
 
 
 def _disc_mask(target: AnchoredTarget, camera: StereoCamera, settings: TargetSettings, size: tuple[int, int]) -> Image:
@@ -225,26 +192,21 @@ def _disc_mask(target: AnchoredTarget, camera: StereoCamera, settings: TargetSet
 
 
 def align_marks(
-    target: ReferencePair,
-    marks: Landmarks,
-    images: tuple[Image, Image],
-    masks: tuple[Image, Image],
-    camera: StereoCamera,
-    T: Array,
+    references: tuple[Image, Image], marks: Landmarks, pair: SearchedPair, T: Array
 ) -> tuple[SeenMarks, int]:
-    """Landmarks found in both eyes, and how many should be visible at this pose.
+    """Landmarks found in both eyes, and how many should be visible at this pose; `references`: the pair they are of.
 
     Where the reference is magnified by more than the alignment allows, the new images are halved: their places are then
     good to 0.1 px instead of 0.05, at a range where a pixel is that much smaller.
     """
-    points = transform_points(T, marks.points_target)
+    camera, points = pair.camera, transform_points(T, marks.points_target)
     with np.errstate(invalid="ignore", divide="ignore"):
         left_px, right_px = project_stereo(camera, points)
         sides = [project_stereo(camera, transform_points(T, marks.support_target[:, k]))[0] - left_px for k in range(2)]
     growth = np.stack(sides, axis=2)  # d(new px) / d(reference px)
     area = growth[:, 0, 0] * growth[:, 1, 1] - growth[:, 0, 1] * growth[:, 1, 0]
     known = (points[:, 2] > DEPTH_MIN_M) & np.isfinite(area) & np.isfinite(right_px).all(axis=1)
-    known[known] = inside_mask(masks[0], left_px[known]) & inside_mask(masks[1], right_px[known])
+    known[known] = inside_mask(pair.masks[0], left_px[known]) & inside_mask(pair.masks[1], right_px[known])
     known &= area > AREA_MIN
     if not known.any():
         return SeenMarks(np.zeros(0, dtype=np.int64), np.zeros((0, 4))), 0
@@ -256,13 +218,25 @@ def align_marks(
         return SeenMarks(indices, np.zeros((0, 4))), 0
     warps = np.asarray(np.linalg.inv(growth[indices] * scale), dtype=np.float64)
     found = []
-    references = (target.reference_left, target.reference_right)
     for eye, places, guesses in ((0, marks.left_px, left_px), (1, marks.right_px, right_px)):
-        small = _halved(images[eye], level)
+        small = _halved(pair.images[eye], level)
         at = align(references[eye], places[indices], warps, small, (guesses[indices] + 0.5) * scale - 0.5)
         found.append(((at.points_px + 0.5) / scale - 0.5, at.good))
     good = found[0][1] & found[1][1]
     return SeenMarks(indices[good], np.hstack([found[0][0][good], found[1][0][good]])), len(indices)
+
+
+def fitted_marks(
+    references: tuple[Image, Image], marks: Landmarks, pair: SearchedPair, guess: Array
+) -> tuple[SeenMarks, int, MarksPose | None]:
+    """`align_marks` and the pose by them, twice: the second time from the better guess; None for too few landmarks."""
+
+    def fitted(T: Array) -> tuple[SeenMarks, int, MarksPose | None]:
+        seen, visible = align_marks(references, marks, pair, T)
+        return seen, visible, solve_pose(pair, marks, seen, T) if len(seen.indices) >= FIX_MIN else None
+
+    first = fitted(guess)
+    return first if first[2] is None else fitted(first[2].T)
 
 
 def _halved(image: Image, level: int) -> Image:
@@ -273,25 +247,23 @@ def _halved(image: Image, level: int) -> Image:
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def solve_pose(
-    camera: StereoCamera, marks: Landmarks, seen: SeenMarks, start: Array, settings: TargetSettings
-) -> MarksPose:
+def solve_pose(pair: SearchedPair, marks: Landmarks, seen: SeenMarks, start: Array) -> MarksPose:
     """Pose by iteratively reweighted least squares over both eyes.
 
     Model:   residual (4,) = projection in both eyes minus seen, raw px; covariance sigma^2 I + J C J^T, with the
              landmark's own covariance C; Tukey's biweight on the whitened norm, its scale from the median.
     Returns: MarksPose with the covariance of noise and landmarks, larger where the residuals say so.
     """
-    points, C = marks.points_target[seen.indices], marks.covariances_target[seen.indices]
+    camera, points, C = pair.camera, marks.points_target[seen.indices], marks.covariances_target[seen.indices]
     T, shift = start, np.array([camera.baseline_m, 0.0, 0.0])
     weights, white, J = np.ones(len(points)), np.zeros((len(points), 4)), np.zeros((len(points), 4, 6))
     for _ in range(STEPS):
         cam = transform_points(T, points)
         both = [projection_jacobian(camera, cam), projection_jacobian(camera, cam - shift)]
         J_point = np.concatenate(both, axis=1)
-        turned = _turned(cam - T[:3, 3])
+        turned = -skews(cam - T[:3, 3])
         R = T[:3, :3]
-        noise = settings.sigma_px**2 * np.eye(4) + J_point @ (R @ C @ R.T) @ J_point.transpose(0, 2, 1)
+        noise = pair.settings.sigma_px**2 * np.eye(4) + J_point @ (R @ C @ R.T) @ J_point.transpose(0, 2, 1)
         root = np.linalg.inv(np.linalg.cholesky(noise))
         residual = np.hstack(project_stereo(camera, cam)) - seen.pixels
         white = np.einsum("nij,nj->ni", root, residual)
@@ -301,7 +273,7 @@ def solve_pose(
         weights = np.clip(1.0 - (norm / (TUKEY * spread)) ** 2, 0.0, None) ** 2
         information = np.einsum("n,nki,nkj->ij", weights, J, J) + 1e-12 * np.eye(6)
         step = -np.linalg.solve(information, np.einsum("n,nki,nk->i", weights, J, white))
-        T = pose(rotation_from_rotvec(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
+        T = moved_pose(T, step)
         if float(np.abs(step).max()) < STEP_MIN:
             break
     agree = weights > 0.05
@@ -313,53 +285,21 @@ def solve_pose(
     return MarksPose(T, 0.5 * (covariance + covariance.T), agree, rms, variance)
 
 
-def _turned(arms: Array) -> Array:
-    """d(exp(w) arm)/dw (n, 3, 3) of arms (n, 3)."""
-    x, y, z = arms.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
-
-
-def _patch_verdict(
-    target: AnchoredTarget,
-    images: tuple[Image, Image],
-    masks: tuple[Image, Image],
-    camera: StereoCamera,
-    fit: MarksPose,
-    settings: TargetSettings,
-) -> tuple[float, str]:
+def _patch_verdict(target: AnchoredTarget, pair: SearchedPair, fit: MarksPose) -> tuple[float, str]:
     """Share of the visible patch that agrees with its surroundings, and why the target must not be used, if so.
 
     The middle of the patch is judged first, by itself: an object smaller than the patch may lie on it or have moved.
     """
-    for marks in (_middle_of(target.surface), target.surface):
-        share, problem = _marks_verdict(target, marks, images, masks, camera, fit, settings)
+    near = np.linalg.norm(target.surface.points_target, axis=1) <= MIDDLE_M
+    for marks in (target.surface.some(near), target.surface):
+        share, problem = _marks_verdict(target, marks, pair, fit)
         if problem:
             return share, problem
     return share, ""
 
 
-def _middle_of(marks: Landmarks) -> Landmarks:
-    near = np.linalg.norm(marks.points_target, axis=1) <= MIDDLE_M
-    return Landmarks(
-        marks.left_px[near],
-        marks.right_px[near],
-        marks.points_target[near],
-        marks.covariances_target[near],
-        marks.support_target[near],
-    )
-
-
-def _marks_verdict(
-    target: AnchoredTarget,
-    marks: Landmarks,
-    images: tuple[Image, Image],
-    masks: tuple[Image, Image],
-    camera: StereoCamera,
-    fit: MarksPose,
-    settings: TargetSettings,
-) -> tuple[float, str]:
-    seen, visible = align_marks(target, marks, images, masks, camera, fit.T)
+def _marks_verdict(target: AnchoredTarget, marks: Landmarks, pair: SearchedPair, fit: MarksPose) -> tuple[float, str]:
+    seen, visible = align_marks(target.references, marks, pair, fit.T)
     if visible < VISIBLE_MIN:
         return float("nan"), ""  # under our own tool; the surroundings speak for it
     share = len(seen.indices) / visible
@@ -369,7 +309,7 @@ def _marks_verdict(
             "it is covered, has moved or has changed. Clear it, or choose the target again"
         )
         return share, reason
-    own = solve_pose(camera, marks, seen, fit.T, settings)
+    own = solve_pose(pair, marks, seen, fit.T)
     middle = marks.points_target[seen.indices].mean(axis=0)
     moved = transform_points(own.T, middle[None])[0] - transform_points(fit.T, middle[None])[0]
     sigma = _sigma_at(own, fit, middle) + np.sqrt(target.covariance_target[5, 5]) * np.abs(fit.T[:3, 2])

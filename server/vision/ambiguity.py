@@ -1,13 +1,14 @@
-"""The other orientation of a planar target: where it is, and how much worse it fits."""
+"""The other orientation of a planar target: where it is, how much worse it fits, and what the last moments say."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
-from machine.rotations import rotvec_from_rotation
-from server.vision.contracts import Array
-from server.vision.pose_refinement import PointObservations, kernel_arrays, sum_squares
+from machine.poses import pose_difference
+from server.vision.contracts import Array, ObjectPose, PoseStatus
+from server.vision.pose_refinement import Given, PointObservations, kernel_arrays, sum_squares
 from server.vision.small_algebra import apply, rotated, solve_positive
 
 PROFILE_STEPS = 6
@@ -57,18 +58,16 @@ def covariance_of_both(T_best: Array, T_rival: Array, margin_chi2: float, covari
 
     Model:   C + w d d^T, d the rival's deviation from the best, w = 1 / (1 + exp(margin / 2)) its probability.
     """
-    turn = rotvec_from_rotation(T_rival[:3, :3] @ T_best[:3, :3].T)
-    apart = np.concatenate([turn, T_rival[:3, 3] - T_best[:3, 3]])
+    apart = pose_difference(T_best, T_rival)
     return covariance + np.outer(apart, apart) / (1.0 + np.exp(0.5 * margin_chi2))
 
 
 @njit(cache=True, nogil=True)
-def _profile(
-    rotation: Array, position: Array, points: Array, seen: Array, eye_x: Array, focal: Array, weights: Array
-) -> float:
+def _profile(rotation: Array, position: Array, given: Given) -> float:
     """Smallest sum of squares [px^2] over all positions for one rotation, Gauss-Newton; inf behind the glass."""
+    points, seen, eye_x, focal, weights = given
     place = position.copy()
-    total = sum_squares(rotation, place, points, seen, eye_x, focal, weights)
+    total = sum_squares(rotation, place, given)
     A, g = np.empty((3, 3)), np.empty(3)
     row, col = np.empty(3), np.empty(3)
     for _ in range(PROFILE_STEPS):
@@ -93,7 +92,7 @@ def _profile(
                 for k in range(3):
                     A[j, k] += row[j] * row[k] + col[j] * col[k]
         new_place = place + solve_positive(A, -g)
-        new_total = sum_squares(rotation, new_place, points, seen, eye_x, focal, weights)
+        new_total = sum_squares(rotation, new_place, given)
         if not new_total < total:
             break
         done = total - new_total < 1e-6 * total
@@ -109,28 +108,15 @@ def profile_sum_squares(T_cam_object: Array, observations: PointObservations) ->
     Model:   min over t of sum |pi(R X + t) - u|^2, Gauss-Newton in t.
     """
     rotation, position = np.ascontiguousarray(T_cam_object[:3, :3]), np.ascontiguousarray(T_cam_object[:3, 3])
-    return float(_profile(rotation, position, *kernel_arrays(observations)))
+    return float(_profile(rotation, position, kernel_arrays(observations)))
 
 
 @njit(cache=True, nogil=True)
-def _reach(
-    rotation: Array,
-    position: Array,
-    step: Array,
-    rise: float,
-    best: float,
-    points: Array,
-    seen: Array,
-    eye_x: Array,
-    focal: Array,
-    weights: Array,
-) -> float:
+def _reach(rotation: Array, position: Array, step: Array, rise: float, best: float, given: Given) -> float:
     """How many times `step` (6,) must be taken until the profile has risen by `rise` [px^2]; 0.25 to 6."""
     low, high, at, found = 0.0, np.inf, 1.0, 1.0
     for _ in range(REACH_STEPS):
-        total = _profile(
-            rotated(rotation, at * step[:3]), position + at * step[3:], points, seen, eye_x, focal, weights
-        )
+        total = _profile(rotated(rotation, at * step[:3]), position + at * step[3:], given)
         found = at
         ratio = (total - best) / rise
         if abs(ratio - 1.0) < 0.1:
@@ -149,17 +135,7 @@ def _reach(
 
 
 @njit(cache=True, nogil=True)
-def _widen(
-    T: Array,
-    covariance: Array,
-    variance: float,
-    best: float,
-    points: Array,
-    seen: Array,
-    eye_x: Array,
-    focal: Array,
-    weights: Array,
-) -> Array:
+def _widen(T: Array, covariance: Array, variance: float, best: float, given: Given) -> Array:
     rotation, position = T[:3, :3].copy(), T[:3, 3].copy()
     axes = np.linalg.eigh(covariance[:3, :3])[1]
     wide = covariance.copy()
@@ -173,8 +149,8 @@ def _widen(
             own += along[j] * axes[j, k]
         step = REACH_SIGMAS * along / math.sqrt(own)  # the best fit's way when this angle is moved by so many sigma
         rise = REACH_SIGMAS**2 * variance
-        there = _reach(rotation, position, step, rise, best, points, seen, eye_x, focal, weights)
-        back = _reach(rotation, position, -step, rise, best, points, seen, eye_x, focal, weights)
+        there = _reach(rotation, position, step, rise, best, given)
+        back = _reach(rotation, position, -step, rise, best, given)
         grown = max(there, back, 1.0) ** 2 - 1.0
         for i in range(6):
             for j in range(6):
@@ -203,13 +179,12 @@ def widened_covariance(
     Source:  Venzon and Moolgavkar 1988, profile likelihood intervals.
     """
     T = np.ascontiguousarray(T_cam_object, dtype=np.float64)
-    wide = _widen(T, np.ascontiguousarray(covariance), variance, best_px2, *kernel_arrays(observations))
+    wide = _widen(T, np.ascontiguousarray(covariance), variance, best_px2, kernel_arrays(observations))
     for share in (1.0, 0.5) if alone else ():
         other = mirrored_pose(T, observations.points_object, observations.eye_x_m, share)
         rise = (profile_sum_squares(other, observations) - best_px2) / variance
         if rise < RISE_MAX:
-            apart = np.concatenate([rotvec_from_rotation(other[:3, :3] @ T[:3, :3].T), other[:3, 3] - T[:3, 3]])
-            wide = _at_most(wide, apart, max(rise, 1.0))
+            wide = _at_most(wide, pose_difference(T, other), max(rise, 1.0))
     return wide
 
 
@@ -220,3 +195,45 @@ def _at_most(covariance: Array, apart: Array, chi2: float) -> Array:
     if claimed <= chi2:
         return covariance
     return covariance + (1.0 / chi2 - 1.0 / claimed) * np.outer(apart, apart)
+
+
+AGE_MAX_S = 0.5
+PLAUSIBLE_CHI2 = 16.8  # 6 degrees of freedom, 99 %
+
+
+@dataclass(frozen=True, slots=True)
+class PosePrior:
+    """Where the object was in the camera a moment ago, by images alone.
+
+    T_cam_object (4, 4); covariance (6, 6) rotation vector [rad], translation [m]; age_s: how long ago.
+    """
+
+    T_cam_object: Array
+    covariance: Array
+    age_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """One sigma of how fast the object may move and turn against the camera."""
+
+    speed_m_s: float = 0.15
+    turn_rate_rad_s: float = 0.15
+
+
+def prior_from(found: ObjectPose, age_s: float) -> PosePrior | None:
+    """The prior that a pose of an earlier pair makes; None where it may not count.
+
+    A pose with a reason (ambiguous, or chosen by time) makes none: otherwise a wrong choice would pass itself on.
+    """
+    if found.T_cam_object is None or found.covariance is None:
+        return None
+    ambiguous = found.status is not PoseStatus.OK or found.reason != ""
+    return None if ambiguous else PosePrior(found.T_cam_object, found.covariance, age_s)
+
+
+def chi2_to_prior(T_cam_object: Array, covariance: Array, prior: PosePrior, limits: MotionLimits) -> float:
+    """How many chi2 (6 degrees of freedom) a pose lies from the prior, plausible motion allowed for."""
+    apart = pose_difference(prior.T_cam_object, T_cam_object)
+    motion = np.repeat([limits.turn_rate_rad_s * prior.age_s, limits.speed_m_s * prior.age_s], 3)
+    return float(apart @ np.linalg.solve(covariance + prior.covariance + np.diag(motion**2), apart))

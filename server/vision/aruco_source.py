@@ -1,30 +1,107 @@
-"""Tool and OOI from ArUco or AprilTag markers in both eyes: one implementation of ObjectPoseSource."""
+"""Tool and OOI from ArUco or AprilTag markers: by both eyes, and by the left eye alone as in the paper."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
 
 from machine.boards import board_marker_ids
+from machine.camera import undistort_to_rays
 from machine.description import Board, Machine, Marker
-from server.vision.ambiguity_time import prior_from
+from machine.poses import inverse_pose, pose
+from server.vision.ambiguity import prior_from
+from server.vision.border_fit import border_covered, printed_pattern, sides_without_margin
 from server.vision.charuco import board_sighting, why_no_corner
-from server.vision.contracts import NO_WHITE_MARGIN, Array, Image, MarkerView, ObjectPose, PairObservation
+from server.vision.charuco_saddle import fit_saddles
+from server.vision.contracts import NO_WHITE_MARGIN, Array, Image, MarkerView, ObjectPose, PairObservation, PoseStatus
 from server.vision.detection import DetectionSettings, EyeDetection, EyeDetector
-from server.vision.mono_aruco import MonoArucoPoseSource
+from server.vision.edge_fit import fit_corners
+from server.vision.errors import NoMarkersError
+from server.vision.marker_search import wrong_cells
 from server.vision.object_pose import (
+    NO_RIVAL,
     ObjectName,
-    PointSighting,
     PoseSettings,
     estimate_object_pose,
     not_seen,
     rig_contradiction,
 )
-from server.vision.sightings import detect_safely, image_problem, markers_by_object, sightings_of
-from server.vision.warm_up import warm_up_boards, warm_up_markers
+from server.vision.planar_pose import planar_poses
+from server.vision.pose_problem import PointSighting, Sighting
+from server.vision.pose_refinement import PointObservations, distinct_minima
 
-__all__ = ["ArucoPoseSource", "ArucoSettings", "MonoArucoPoseSource"]
+BLACK_MEAN_GREY = 4.0
+SATURATED_FRAC = 0.5
+NOTHING = EyeDetection({}, {}, frozenset(), full_search=False)
 
 
-# The ChArUco boards of a machine in one pair: their corners as sightings, or why there are none.
+def markers_by_object(machine: Machine) -> dict[ObjectName, tuple[Marker, ...]]:
+    """The machine's markers by what they sit on.
+
+    Raises: NoMarkersError when tool or OOI has none.
+    """
+    found: dict[ObjectName, tuple[Marker, ...]] = {"tool": machine.markers_on("tool"), "ooi": machine.markers_on("ooi")}
+    for name, markers in found.items():
+        if not markers and not machine.boards_on(name):
+            raise NoMarkersError(
+                f"machine '{machine.name}' has no marker on the {name}; add a [[markers.marker]] or [[markers.board]]"
+            )
+    return found
+
+
+def image_problem(name: str, image: Image) -> str:
+    """Why an eye's image cannot show anything; empty when it can."""
+    if image.ndim != 2 or image.dtype != np.uint8 or image.size == 0:
+        return f"{name} image is {image.shape} {image.dtype}, not a grey 8-bit picture; check the camera source"
+    thumb = image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)]
+    if float(thumb.mean()) < BLACK_MEAN_GREY:
+        return f"{name} image is black; check lens cap, light and exposure"
+    if float((thumb >= 254).mean()) > SATURATED_FRAC:
+        return f"{name} image is saturated; reduce exposure or light"
+    return ""
+
+
+def sightings_of(markers: Iterable[Marker], left: dict[int, Array], right: dict[int, Array]) -> tuple[Sighting, ...]:
+    """The markers that at least one eye sees."""
+    return tuple(
+        Sighting(marker, left.get(marker.marker_id), right.get(marker.marker_id))
+        for marker in markers
+        if marker.marker_id in left or marker.marker_id in right
+    )
+
+
+def detect_safely(detector: EyeDetector, image: Image) -> EyeDetection:
+    """Markers in one image of any kind: what cannot be searched shows none."""
+    if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape, default=0) == 0:
+        return NOTHING
+    try:
+        return detector.detect(image)
+    except cv2.error:  # a shape OpenCV cannot search shows no marker
+        return NOTHING
+
+
+def warm_up_markers() -> None:
+    """Run the marker kernels on a drawn square."""
+    image = np.full((64, 64), 220, np.uint8)
+    image[16:48, 16:48] = 20
+    square = np.array([[16.0, 16.0], [47.0, 16.0], [47.0, 47.0], [16.0, 47.0]])
+    fit_corners(image, square, 6, np.zeros(4))
+    wrong_cells(image, square, np.zeros((6, 6), dtype=np.bool_))
+    border_covered(image, square, printed_pattern(np.eye(6, dtype=np.bool_)))
+    sides_without_margin(image, square, np.eye(6, dtype=np.bool_))
+    points = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
+    start = pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 5.0]))
+    seen = PointObservations(points, 100.0 * points[:, :2], np.zeros(4), np.array([500.0, 500.0]))
+    distinct_minima(start[None], seen, 0.01)
+
+
+def warm_up_boards() -> None:
+    """Run the chess corner kernel on a drawn corner."""
+    image = np.full((64, 64), 220, np.uint8)
+    image[:32, :32] = image[32:, 32:] = 20
+    fit_saddles(image, np.full((1, 2), 31.5), 16.0 * np.eye(2)[None], np.ones(1, dtype=np.bool_), 0.2)
+
 
 Decoded = tuple[Mapping[int, Array], Mapping[int, Array]]
 
@@ -164,3 +241,68 @@ def _unused_views(found: tuple[EyeDetection, EyeDetection], known: set[int]) -> 
         reason = f"marker id {number} is visible at two places; cover or remove one"
         views[number] = MarkerView(number, None, None, float("nan"), False, reason)
     return list(views.values())
+
+
+MONO_SIGMA_PX = 0.5  # of unrefined corners
+
+
+class MonoArucoPoseSource:
+    """OpenCV's single-shot monocular pose per object; kept to show what the paper's method sees."""
+
+    def __init__(self, machine: Machine, settings: DetectionSettings | None = None) -> None:
+        self._camera = machine.camera
+        self._markers = markers_by_object(machine)
+        wanted = frozenset(marker.marker_id for marker in machine.markers)
+        unrefined = replace(settings or DetectionSettings(), refine=False, full_search_every=1)
+        self._left = EyeDetector(machine.camera, machine.dictionary, wanted, unrefined)
+
+    def observe(self, left: Image, right: Image, t_exposure_ns: int) -> PairObservation:
+        """Poses from the left image; the right one is not looked at."""
+        problem = image_problem("left", left)
+        seen = detect_safely(self._left, left).markers
+        tool, ooi = (self._pose(name, seen) for name in ("tool", "ooi"))
+        used = {*tool.marker_ids, *ooi.marker_ids}
+        views = tuple(
+            MarkerView(
+                marker_id,
+                corners,
+                None,
+                float("nan"),
+                marker_id in used,
+                "" if marker_id in used else "one marker is enough here",
+            )
+            for marker_id, corners in sorted(seen.items())
+        )
+        return PairObservation(t_exposure_ns, tool, ooi, views, (problem,) if problem else ())
+
+    def _pose(self, name: ObjectName, seen: dict[int, Array]) -> ObjectPose:
+        """Pose by the object's largest marker in the image, first IPPE solution taken as true."""
+        sightings = sightings_of(self._markers[name], seen, {})
+        best = max(sightings, key=lambda one: _area(one.left_px), default=None)
+        if best is None or best.left_px is None:
+            return not_seen(name, f"no marker of the {name} in the left eye")
+        marker = best.marker
+        solutions = planar_poses(undistort_to_rays(self._camera, best.left_px), marker.side_m)
+        if not solutions:
+            return not_seen(name, f"marker {marker.marker_id} of the {name} allows no planar pose")
+        T_cam_object = solutions[0] @ inverse_pose(marker.T_on_marker)
+        covariance = _rough_covariance(T_cam_object, marker.side_m, self._camera.fx_px)
+        ids = (marker.marker_id,)
+        return ObjectPose(name, PoseStatus.OK, "", T_cam_object, covariance, ids, float("nan"), NO_RIVAL)
+
+
+def _area(corners: Array | None) -> float:
+    if corners is None:
+        return 0.0
+    x, y = corners[:, 0], corners[:, 1]
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def _rough_covariance(T_cam_object: Array, side_m: float, focal_px: float) -> Array:
+    """Rules of thumb for a frontal marker: lateral s z/(2 f), range 0.75 s z^2/(f a), tilt 1.9 s z^2/(f a^2)."""
+    z = float(T_cam_object[2, 3])
+    lateral = MONO_SIGMA_PX * z / (2.0 * focal_px)
+    along = 0.75 * MONO_SIGMA_PX * z * z / (focal_px * side_m)
+    tilt = 1.9 * MONO_SIGMA_PX * z * z / (focal_px * side_m**2)
+    roll = MONO_SIGMA_PX * z / (focal_px * side_m)
+    return np.diag(np.square([tilt, tilt, roll, lateral, lateral, along]))

@@ -1,11 +1,10 @@
-"""Windowed stereo bundle adjustment: frames, points and rigid groups moved together until the rays fit best."""
+"""Windowed stereo bundle adjustment: frames and points moved together until the rays fit best."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from server.vision.bundle_contracts import (
-    BundleInputError,
     BundleLayout,
     BundleLoss,
     BundleProblem,
@@ -15,7 +14,6 @@ from server.vision.bundle_contracts import (
     BundleStatus,
     BundleWork,
     Indices,
-    RigidGroup,
     check_shapes,
     make_layout,
     make_work,
@@ -23,38 +21,21 @@ from server.vision.bundle_contracts import (
 from server.vision.bundle_covariance import (
     CONVERGED,
     NOT_FINITE,
-    UNOBSERVED_M2,
     Fit,
     Spread,
-    bodies_spread,
     fit_of,
+    frames_spread,
     minimise,
     noise_of,
-    points_spread,
     seen_counts,
-    total_cost,
 )
-from server.vision.bundle_residuals import HUBER, drop_behind, linearise
+from server.vision.bundle_residuals import HUBER, drop_behind, linearise, observations_cost
 from server.vision.contracts import Array
-
-__all__ = [
-    "BundleInputError",
-    "BundleLoss",
-    "BundleProblem",
-    "BundleResult",
-    "BundleSettings",
-    "BundleStatus",
-    "RigidGroup",
-    "adjust_bundle",
-]
 
 UNKNOWN_COVARIANCE = np.diag([np.pi**2] * 3 + [1e6] * 3)
 
 
-# Whether the numbers of a bundle problem can be adjusted at all; shapes are checked in `bundle_layout`.
-
 ROTATION_TOL = 1e-6
-SYMMETRY_TOL = 1e-9
 SIZE_MAX = 1e9  # m, px or rays: beyond, squares lose their digits
 
 
@@ -62,7 +43,7 @@ def why_degenerate(problem: BundleProblem, layout: BundleLayout, start: BundleSt
     """A reason why nothing can be adjusted, or an empty string."""
     if len(problem.Ts_vo_cam) == 0 or len(problem.frames) == 0:
         return f"{len(problem.Ts_vo_cam)} frames and {len(problem.frames)} observations; there is nothing to adjust"
-    return _bad_numbers(problem, layout, start) or _bad_priors(layout) or _bad_structure(problem, layout)
+    return _bad_numbers(problem, layout, start) or _bad_structure(layout)
 
 
 def _bad_numbers(problem: BundleProblem, layout: BundleLayout, start: BundleState) -> str:
@@ -72,7 +53,7 @@ def _bad_numbers(problem: BundleProblem, layout: BundleLayout, start: BundleStat
     if (off > ROTATION_TOL).any() or (np.linalg.det(start.rotation) < 0.0).any():
         return f"start pose {int(off.argmax())} is not a rotation (off by {off.max():.1e})"
     observed = np.diff(layout.first) > 0
-    if not _sane(start.points[observed]) or not _sane(layout.in_body):
+    if not _sane(start.points[observed]):
         return "the place of an observed point is not finite"
     if not _sane(layout.rays):
         return "a ray is infinite"
@@ -90,99 +71,65 @@ def _sane(array: Array) -> bool:
     return bool((np.abs(array) < SIZE_MAX).all())
 
 
-def _bad_priors(layout: BundleLayout) -> str:
-    for body in np.flatnonzero(layout.has_prior):
-        own = layout.information[body]
-        if not np.isfinite(own).all():
-            return f"the information on body {body} is not finite"
-        size = np.abs(own).max()
-        if np.abs(own - own.T).max() > SYMMETRY_TOL * size or np.linalg.eigvalsh(own).min() < -SYMMETRY_TOL * size:
-            return f"the information on body {body} is not symmetric and positive"
-    return ""
-
-
-def _bad_structure(problem: BundleProblem, layout: BundleLayout) -> str:
-    held = (layout.column < 0).any() or layout.has_prior.any()
-    if not held and not (problem.fixed_points is not None and problem.fixed_points.any()):
-        return "no frame, group or point is fixed and no prior is given: everything could move together"
-    bodies = len(layout.column)
-    seen = np.zeros(bodies, dtype=bool)
+def _bad_structure(layout: BundleLayout) -> str:
+    if not (layout.column < 0).any():
+        return "no frame is fixed: everything could move together"
+    seen = np.zeros(len(layout.column), dtype=bool)
     seen[layout.frame[layout.alive]] = True
-    body = np.repeat(layout.body, np.diff(layout.first))[layout.alive]
-    seen[body[body >= 0]] = True
-    lonely = np.flatnonzero(~seen & (layout.column >= 0) & ~layout.has_prior)
-    if len(lonely):
-        return f"{_named(int(lonely[0]), len(problem.Ts_vo_cam))} has no observation and no prior"
-    return ""
+    lonely = np.flatnonzero(~seen & (layout.column >= 0))
+    return f"frame {int(lonely[0])} has no observation" if len(lonely) else ""
 
-
-def _named(body: int, n_frames: int) -> str:
-    return f"frame {body}" if body < n_frames else f"group {body - n_frames}"
-
-
-# Whether an adjusted bundle is believed.
 
 OWN_MIN = 1e-10  # share of an unknown's information that must be its own; rounding leaves about 1e-14 of a gauge
 
 
 def why_not_believed(
-    layout: BundleLayout,
-    work: BundleWork,
-    spread: Spread,
-    fit: Fit,
-    seen: Indices,
-    n_frames: int,
-    settings: BundleSettings,
+    layout: BundleLayout, work: BundleWork, spread: Spread, fit: Fit, seen: Indices, settings: BundleSettings
 ) -> str:
     """A reason why the optimum says nothing about the poses, or an empty string."""
     if fit.redundancy <= 0:
         return f"{-fit.redundancy} measurements too few for the unknowns"
     if not np.isfinite(spread.covariance).all() or (spread.own_frac < OWN_MIN).any():
         weakest = int(spread.own_frac.argmin()) // 6
-        return f"{_name(layout, weakest, n_frames)} is not determined by its observations"
+        return f"{_name(layout, weakest)} is not determined by its observations"
+    n_frames = len(layout.column)
     wanted = np.bincount(layout.frame, (seen > 0).sum(axis=1), minlength=n_frames)
     agreed = np.bincount(layout.frame, fit.agree.sum(axis=1), minlength=n_frames)
     share = np.where(wanted > 0, agreed / np.maximum(wanted, 1), 1.0)
-    share[layout.column[:n_frames] < 0] = 1.0
+    share[layout.column < 0] = 1.0
     worst = int(share.argmin())
     if share[worst] < settings.inliers_min_frac:
         return f"frame {worst}: {agreed[worst]:.0f} of {wanted[worst]:.0f} rays agree with the rest"
-    return _too_wide(layout, work, spread, fit, n_frames, settings)
+    return _too_wide(layout, work, spread, fit, settings)
 
 
-def _too_wide(
-    layout: BundleLayout, work: BundleWork, spread: Spread, fit: Fit, n_frames: int, settings: BundleSettings
-) -> str:
+def _too_wide(layout: BundleLayout, work: BundleWork, spread: Spread, fit: Fit, settings: BundleSettings) -> str:
     sigmas = np.sqrt(fit.variance_factor * np.diag(spread.covariance)).reshape(-1, 2, 3).max(axis=2)
     depths = _median_depths(layout, work)
-    for body in np.flatnonzero(layout.column >= 0):
-        rotation, position = sigmas[layout.column[body]]
-        name = _name(layout, int(layout.column[body]), n_frames)
+    for frame in np.flatnonzero(layout.column >= 0):
+        rotation, position = sigmas[layout.column[frame]]
+        name = f"frame {frame}"
         if rotation > settings.sigma_rotation_max_rad:
             return f"{name}: sigma of the rotation {np.rad2deg(rotation):.1f} deg; too little is seen"
-        if position > settings.sigma_position_max_frac * depths[body]:
-            return f"{name}: sigma of the position {position:.3g} m at {depths[body]:.3g} m from the points"
+        if position > settings.sigma_position_max_frac * depths[frame]:
+            return f"{name}: sigma of the position {position:.3g} m at {depths[frame]:.3g} m from the points"
     return ""
 
 
 def _median_depths(layout: BundleLayout, work: BundleWork) -> Array:
-    """Median distance of each body's points from their eyes (b,); of a body that nothing sees: infinite."""
+    """Median distance of the points that each frame sees (k,); infinite where it sees none."""
     depths = np.full(len(layout.column), np.inf)
     distance = np.linalg.norm(work.arm, axis=1)
-    body = np.repeat(layout.body, np.diff(layout.first))
     for number in range(len(depths)):
-        own = ((layout.frame == number) | (body == number)) & layout.alive
+        own = (layout.frame == number) & layout.alive
         if own.any():
             depths[number] = np.median(distance[own])
     return depths
 
 
-def _name(layout: BundleLayout, column: int, n_frames: int) -> str:
-    body = int(np.flatnonzero(layout.column == column)[0])
-    return f"frame {body}" if body < n_frames else f"group {body - n_frames}"
+def _name(layout: BundleLayout, column: int) -> str:
+    return f"frame {int(np.flatnonzero(layout.column == column)[0])}"
 
-
-# Adjusting in rounds: roughly with everything, then without the outliers and with the noise that there is.
 
 ROUNDS_MAX = 4
 ROUGH_STEP_SIGMA = 0.5  # per unknown: near enough to find outliers; the slow end of reweighting is saved
@@ -203,21 +150,20 @@ class Adjusted(NamedTuple):
     layout: BundleLayout
 
 
-def adjust_in_rounds(
-    layout: BundleLayout, start: BundleState, state: BundleState, work: BundleWork, settings: BundleSettings
-) -> Adjusted:
-    """Adjust `state` in place; with `trim`, eyes that disagree leave `layout` and the rest is adjusted again."""
+def adjust_in_rounds(layout: BundleLayout, state: BundleState, work: BundleWork, settings: BundleSettings) -> Adjusted:
+    """Adjust `state` in place; with `trim`, eyes that disagree leave `layout` and the rest is adjusted again with the
+    noise that there is."""
     trial = BundleState(*(array.copy() for array in state))
     seen, iterations_max = seen_counts(layout), settings.iterations_max
     drop_behind(layout, state)
-    before = total_cost(layout, start, state)[0]
+    before = observations_cost(layout, state)[0]
     if not settings.trim or settings.loss is BundleLoss.NONE:
-        ending, spent = minimise(layout, start, state, trial, work, iterations_max, settings.step_tol_sigma)
+        ending, spent = minimise(layout, state, trial, work, iterations_max, settings.step_tol_sigma)
         noise, latest = _noise(layout, state, work), layout
     else:
         # Huber first: far from the optimum Cauchy has other minima, in which good rays are the outliers
         rough, tol = max(1, int(ROUGH_FRAC * iterations_max)), ROUGH_STEP_SIGMA * np.sqrt(_unknowns(layout))
-        ending, spent = minimise(layout._replace(loss=HUBER), start, state, trial, work, rough, tol)
+        ending, spent = minimise(layout._replace(loss=HUBER), state, trial, work, rough, tol)
         noise, latest, used = _noise(layout, state, work), layout, 0.0
         everything = layout.scale.copy()
         for _ in range(ROUNDS_MAX):
@@ -226,15 +172,15 @@ def adjust_in_rounds(
                 break
             used, latest = noise, layout._replace(loss_scale=settings.loss_scale * noise)
             left = iterations_max - spent
-            ending, more = minimise(latest, start, state, trial, work, left, settings.step_tol_sigma)
+            ending, more = minimise(latest, state, trial, work, left, settings.step_tol_sigma)
             spent += more
             noise = _noise(layout, state, work)
-    after = total_cost(layout, start, state)[0]
+    after = observations_cost(layout, state)[0]
     return Adjusted(ending, spent, before, after, settings.inlier_sigma * noise, seen, latest)
 
 
 def _unknowns(layout: BundleLayout) -> int:
-    return 6 * layout.n_columns + 3 * int(layout.free.sum())
+    return 6 * layout.n_columns + 3 * (len(layout.first) - 1)
 
 
 def _noise(layout: BundleLayout, state: BundleState, work: BundleWork) -> float:
@@ -258,11 +204,11 @@ def _trim(layout: BundleLayout, everything: Array, state: BundleState, work: Bun
 
 
 def adjust_bundle(problem: BundleProblem, settings: BundleSettings | None = None) -> BundleResult:
-    """Frames, points and groups that fit the rays best, and how well they are known.
+    """Frames and points that fit the rays best, and how well the frames are known.
 
-    Model:   min over T_vo_cam, X, T_vo_group of 1/2 sum of rho(|f (pi_eye(T_cam_vo X) - ray) / sigma|^2) + 1/2 sum of
-             e^T information e, e = (log(R R_start^T), t - t_start). Levenberg-Marquardt by reweighted least squares,
-             analytic Jacobians, R <- exp(w) R, t <- t + dt in vo axes; points eliminated (Schur complement).
+    Model:   min over T_vo_cam, X of 1/2 sum of rho(|f (pi_eye(T_cam_vo X) - ray) / sigma|^2). Levenberg-Marquardt by
+             reweighted least squares, analytic Jacobians, R <- exp(w) R, t <- t + dt in vo axes; points eliminated
+             (Schur complement).
     Args:    problem: start, rays, gauge. An observation whose point is nearer than depth_min_m or behind the eye at the
              start is left out. settings: loss, stopping, what is believed.
     Returns: BundleResult. Covariances are those of the inliers at full weight times the variance factor of the loss.
@@ -277,35 +223,25 @@ def adjust_bundle(problem: BundleProblem, settings: BundleSettings | None = None
     if reason:
         return _unknown(problem, start, reason, 0)
     state, work = BundleState(*(array.copy() for array in start)), make_work(layout)
-    done = adjust_in_rounds(layout, start, state, work, settings)
+    done = adjust_in_rounds(layout, state, work, settings)
     if done.ending == NOT_FINITE:
         return _unknown(problem, start, "the cost is not a finite number", done.iterations)
-    spread = bodies_spread(layout, start, state, work, done.limit_sigma)
+    spread = frames_spread(layout, state, work, done.limit_sigma)
     fit = fit_of(done.layout, work, done.limit_sigma)
-    reason = why_not_believed(layout, work, spread, fit, done.seen, len(problem.Ts_vo_cam), settings)
+    reason = why_not_believed(layout, work, spread, fit, done.seen, settings)
     if reason:
         return _unknown(problem, start, reason, done.iterations)
     inliers = np.empty(len(order), dtype=np.bool_)
     inliers[order] = fit.agree.any(axis=1) & ~((done.seen > 0) & ~fit.agree).any(axis=1)
     joint = _expanded(layout, spread, fit)
-    n_frames = len(problem.Ts_vo_cam)
-    blocks = np.array([joint[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] for body in range(len(layout.column))])
-    point_covariances = np.zeros((len(layout.body) if settings.point_covariances else 0, 3, 3))
-    if settings.point_covariances:
-        points_spread(layout, work, spread.covariance, point_covariances)
-        point_covariances *= fit.variance_factor
-    Ts = _poses(state)
     converged = done.ending == CONVERGED
     return BundleResult(
         status=BundleStatus.OK if converged else BundleStatus.NOT_CONVERGED,
         reason="" if converged else f"not at the optimum after {done.iterations} iterations",
-        Ts_vo_cam=Ts[:n_frames],
+        Ts_vo_cam=_poses(state),
         points_vo=state.points,
-        Ts_vo_group=Ts[n_frames:],
-        covariances=blocks[:n_frames],
-        group_covariances=blocks[n_frames:],
+        covariances=np.array([joint[at : at + 6, at : at + 6] for at in range(0, len(joint), 6)]),
         joint_covariance=joint,
-        point_covariances=point_covariances,
         cost_before=done.cost_before,
         cost_after=done.cost_after,
         rms_sigma=fit.rms_sigma,
@@ -316,7 +252,7 @@ def adjust_bundle(problem: BundleProblem, settings: BundleSettings | None = None
 
 
 def _expanded(layout: BundleLayout, spread: Spread, fit: Fit) -> Array:
-    """Joint covariance of all bodies, zeros for the fixed ones."""
+    """Joint covariance of all frames, zeros for the fixed ones."""
     places = np.flatnonzero(np.repeat(layout.column >= 0, 6))
     joint = np.zeros((6 * len(layout.column), 6 * len(layout.column)))
     joint[np.ix_(places, places)] = fit.variance_factor * spread.covariance
@@ -324,7 +260,7 @@ def _expanded(layout: BundleLayout, spread: Spread, fit: Fit) -> Array:
 
 
 def _poses(state: BundleState) -> Array:
-    """Bodies (b, 4, 4); what rounding did to the rotations is taken out."""
+    """Frames (k, 4, 4); what rounding did to the rotations is taken out."""
     u, _, vt = np.linalg.svd(state.rotation)
     Ts = np.tile(np.eye(4), (len(state.rotation), 1, 1))
     Ts[:, :3, :3] = u @ vt
@@ -334,18 +270,14 @@ def _poses(state: BundleState) -> Array:
 
 def _unknown(problem: BundleProblem, start: BundleState, reason: str, iterations: int) -> BundleResult:
     """The start, of which nothing is known."""
-    k, g, m = len(problem.Ts_vo_cam), len(problem.groups), len(problem.points_vo)
-    unknown = np.tile(UNKNOWN_COVARIANCE, (k + g, 1, 1))
+    k = len(problem.Ts_vo_cam)
     return BundleResult(
         status=BundleStatus.DEGENERATE,
         reason=reason,
         Ts_vo_cam=np.array(problem.Ts_vo_cam, dtype=float),
         points_vo=start.points,
-        Ts_vo_group=np.array([group.T_vo_group for group in problem.groups], dtype=float).reshape(g, 4, 4),
-        covariances=unknown[:k],
-        group_covariances=unknown[k:],
-        joint_covariance=np.asarray(np.kron(np.eye(k + g), UNKNOWN_COVARIANCE), dtype=np.float64),
-        point_covariances=np.tile(UNOBSERVED_M2 * np.eye(3), (m, 1, 1)),
+        covariances=np.tile(UNKNOWN_COVARIANCE, (k, 1, 1)),
+        joint_covariance=np.asarray(np.kron(np.eye(k), UNKNOWN_COVARIANCE), dtype=np.float64),
         cost_before=np.nan,
         cost_after=np.nan,
         rms_sigma=np.nan,

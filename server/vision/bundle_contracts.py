@@ -1,6 +1,5 @@
 """What a bundle adjustment is given and what it gives back: frozen, flat arrays, SI units, pixels in the names."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
@@ -15,9 +14,7 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 
-# A bundle problem as the compiled kernels want it: observations sorted by point, bodies in one list, no NaN.
-#
-# Named tuples instead of dataclasses: these are what numba takes apart at the border of compiled code.
+# Named tuples where compiled kernels take them: numba does not take dataclasses.
 
 PRIOR = 1e-6  # information on a point's direction and relative depth: sigma 1000, so that no point block is singular
 
@@ -30,7 +27,7 @@ class BundleWork(NamedTuple):
     chart (m, 3, 3): d point / d (direction, relative inverse depth). lower (m, 3, 3): Cholesky factor of the point's
     block in the chart. damped (m, 3): what was added to its diagonal. anchor (m,): the frame the chart is taken in.
     reduced (c, c), right (c,), diagonal (c,): the camera system. rows (longest track, 3, 6),
-    columns (longest track,): one point's. body_arm (m, 3): a group's point minus the group's origin.
+    columns (longest track,): one point's.
     """
 
     weight: Array
@@ -47,7 +44,6 @@ class BundleWork(NamedTuple):
     rows: Array
     point_step: Array
     columns: Indices
-    body_arm: Array
 
 
 class BundleInputError(VisionError):
@@ -71,22 +67,6 @@ class BundleLoss(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class RigidGroup:
-    """Points whose places on one rigid body are known, such as the corners of all markers of the static OOI.
-
-    point_indices (p,): rows of `BundleProblem.points_vo` that belong to the body; what stands there is not used.
-    points_group (p, 3) [m]: the same points in the body's axes. T_vo_group (4, 4): start. fixed: the pose is known.
-    information (6, 6): prior on the start pose, as `BundleProblem.information`; None = nothing is known.
-    """
-
-    point_indices: Indices
-    points_group: Array
-    T_vo_group: Array
-    fixed: bool = False
-    information: Array | None = None
-
-
-@dataclass(frozen=True, slots=True)
 class BundleProblem:
     """k frames (left eyes) see m points in n observations; both eyes of a pair are one observation.
 
@@ -98,9 +78,6 @@ class BundleProblem:
     sigma_px (n, 2): of a coordinate, left and right eye.
     focal_px: (fx, fy). baseline_m: the right eye is a pure translation along x.
     fixed (k,): frames whose pose is known (the gauge); their covariance is zero.
-    information (k, 6, 6): prior on the start poses: rotation vector [1/rad^2] by left perturbation in vo axes, then
-        position [1/m^2]; zeros where nothing is known. None = no priors.
-    groups: rigid bodies. fixed_points (m,): points whose place is known; None = none.
     """
 
     Ts_vo_cam: Array
@@ -112,9 +89,6 @@ class BundleProblem:
     focal_px: tuple[float, float]
     baseline_m: float
     fixed: Mask
-    information: Array | None = None
-    groups: Sequence[RigidGroup] = ()
-    fixed_points: Mask | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +101,6 @@ class BundleSettings:
     trim: bool = True  # leave outliers out and adjust again: a loss lets each of them pull a little (not with NONE)
     iterations_max: int = 50
     step_tol_sigma: float = 1e-2  # stop when no combination of unknowns moves by more than this many of its sigmas
-    point_covariances: bool = False
     depth_min_m: float = 0.02  # an observation whose point lies nearer, or behind the eye, is not used
     inliers_min_frac: float = 0.5  # of each free frame's observations
     sigma_rotation_max_rad: float = 0.2  # beyond, a linearised covariance says nothing
@@ -138,13 +111,11 @@ class BundleSettings:
 class BundleResult:
     """The optimum; on DEGENERATE the start with covariances that say that nothing is known.
 
-    Ts_vo_cam (k, 4, 4), points_vo (m, 3) [m], Ts_vo_group (g, 4, 4).
-    covariances (k, 6, 6), group_covariances (g, 6, 6): rotation vector [rad] by left perturbation in vo axes, then
-        position [m], as `OdometryPose`; of a fixed frame zero.
-    joint_covariance (6 (k + g), 6 (k + g)): the same with all that frames and groups have in common.
-    point_covariances (m, 3, 3) [m^2], vo axes; (0, 3, 3) unless requested. A point that no frame sees: 1e6 m^2.
-    cost_before, cost_after: sum of rho(r^2 / sigma^2) / 2 at the given loss scale, priors included; after: without what
-        was trimmed. rms_sigma: over the inliers' coordinates.
+    Ts_vo_cam (k, 4, 4), points_vo (m, 3) [m].
+    covariances (k, 6, 6): rotation vector [rad] by left perturbation in vo axes, then position [m], as `OdometryPose`;
+        of a fixed frame zero. joint_covariance (6 k, 6 k): the same with all that frames have in common.
+    cost_before, cost_after: sum of rho(r^2 / sigma^2) / 2 at the given loss scale; after: without what was trimmed.
+    rms_sigma: over the inliers' coordinates.
     variance_factor: by which the covariances were multiplied (loss, residuals larger than their sigma).
     inliers (n,): every eye that sees the point agrees with it.
     """
@@ -153,11 +124,8 @@ class BundleResult:
     reason: str
     Ts_vo_cam: Array
     points_vo: Array
-    Ts_vo_group: Array
     covariances: Array
-    group_covariances: Array
     joint_covariance: Array
-    point_covariances: Array
     cost_before: float
     cost_after: float
     rms_sigma: float
@@ -167,7 +135,7 @@ class BundleResult:
 
 
 class BundleState(NamedTuple):
-    """What is adjusted: bodies (b, 3, 3), (b, 3) and points (m, 3), all in vo."""
+    """What is adjusted: frames (k, 3, 3), (k, 3) and points (m, 3), all in vo."""
 
     rotation: Array
     position: Array
@@ -177,9 +145,8 @@ class BundleState(NamedTuple):
 class BundleLayout(NamedTuple):
     """What does not change during an adjustment, but for `alive` (observations whose point is in front of the eye).
 
-    Bodies are the frames, then the groups. column (b,): a body's block in the reduced system, -1 = fixed.
-    first (m + 1,): a point's observations are first[p] to first[p + 1]. scale (n, 4): focal / sigma, 0 = not seen.
-    body (m,): the group of a point, -1 = none. in_body (m, 3): its place there. free (m,): its place is unknown.
+    column (k,): a frame's block in the reduced system, -1 = fixed. first (m + 1,): a point's observations are first[p]
+    to first[p + 1]. scale (n, 4): focal / sigma, 0 = not seen.
     """
 
     frame: Indices
@@ -192,11 +159,6 @@ class BundleLayout(NamedTuple):
     depth_min: float
     column: Indices
     n_columns: int
-    body: Indices
-    in_body: Array
-    free: Mask
-    information: Array
-    has_prior: Mask
     loss: int
     loss_scale: float
 
@@ -211,27 +173,17 @@ def check_shapes(problem: BundleProblem) -> None:
         "uv": (problem.uv, (n, 3) if problem.uv.ndim == 2 and problem.uv.shape[1] == 3 else (n, 4)),
         "sigma_px": (problem.sigma_px, (n, 2)),
         "fixed": (problem.fixed, (k,)),
-        "information": (problem.information, (k, 6, 6)),
-        "fixed_points": (problem.fixed_points, (m,)),
     }
-    for number, group in enumerate(problem.groups):
-        p = len(group.point_indices)
-        wanted[f"groups[{number}].points_group"] = (group.points_group, (p, 3))
-        wanted[f"groups[{number}].T_vo_group"] = (group.T_vo_group, (4, 4))
-        wanted[f"groups[{number}].information"] = (group.information, (6, 6))
     for name, (array, shape) in wanted.items():
-        if array is not None and array.shape != shape:
+        if array.shape != shape:
             raise BundleInputError(f"{name} has shape {array.shape}; {shape} is needed")
-    _check_indices("frames", problem.frames, k)
-    _check_indices("points", problem.points, m)
-    for number, group in enumerate(problem.groups):
-        _check_indices(f"groups[{number}].point_indices", group.point_indices, m)
-    grouped = np.concatenate([np.zeros(0, np.int64), *(group.point_indices for group in problem.groups)])
-    if len(np.unique(grouped)) < len(grouped):
-        raise BundleInputError("a point belongs to two rigid groups, or twice to one; give it once")
+    for name, indices, limit in (("frames", problem.frames, k), ("points", problem.points, m)):
+        whole = np.issubdtype(indices.dtype, np.integer)
+        if n and not (whole and 0 <= indices.min() <= indices.max() < limit):
+            raise BundleInputError(f"{name} has to hold whole numbers from 0 to {limit - 1}")
 
 
-def seen_rays(problem: BundleProblem) -> tuple[Array, Mask]:
+def _seen_rays(problem: BundleProblem) -> tuple[Array, Mask]:
     """Rays (n, 4) with 0 where an eye does not see the point, and which coordinates are measured (n, 4)."""
     uv = np.full((len(problem.frames), 4), np.nan)
     uv[:, : problem.uv.shape[1]] = problem.uv
@@ -245,22 +197,14 @@ def seen_rays(problem: BundleProblem) -> tuple[Array, Mask]:
 def make_layout(problem: BundleProblem, settings: BundleSettings) -> tuple[BundleLayout, BundleState, Indices]:
     """Layout and start, and the order (n,) in which the observations were sorted."""
     order = np.argsort(problem.points, kind="stable")
-    rays, seen = seen_rays(problem)
+    rays, seen = _seen_rays(problem)
     focal = np.array(problem.focal_px, dtype=float)
     with np.errstate(all="ignore"):
         scale = np.tile(focal, 2) / np.repeat(problem.sigma_px, 2, axis=1)
-    k, m = len(problem.Ts_vo_cam), len(problem.points_vo)
-    body, in_body = np.full(m, -1, dtype=np.int64), np.zeros((m, 3))
-    free = np.ones(m, dtype=np.bool_) if problem.fixed_points is None else ~problem.fixed_points
-    for number, group in enumerate(problem.groups):
-        body[group.point_indices] = k + number
-        in_body[group.point_indices] = group.points_group
-        free[group.point_indices] = False
-    information, has_prior = _priors(problem)
-    unknown = np.concatenate([~problem.fixed, np.array([not group.fixed for group in problem.groups], dtype=np.bool_)])
+    unknown = ~problem.fixed
     layout = BundleLayout(
         frame=np.ascontiguousarray(problem.frames[order], dtype=np.int64),
-        first=np.searchsorted(problem.points[order], np.arange(m + 1)).astype(np.int64),
+        first=np.searchsorted(problem.points[order], np.arange(len(problem.points_vo) + 1)).astype(np.int64),
         rays=np.ascontiguousarray(rays[order]),
         scale=np.ascontiguousarray(np.where(seen, scale, 0.0)[order]),
         alive=np.ascontiguousarray(np.asarray(seen.any(axis=1))[order]),
@@ -269,41 +213,17 @@ def make_layout(problem: BundleProblem, settings: BundleSettings) -> tuple[Bundl
         depth_min=float(settings.depth_min_m),
         column=np.where(unknown, np.cumsum(unknown) - 1, -1).astype(np.int64),
         n_columns=int(unknown.sum()),
-        body=body,
-        in_body=in_body,
-        free=free,
-        information=information,
-        has_prior=has_prior & unknown,
         loss=settings.loss.value,
         loss_scale=float(settings.loss_scale),
     )
-    return layout, _start(problem), order
-
-
-def _priors(problem: BundleProblem) -> tuple[Array, Mask]:
-    k = len(problem.Ts_vo_cam)
-    information = np.zeros((k + len(problem.groups), 6, 6))
-    if problem.information is not None:
-        information[:k] = problem.information
-    for number, group in enumerate(problem.groups):
-        if group.information is not None:
-            information[k + number] = group.information
-    return information, np.asarray(information.any(axis=(1, 2)))
-
-
-def _start(problem: BundleProblem) -> BundleState:
-    groups = [np.asarray(group.T_vo_group, dtype=float)[None] for group in problem.groups]
-    Ts = np.concatenate([np.asarray(problem.Ts_vo_cam, dtype=float), *groups])
-    points = np.array(problem.points_vo, dtype=float)
-    for group in problem.groups:
-        T = group.T_vo_group
-        points[group.point_indices] = group.points_group @ T[:3, :3].T + T[:3, 3]
-    return BundleState(np.ascontiguousarray(Ts[:, :3, :3]), np.ascontiguousarray(Ts[:, :3, 3]), points)
+    Ts = np.asarray(problem.Ts_vo_cam, dtype=float)
+    rotation, position = np.ascontiguousarray(Ts[:, :3, :3]), np.ascontiguousarray(Ts[:, :3, 3])
+    return layout, BundleState(rotation, position, np.array(problem.points_vo, dtype=float)), order
 
 
 def make_work(layout: BundleLayout) -> BundleWork:
     """Room for one adjustment."""
-    n, m, c = len(layout.frame), len(layout.body), 6 * layout.n_columns
+    n, m, c = len(layout.frame), len(layout.first) - 1, 6 * layout.n_columns
     longest = int(np.diff(layout.first).max(initial=1))
     return BundleWork(
         weight=np.zeros((n, 6)),
@@ -320,10 +240,4 @@ def make_work(layout: BundleLayout) -> BundleWork:
         rows=np.zeros((longest, 3, 6)),
         point_step=np.zeros((m, 3)),
         columns=np.zeros(longest, dtype=np.int64),
-        body_arm=np.zeros((m, 3)),
     )
-
-
-def _check_indices(name: str, indices: Indices, limit: int) -> None:
-    if len(indices) and not (np.issubdtype(indices.dtype, np.integer) and 0 <= indices.min() <= indices.max() < limit):
-        raise BundleInputError(f"{name} has to hold whole numbers from 0 to {limit - 1}")

@@ -8,25 +8,12 @@ import numpy as np
 from numba import njit
 
 from server.vision.bundle_contracts import BundleLayout, BundleState, BundleWork, Indices, Mask
-from server.vision.bundle_reduced import assemble, back_substitute, choose_charts, factor, set_body_arms, solve_factored
-from server.vision.bundle_residuals import (
-    CAUCHY,
-    CUT,
-    HUBER,
-    add_priors,
-    drop_behind,
-    linearise,
-    move,
-    observations_cost,
-    priors_cost,
-)
+from server.vision.bundle_reduced import assemble, back_substitute, choose_charts, factor, solve_factored
+from server.vision.bundle_residuals import CAUCHY, CUT, HUBER, drop_behind, linearise, move, observations_cost
 from server.vision.contracts import Array
 
-UNOBSERVED_M2 = 1e6
 CHI2_MEDIANS = np.array([1.0, 0.4549, 1.3863, 2.3660])  # by degrees of freedom
 
-
-# Levenberg-Marquardt over a laid-out bundle; the only loop that changes frames, groups and points.
 
 CONVERGED, UNFINISHED, NOT_FINITE = 0, 1, 2
 DAMPING_START, DAMPING_MIN, DAMPING_MAX = 1e-4, 1e-12, 1e8
@@ -36,19 +23,9 @@ BEHIND_PATIENCE = 4  # steps refused because a point would go behind an eye; the
 
 
 @njit(cache=True, nogil=True)
-def total_cost(layout: BundleLayout, start: BundleState, state: BundleState) -> tuple[float, int]:
-    """Cost of rays and priors, and how many living rays have their point behind the eye."""
-    cost, behind = observations_cost(layout, state)
-    return cost + priors_cost(layout, start, state), behind
-
-
-@njit(cache=True, nogil=True)
-def _solve(
-    layout: BundleLayout, start: BundleState, state: BundleState, work: BundleWork, damping: float, step: Array
-) -> float:
-    """Damped step of the bodies into `step`, of the points into the workspace; returns the promised gain, -1: none."""
-    add_priors(layout, start, state, work)
-    assemble(layout, state, work, damping)
+def _solve(layout: BundleLayout, work: BundleWork, damping: float, step: Array) -> float:
+    """Damped step of the frames into `step`, of the points into the workspace; returns the promised gain, -1: none."""
+    assemble(layout, work, damping)
     if not factor(work.reduced):
         return -1.0
     for j in range(len(step)):
@@ -69,21 +46,15 @@ def _copy(source: BundleState, target: BundleState) -> None:
 
 @njit(cache=True, nogil=True)
 def minimise(
-    layout: BundleLayout,
-    start: BundleState,
-    state: BundleState,
-    trial: BundleState,
-    work: BundleWork,
-    iterations_max: int,
-    step_tol: float,
+    layout: BundleLayout, state: BundleState, trial: BundleState, work: BundleWork, iterations_max: int, step_tol: float
 ) -> tuple[int, int]:
-    """Adjust `state` in place: (CONVERGED, UNFINISHED or NOT_FINITE), iterations.
+    """Adjust `state` in place by Levenberg-Marquardt: CONVERGED, UNFINISHED or NOT_FINITE, and iterations.
 
-    `start` is where the priors hold; `trial` is room for a second state.
+    `trial` is room for a second state.
     """
     step = np.zeros(6 * layout.n_columns)
     drop_behind(layout, state)
-    cost, _ = total_cost(layout, start, state)
+    cost, _ = observations_cost(layout, state)
     damping, growth, refused, fresh = DAMPING_START, 2.0, 0, True
     for iteration in range(iterations_max):
         if not math.isfinite(cost):
@@ -91,15 +62,14 @@ def minimise(
         if fresh:
             linearise(layout, state, work)
             choose_charts(layout, state, work)
-            set_body_arms(layout, state, work)
             fresh = False
-        gain = _solve(layout, start, state, work, damping, step)
+        gain = _solve(layout, work, damping, step)
         if not math.isfinite(gain):
             return NOT_FINITE, iteration
         if gain >= 0.0:
             near = damping <= DAMPING_SMALL and (2.0 * gain < step_tol * step_tol or gain < NOISE * cost)
             move(layout, state, work, step, trial)
-            new, behind = total_cost(layout, start, trial)
+            new, behind = observations_cost(layout, trial)
             if behind == 0 and new <= cost:
                 ratio = (cost - new) / max(gain, 1e-300)
                 _copy(trial, state)
@@ -112,7 +82,7 @@ def minimise(
             refused += behind > 0
             if refused >= BEHIND_PATIENCE:
                 drop_behind(layout, trial)
-                cost, _ = total_cost(layout, start, state)
+                cost, _ = observations_cost(layout, state)
                 refused, fresh = 0, True
                 continue
         damping *= growth
@@ -123,7 +93,7 @@ def minimise(
 
 
 class Spread(NamedTuple):
-    """Covariance (c, c) of all unknown bodies for residuals of sigma 1, and which share (c,) of each unknown's
+    """Covariance (c, c) of all unknown frames for residuals of sigma 1, and which share (c,) of each unknown's
     information is its own, the rest being shared with other unknowns; zeros where the system is singular."""
 
     covariance: Array
@@ -139,16 +109,12 @@ class Fit(NamedTuple):
     redundancy: int
 
 
-def bodies_spread(
-    layout: BundleLayout, start: BundleState, state: BundleState, work: BundleWork, limit_sigma: float
-) -> Spread:
+def frames_spread(layout: BundleLayout, state: BundleState, work: BundleWork, limit_sigma: float) -> Spread:
     """Inverse of the reduced system of the inliers at full weight; leaves the inliers' linearisation in `work`."""
     cut = layout._replace(loss=CUT, loss_scale=limit_sigma)
     linearise(cut, state, work)
     choose_charts(cut, state, work)
-    set_body_arms(cut, state, work)
-    add_priors(cut, start, state, work)
-    assemble(cut, state, work, 0.0)
+    assemble(cut, work, 0.0)
     c = len(work.diagonal)
     covariance = np.zeros((c, c))
     size = np.sqrt(np.maximum(work.diagonal, 1e-300))
@@ -223,10 +189,11 @@ def fit_of(layout: BundleLayout, work: BundleWork, limit_sigma: float) -> Fit:
 
 def _redundancy(layout: BundleLayout, counts: Indices) -> int:
     """Agreeing coordinates (counts (n, 2)) minus unknowns; a point takes no more than what was measured of it."""
-    of_point = np.add.reduceat(np.append(counts.sum(axis=1), 0), layout.first[:-1]) if len(layout.body) else np.zeros(0)
+    if len(layout.first) == 1:
+        return int(counts.sum()) - 6 * layout.n_columns
+    of_point = np.add.reduceat(np.append(counts.sum(axis=1), 0), layout.first[:-1])
     of_point = np.where(np.diff(layout.first) > 0, of_point, 0)
-    unknowns = 6 * (layout.n_columns - int(layout.has_prior.sum())) + int(np.minimum(of_point, 3)[layout.free].sum())
-    return int(counts.sum()) - unknowns
+    return int(counts.sum()) - 6 * layout.n_columns - int(np.minimum(of_point, 3).sum())
 
 
 def _influence(layout: BundleLayout, squares: Array) -> Array:
@@ -266,67 +233,3 @@ def gaussian_factor(kind: int, scale: float, dimensions: int) -> float:
         slope = -2.0 * w**2 * r**2 / scale**2
     psi = float(np.sum(density * w**2 * r**2)) / dimensions
     return psi / (float(np.sum(density * (w + slope / dimensions))) ** 2)
-
-
-@njit(cache=True, nogil=True)
-def points_spread(layout: BundleLayout, work: BundleWork, covariance: Array, out: Array) -> None:
-    """Covariance (m, 3, 3) of every point for residuals of sigma 1, from the bodies' and what `work` was left with."""
-    c = len(covariance)
-    E = np.zeros((3, c))
-    for p in range(len(layout.body)):
-        out[p] = 0.0
-        E[:] = 0.0
-        if layout.body[p] >= 0:
-            _group_rows(layout, work, p, E)
-        elif work.anchor[p] >= 0:
-            inverse = _point_inverse(work, p)
-            out[p] = inverse
-            _frame_rows(layout, work, p, inverse, E)
-        elif layout.free[p]:
-            for j in range(3):
-                out[p, j, j] = UNOBSERVED_M2
-        out[p] += E @ covariance @ E.T
-
-
-@njit(cache=True, nogil=True)
-def _point_inverse(work: BundleWork, p: int) -> Array:
-    """Inverse of the point's own block, from its chart to vo axes: M (L L^T)^-1 M^T."""
-    M, L, y = work.chart[p], work.lower[p], np.zeros((3, 3))
-    for j in range(3):
-        y[0, j] = M[j, 0] / L[0, 0]
-        y[1, j] = (M[j, 1] - L[1, 0] * y[0, j]) / L[1, 1]
-        y[2, j] = (M[j, 2] - L[2, 0] * y[0, j] - L[2, 1] * y[1, j]) / L[2, 2]
-    return y.T @ y
-
-
-@njit(cache=True, nogil=True)
-def _frame_rows(layout: BundleLayout, work: BundleWork, p: int, inverse: Array, E: Array) -> None:
-    """d point / d bodies at the optimum: -V^-1 S A^T of each frame, A^T = ([a]x, -1)."""
-    for i in range(layout.first[p], layout.first[p + 1]):
-        column = layout.column[layout.frame[i]]
-        if column < 0 or not layout.alive[i]:
-            continue
-        s, a, o = work.weight[i], work.arm[i], 6 * column
-        for j in range(3):
-            k0 = inverse[j, 0] * s[0] + inverse[j, 1] * s[3] + inverse[j, 2] * s[5]
-            k1 = inverse[j, 0] * s[3] + inverse[j, 1] * s[1] + inverse[j, 2] * s[4]
-            k2 = inverse[j, 0] * s[5] + inverse[j, 1] * s[4] + inverse[j, 2] * s[2]
-            E[j, o] -= k1 * a[2] - k2 * a[1]
-            E[j, o + 1] -= k2 * a[0] - k0 * a[2]
-            E[j, o + 2] -= k0 * a[1] - k1 * a[0]
-            E[j, o + 3] += k0
-            E[j, o + 4] += k1
-            E[j, o + 5] += k2
-
-
-@njit(cache=True, nogil=True)
-def _group_rows(layout: BundleLayout, work: BundleWork, p: int, E: Array) -> None:
-    """d point / d group = (-[arm]x, 1)."""
-    column = layout.column[layout.body[p]]
-    if column < 0:
-        return
-    a0, a1, a2 = work.body_arm[p]
-    o = 6 * column
-    E[0, o + 1], E[0, o + 2], E[0, o + 3] = a2, -a1, 1.0
-    E[1, o], E[1, o + 2], E[1, o + 4] = -a2, a0, 1.0
-    E[2, o], E[2, o + 1], E[2, o + 5] = a1, -a0, 1.0

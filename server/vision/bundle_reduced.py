@@ -1,4 +1,4 @@
-"""The reduced camera system: points are eliminated one by one (Schur complement), bodies are solved for together."""
+"""The reduced camera system: points are eliminated one by one (Schur complement), frames are solved for together."""
 
 import math
 
@@ -6,8 +6,6 @@ from numba import njit
 
 from server.vision.bundle_contracts import PRIOR, BundleLayout, BundleState, BundleWork, Indices
 from server.vision.contracts import Array
-
-# Solving the reduced system, and the points' steps from it.
 
 
 @njit(cache=True, nogil=True)
@@ -46,8 +44,8 @@ def solve_factored(lower: Array, right: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def back_substitute(layout: BundleLayout, work: BundleWork, bodies_step: Array) -> float:
-    """Steps of the points in their charts into point_step, from the bodies' step; returns their share of the gain.
+def back_substitute(layout: BundleLayout, work: BundleWork, frames_step: Array) -> float:
+    """Steps of the points in their charts into point_step, from the frames' step; returns their share of the gain.
 
     The gain that a damped step promises is (g^T (H + dD)^-1 g + d step^T D step) / 2; elimination splits its first part
     into |L^-1 g|^2 of each point and the same of the reduced system.
@@ -69,7 +67,7 @@ def back_substitute(layout: BundleLayout, work: BundleWork, bodies_step: Array) 
         for i in range(first[p], first[p + 1]):
             c = column[frame[i]]
             if c >= 0:
-                x, y, z = _pulled(i, int(6 * c), weight, arm, bodies_step)
+                x, y, z = _pulled(i, int(6 * c), weight, arm, frames_step)
                 q0 += x
                 q1 += y
                 q2 += z
@@ -114,17 +112,15 @@ def _point_step(
 
 @njit(cache=True, nogil=True)
 def choose_charts(layout: BundleLayout, state: BundleState, work: BundleWork) -> None:
-    """Anchor of every free point (the nearest eye that sees it) and its chart there.
+    """Anchor of every point (the nearest eye that sees it; -1: none) and its chart there.
 
     In an anchor's axes X = (alpha, beta, 1) / rho. A step is taken in alpha, beta and relative rho, in which stereo
     measurements are nearly linear at any distance; the point itself stays Euclidean in vo, so that the frames' system
     is the ordinary one and an anchor that moves costs nothing.
     """
     rotation, arm, chart, anchor = state.rotation, work.arm, work.chart, work.anchor
-    for p in range(len(layout.body)):
+    for p in range(len(anchor)):
         anchor[p] = -1
-        if not layout.free[p]:
-            continue
         nearest = math.inf
         for i in range(layout.first[p], layout.first[p + 1]):
             f = layout.frame[i]
@@ -138,21 +134,18 @@ def choose_charts(layout: BundleLayout, state: BundleState, work: BundleWork) ->
 
 
 @njit(cache=True, nogil=True)
-def assemble(layout: BundleLayout, state: BundleState, work: BundleWork, damping: float) -> None:
-    """Reduced system and right side for J^T W J + damping * its diagonal; the priors are in it already."""
+def assemble(layout: BundleLayout, work: BundleWork, damping: float) -> None:
+    """Reduced system and right side for J^T W J + damping * its diagonal."""
     frame, first, column, alive = layout.frame, layout.first, layout.column, layout.alive
     weight, pull, arm, rows, columns = work.weight, work.pull, work.arm, work.rows, work.columns
     reduced, right, diagonal = work.reduced, work.right, work.diagonal
-    for p in range(len(layout.body)):
-        begin, end, body = first[p], first[p + 1], layout.body[p]
+    reduced[:], right[:], diagonal[:] = 0.0, 0.0, 0.0
+    for p in range(len(work.anchor)):
+        begin, end = first[p], first[p + 1]
         for i in range(begin, end):
             c = column[frame[i]]
             if c >= 0:
-                _add_block(int(6 * c), i, i, -1.0, weight, pull, arm, reduced, right, diagonal)
-            if body >= 0 and column[body] >= 0:
-                _add_block(int(6 * column[body]), i, p, 1.0, weight, pull, work.body_arm, reduced, right, diagonal)
-                if c >= 0:
-                    _add_shared(int(6 * column[body]), int(6 * c), i, p, weight, arm, work.body_arm, reduced)
+                _add_block(int(6 * c), i, weight, pull, arm, reduced, right, diagonal)
         if work.anchor[p] >= 0:
             _factor_point(p, begin, end, damping, weight, pull, work.chart, work.lower, work.damped, work.point_step)
             count = 0
@@ -167,31 +160,12 @@ def assemble(layout: BundleLayout, state: BundleState, work: BundleWork, damping
 
 
 @njit(cache=True, nogil=True)
-def set_body_arms(layout: BundleLayout, state: BundleState, work: BundleWork) -> None:
-    """Points of groups as seen from their group's origin, in vo axes."""
-    for p in range(len(layout.body)):
-        body = layout.body[p]
-        if body >= 0:
-            for j in range(3):
-                work.body_arm[p, j] = state.points[p, j] - state.position[body, j]
-
-
-@njit(cache=True, nogil=True)
 def _add_block(
-    o: int,
-    i: int,
-    at: int,
-    sign: float,
-    weight: Array,
-    pull: Array,
-    arms: Array,
-    H: Array,
-    right: Array,
-    diagonal: Array,
+    o: int, i: int, weight: Array, pull: Array, arms: Array, H: Array, right: Array, diagonal: Array
 ) -> None:
-    """Add A S A^T (lower triangle) and A g for A = sign ([a]x; 1) to a body's own block at row `o`."""
+    """Add A S A^T (lower triangle) and A g for A = -([a]x; 1) to a frame's own block at row `o`."""
     xx, yy, zz, xy, yz, zx = weight[i, 0], weight[i, 1], weight[i, 2], weight[i, 3], weight[i, 4], weight[i, 5]
-    a0, a1, a2 = arms[at, 0], arms[at, 1], arms[at, 2]
+    a0, a1, a2 = arms[i, 0], arms[i, 1], arms[i, 2]
     # Q = [a]x S
     q00, q01, q02 = a1 * zx - a2 * xy, a1 * yz - a2 * yy, a1 * zz - a2 * yz
     q10, q11, q12 = a2 * xx - a0 * zx, a2 * xy - a0 * yz, a2 * zx - a0 * zz
@@ -225,29 +199,13 @@ def _add_block(
     diagonal[o + 3] += xx
     diagonal[o + 4] += yy
     diagonal[o + 5] += zz
-    g0, g1, g2 = sign * pull[i, 0], sign * pull[i, 1], sign * pull[i, 2]
+    g0, g1, g2 = -pull[i, 0], -pull[i, 1], -pull[i, 2]
     right[o] += a1 * g2 - a2 * g1
     right[o + 1] += a2 * g0 - a0 * g2
     right[o + 2] += a0 * g1 - a1 * g0
     right[o + 3] += g0
     right[o + 4] += g1
     right[o + 5] += g2
-
-
-@njit(cache=True, nogil=True)
-def _add_shared(o: int, f: int, i: int, p: int, weight: Array, arm: Array, body_arm: Array, H: Array) -> None:
-    """Subtract ([c]x; 1) S ([a]x; 1)^T: the block that a group (row o) and a frame (row f < o) have in common."""
-    a0, a1, a2 = arm[i, 0], arm[i, 1], arm[i, 2]
-    c0, c1, c2 = body_arm[p, 0], body_arm[p, 1], body_arm[p, 2]
-    s = weight[i]
-    for j in range(3):  # S [a]x^T and S, column by column
-        x, y, z = _column(s, j)
-        _take(H, o, f + 3 + j, x, y, z, c0, c1, c2)
-        k, n = (j + 1) % 3, (j + 2) % 3
-        ak, an = (a0, a1, a2)[k], (a0, a1, a2)[n]
-        xk, yk, zk = _column(s, k)
-        xn, yn, zn = _column(s, n)
-        _take(H, o, f + j, ak * xn - an * xk, ak * yn - an * yk, ak * zn - an * zk, c0, c1, c2)
 
 
 @njit(cache=True, nogil=True)
@@ -258,17 +216,6 @@ def _column(s: Array, j: int) -> tuple[float, float, float]:
     if j == 1:
         return s[3], s[1], s[4]
     return s[5], s[4], s[2]
-
-
-@njit(cache=True, nogil=True)
-def _take(H: Array, o: int, at: int, x: float, y: float, z: float, c0: float, c1: float, c2: float) -> None:
-    """Subtract (c x v, v) from six rows of a column."""
-    H[o, at] -= c1 * z - c2 * y
-    H[o + 1, at] -= c2 * x - c0 * z
-    H[o + 2, at] -= c0 * y - c1 * x
-    H[o + 3, at] -= x
-    H[o + 4, at] -= y
-    H[o + 5, at] -= z
 
 
 @njit(cache=True, nogil=True)

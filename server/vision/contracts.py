@@ -96,15 +96,15 @@ class Look:
 
     status: LookStatus
     reason: str
-    T_cam_tool: Array | None
-    T_cam_ooi: Array | None
-    tool_covariance: Array | None  # (6, 6), as ObjectPose
-    ooi_covariance: Array | None
-    n_pairs: int
-    n_used: int
-    t_first_ns: int
-    t_last_ns: int
-    spread_mm: float  # robust spread of tool-to-OOI position over the pairs
+    T_cam_tool: Array | None = None
+    T_cam_ooi: Array | None = None
+    tool_covariance: Array | None = None  # (6, 6), as ObjectPose
+    ooi_covariance: Array | None = None
+    n_pairs: int = 0
+    n_used: int = 0
+    t_first_ns: int = 0
+    t_last_ns: int = 0
+    spread_mm: float = 0.0  # robust spread of tool-to-OOI position over the pairs
     corners_px: Mapping[int, tuple[Array | None, Array | None]] = field(default_factory=dict)  # mean, left and right
 
 

@@ -31,9 +31,6 @@ from server.vision.marker_search import (
 #: Searches in a row that missed a marker, at which white-on-black prints are looked for: soon, then twice again.
 LOOKS_FOR_INVERTED = (2, 8, 32)
 
-
-# From one pair to the next: a marker's sides are fitted straight from where they should be, without a new search.
-
 WRONG_CELLS_MAX = 0
 SHAPE_CHANGE_MAX_FRAC = 0.10  # of a side's length from pair to pair; more does not come from a crane's motion
 TURN_MIN_PX = 0.5  # the sag of the sides is computed again once the corners have moved by this much

@@ -26,9 +26,6 @@ _TABLE_END, _TABLE_PER_UNIT = 6.0, 256.0
 _STEP = ndtr(np.arange(-_TABLE_END, _TABLE_END + 2.0 / _TABLE_PER_UNIT, 1.0 / _TABLE_PER_UNIT))  # good to 5e-7
 
 
-# Corners of a detected marker to a fraction of a pixel: coarse corner search, then fitted sides.
-
-
 def side_sags(camera: StereoCamera | None, corners_px: Array) -> Array:
     """How the lens bows each side of a square outward (4, 2) [px]: at its middle, and how lopsided; zeros without one.
 

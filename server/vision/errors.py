@@ -15,7 +15,3 @@ class NoMarkersError(VisionError):
 
 class NoPoseError(VisionError):
     """An error to the goal was asked of a look or pair that has no poses."""
-
-
-class EvidenceError(VisionError):
-    """A truth or calibration text that does not hold what it should."""

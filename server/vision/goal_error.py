@@ -103,14 +103,11 @@ def pair_error(tool: ObjectPose, ooi: ObjectPose, T_ooi_goal: Array, common: Arr
 
     Raises: NoPoseError when one of the objects has no pose.
     """
-    for found in (tool, ooi):
-        if found.T_cam_object is None or found.covariance is None:
-            raise NoPoseError(f"{found.on} has no pose ({found.status.value}): {found.reason}")
-    covariances = _given(tool.covariance), _given(ooi.covariance)
-    return pose_error(_given(tool.T_cam_object), _given(ooi.T_cam_object), T_ooi_goal, *covariances, common)
+    (T_cam_tool, tool_covariance), (T_cam_ooi, ooi_covariance) = _posed(tool), _posed(ooi)
+    return pose_error(T_cam_tool, T_cam_ooi, T_ooi_goal, tool_covariance, ooi_covariance, common)
 
 
-def _given(array: Array | None) -> Array:
-    if array is None:
-        raise NoPoseError("pose without an array")
-    return array
+def _posed(found: ObjectPose) -> tuple[Array, Array]:
+    if found.T_cam_object is None or found.covariance is None:
+        raise NoPoseError(f"{found.on} has no pose ({found.status.value}): {found.reason}")
+    return found.T_cam_object, found.covariance

@@ -19,9 +19,6 @@ SIDE_MIN_PX = 12  # of a picture; the smallest marker has 6 cells
 BARE_SIDES = 3  # of four without white: a cover lies over one or two, and a print may touch something bright
 SAME_PLACE_FRAC = 0.25  # of a marker's size: closer than that, two finds are one marker
 
-
-# Is this square still the marker it was? Its printed cells, read where the corners say they are.
-
 CONTRAST_MIN_GREY = 12.0  # between the cells printed white and those printed black
 QUIET_CELLS = 1  # the black border
 NO_MATCH = 1000
@@ -127,7 +124,8 @@ def cells_along_side(dictionary: "cv2.aruco.Dictionary") -> int:
     return int(dictionary.markerSize) + 2
 
 
-def _parameters(image_size_px: int, perimeter_min_px: float) -> "cv2.aruco.DetectorParameters":
+def search_parameters(image_size_px: int, perimeter_min_px: float) -> "cv2.aruco.DetectorParameters":
+    """OpenCV's, for markers of at least this perimeter in an image of this size [px]; unrefined corners."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.minMarkerPerimeterRate = float(np.clip(perimeter_min_px / image_size_px, 1e-3, 0.3))
     parameters.maxMarkerPerimeterRate = 8.0  # a region is hardly larger than its marker
@@ -135,9 +133,10 @@ def _parameters(image_size_px: int, perimeter_min_px: float) -> "cv2.aruco.Detec
     return parameters
 
 
-def _detect(
+def detect(
     image: Image, dictionary: "cv2.aruco.Dictionary", parameters: "cv2.aruco.DetectorParameters"
 ) -> tuple[FoundMarker, ...]:
+    """OpenCV's search with these parameters."""
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
     if ids is None:
         return ()
@@ -156,28 +155,7 @@ def find_markers(
     """
     if min(image.shape) < SIDE_MIN_PX:  # a place that a smaller picture no longer has
         return ()
-    return _detect(image, dictionary, _parameters(max(image.shape), perimeter_min_px))
-
-
-def find_all_markers(
-    image: Image, dictionary: "cv2.aruco.Dictionary", perimeter_min_px: float = 20.0
-) -> tuple[FoundMarker, ...]:
-    """As `find_markers`, slow and thorough: more thresholds, and a second pass at twice the size for cells of 2 px."""
-    if min(image.shape) < SIDE_MIN_PX:
-        return ()
-    thorough = _parameters(2 * max(image.shape), perimeter_min_px)
-    thorough.adaptiveThreshWinSizeStep = 4
-    thorough.adaptiveThreshWinSizeMax = 43
-    thorough.perspectiveRemovePixelPerCell = 8
-    doubled = np.asarray(cv2.resize(image, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
-    found = [
-        FoundMarker(marker.marker_id, (marker.corners_px + 0.5) / 2.0 - 0.5)  # resize keeps outer edges, not centres
-        for marker in _detect(doubled, dictionary, thorough)
-    ]
-    for marker in _detect(image, dictionary, thorough):
-        if not any(same_place(marker, other) for other in found):
-            found.append(marker)
-    return tuple(found)
+    return detect(image, dictionary, search_parameters(max(image.shape), perimeter_min_px))
 
 
 def find_inverted(

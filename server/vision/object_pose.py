@@ -7,32 +7,19 @@ from typing import Literal
 import numpy as np
 
 from machine.description import StereoCamera
-from server.vision.ambiguity import covariance_of_both, mirrored_pose, widened_covariance
-from server.vision.ambiguity_time import (
+from server.vision.ambiguity import (
+    AGE_MAX_S,
     PLAUSIBLE_CHI2,
     MotionLimits,
     PosePrior,
     chi2_to_prior,
-    prior_from,
-    usable_prior,
+    covariance_of_both,
+    mirrored_pose,
+    widened_covariance,
 )
 from server.vision.contracts import Array, MarkerView, ObjectPose, PoseStatus
 from server.vision.pose_problem import PointSighting, PoseProblem, SeenGroup, Sighting, pose_problem
-from server.vision.pose_refinement import PointObservations, RefinedPose, distinct_minima
-
-__all__ = [
-    "NO_RIVAL",
-    "ObjectName",
-    "PointSighting",
-    "PosePrior",
-    "PoseSettings",
-    "Sighting",
-    "estimate_object_pose",
-    "fitted_variance",
-    "not_seen",
-    "prior_from",
-    "rig_contradiction",
-]
+from server.vision.pose_refinement import RefinedPose, distinct_minima
 
 ObjectName = Literal["tool", "ooi"]
 SAME_MINIMUM_RAD = float(np.deg2rad(0.5))
@@ -89,17 +76,10 @@ def _doubly_seen(problem: PoseProblem) -> list[SeenGroup]:
 def _rms_without(problem: PoseProblem, group: SeenGroup, T_cam_object: Array, apart_rad: float) -> float:
     rows = np.ones(len(problem.observations.points_object), dtype=bool)
     rows[group.first : group.end] = False
-    found = distinct_minima(T_cam_object[None], _cut(problem.observations, rows), apart_rad)
+    found = distinct_minima(T_cam_object[None], problem.observations.some(rows), apart_rad)
     if not found:
         return float("inf")
     return float(np.sqrt(found[0].sum_squares_px2 / found[0].residuals_px.size))
-
-
-def _cut(whole: PointObservations, rows: Sequence[bool] | np.ndarray) -> PointObservations:
-    weights = None if whole.weights is None else whole.weights[rows]
-    return PointObservations(
-        whole.points_object[rows], whole.seen_px[rows], whole.eye_x_m[rows], whole.focal_px, weights
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +248,7 @@ def _chosen_by_time(
     both: tuple[_Candidate, _Candidate], settings: PoseSettings, prior: PosePrior | None
 ) -> _Candidate | None:
     """The one of two orientations that follows from the last moments, if these rule the other one out."""
-    if prior is None or not usable_prior(prior):
+    if prior is None or not 0.0 <= prior.age_s <= AGE_MAX_S:
         return None
     distances = [
         chi2_to_prior(candidate.fit.T_cam_object, candidate.covariance, prior, settings.motion) for candidate in both

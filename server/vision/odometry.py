@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.description import StereoCamera
-from machine.poses import inverse_pose, transform_points
+from machine.poses import inverse_pose, pose_difference, transform_points
 from machine.rotations import nearest_rotation
 from server.vision.contracts import Array, Image, OdometryPose, OdometryStatus
 from server.vision.odometry_adjustment import adjust_keyframes
-from server.vision.odometry_covariance import KeyframeCovariances, Readout, readout_of
+from server.vision.odometry_covariance import KeyframeCovariances, readout_of
 from server.vision.odometry_features import allowed_mask, coverage
 from server.vision.odometry_keyframe import Keyframe, SeenHere, make_keyframe
 from server.vision.odometry_motion import (
@@ -19,14 +19,12 @@ from server.vision.odometry_motion import (
     Twist,
     covariance_in_vo,
     moved_by_twist,
-    pose_difference,
     row_fractions,
     standing,
     with_scale_error,
 )
 from server.vision.odometry_motions import Located, Scene, motions, parted, world_motion
-from server.vision.odometry_observation import Observed, expected_right, observe_map
-from server.vision.odometry_own import OwnStructure, vote
+from server.vision.odometry_observation import Observed, OwnStructure, expected_right, observe_map, vote
 from server.vision.odometry_place import best_place, by_flow, by_recognition, travelled
 from server.vision.odometry_pose import PoseFit, pose_problem, rough, settled
 from server.vision.odometry_sensitivity import Sensitivity, Shutter, sensitivity
@@ -64,11 +62,6 @@ class StereoOdometry:
     def keyframes(self) -> tuple[Keyframe, ...]:
         """The kept keyframes, the anchor first."""
         return tuple(self._keyframes)
-
-    @property
-    def readout(self) -> Readout:
-        """The rolling shutter's readout as given or learned so far."""
-        return self._readout
 
     def hides(self, left_px: Array) -> NDArray[np.bool_]:
         """Which places (n, 2) [raw px] of the left picture were recognised as own structure so far."""

@@ -12,8 +12,7 @@ from machine.poses import inverse_pose, transform_points
 from server.vision.bundle import adjust_bundle
 from server.vision.bundle_contracts import BundleLoss, BundleProblem, BundleSettings, BundleStatus
 from server.vision.contracts import Array
-from server.vision.odometry_keyframe import Keyframe
-from server.vision.odometry_lens import ray_sigma
+from server.vision.odometry_keyframe import Keyframe, ray_sigma
 from server.vision.odometry_motion import moved_by_twist, row_fractions
 
 SETTINGS = BundleSettings(loss=BundleLoss.CAUCHY, loss_scale=3.0)

@@ -50,11 +50,6 @@ class KeyframeCovariances:
     def __init__(self) -> None:
         self._joint = np.zeros((0, 0))
 
-    def pose_of(self, number: int) -> Array:
-        """Covariance (6, 6) of one keyframe's pose."""
-        start = SHARED * number
-        return self._joint[start : start + 6, start : start + 6].copy()
-
     def carried(self, found: Sensitivity) -> Array:
         """What the keyframes' errors amount to in a pose that was fitted to their points, (6, 6)."""
         gain, places = self._gain(found)

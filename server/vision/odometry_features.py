@@ -1,6 +1,7 @@
-"""Corners worth tracking, spread over the image, and where not to look."""
+"""Features of an image: corners worth tracking, places recognised in another image, and repetitions in itself."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,6 +25,11 @@ def allowed_mask(shape: tuple[int, int], polygons_px: Sequence[Array]) -> Image:
     for polygon in polygons_px:
         cv2.fillPoly(mask, [np.round(polygon).astype(np.int32).reshape(-1, 1, 2)], 0)
     return mask
+
+
+def allowed_masks(shape: tuple[int, int], polygons_px: tuple[Sequence[Array], Sequence[Array]]) -> tuple[Image, Image]:
+    """`allowed_mask` of the left and the right eye."""
+    return allowed_mask(shape, polygons_px[0]), allowed_mask(shape, polygons_px[1])
 
 
 def inside_mask(mask: Image, points_px: Array) -> NDArray[np.bool_]:
@@ -85,3 +91,57 @@ def cell_numbers(points_px: Array, shape: tuple[int, int]) -> NDArray[np.int64]:
 def coverage(points_px: Array, shape: tuple[int, int]) -> int:
     """How many of the image's coarse cells hold a point."""
     return len(np.unique(cell_numbers(points_px, shape)))
+
+
+FEATURES = 1200
+RATIO_MAX = 0.85  # of the best distance to the second best
+SCALE = 0.5  # at which a picture is compared with itself
+LOBE_PX = 4  # at that scale: nearer, a picture resembles itself whatever it shows
+ALIKE_FRAC = 0.8  # of the strongest repetition: its neighbours on the same lattice
+REPEATS_MAX = 4  # nearest repetitions
+UNIQUE_RATIO_MAX = 0.8  # of the best dissimilarity to the second best: below, the best is unique (Lowe 2004)
+
+
+def clear_matches(words: NDArray[Any], others: NDArray[Any], norm: int, ratio_max: float) -> "list[cv2.DMatch]":
+    """Each word's nearest other word, where the second nearest is clearly farther (Lowe 2004)."""
+    found = cv2.BFMatcher(norm).knnMatch(words, others, k=2)
+    return [pair[0] for pair in found if len(pair) == 2 and pair[0].distance < ratio_max * pair[1].distance]
+
+
+def recognise(first: Image, mask_first: Image, second: Image, mask_second: Image) -> tuple[Array, Array]:
+    """Places (n, 2) [px] of the first image and where they seem to be in the second; many may be wrong.
+
+    Source:  Rublee et al. 2011 (ORB); ratio test of Lowe 2004.
+    """
+    none = np.zeros((0, 2))
+    orb = cv2.ORB.create(nfeatures=FEATURES, fastThreshold=10)
+    places, descriptors = [], []
+    for image, mask in ((first, mask_first), (second, mask_second)):
+        points, found = orb.detectAndCompute(image, mask)
+        if found is None or len(points) < 2:
+            return none, none
+        places.append(np.array([point.pt for point in points], dtype=np.float64))
+        descriptors.append(found)
+    good = clear_matches(descriptors[0], descriptors[1], cv2.NORM_HAMMING, RATIO_MAX)
+    chosen = np.array([(match.queryIdx, match.trainIdx) for match in good], dtype=np.int64).reshape(-1, 2)
+    return places[0][chosen[:, 0]], places[1][chosen[:, 1]]
+
+
+def repeats(image: Image, along_rows: bool = False) -> Array:
+    """Ways (k, 2) [px] by which a picture may repeat itself, the nearest first; few or none where it does not.
+
+    Model:   normalised correlation of its middle half, each way, with the whole: local maxima besides the main one.
+    """
+    small = cv2.resize(image, None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_AREA)
+    top, left = small.shape[0] // 4, small.shape[1] // 4
+    middle = small[top : small.shape[0] - top, left : small.shape[1] - left]
+    if along_rows:
+        small, top = small[top : small.shape[0] - top], 0
+    likeness = np.asarray(cv2.matchTemplate(small, middle, cv2.TM_CCOEFF_NORMED))
+    peaks = likeness >= np.asarray(cv2.dilate(likeness, np.ones((2 * LOBE_PX + 1,) * 2, np.uint8)))
+    ways = np.argwhere(peaks & (likeness > 0.0))[:, ::-1] - [left, top]
+    heights = likeness[ways[:, 1] + top, ways[:, 0] + left]
+    apart = np.linalg.norm(ways, axis=1)
+    ways, heights = ways[apart > LOBE_PX], heights[apart > LOBE_PX]
+    ways = ways[heights >= ALIKE_FRAC * heights.max(initial=0.0)]
+    return np.asarray(ways[np.argsort(np.linalg.norm(ways, axis=1))][:REPEATS_MAX] / SCALE, dtype=np.float64)

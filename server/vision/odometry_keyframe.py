@@ -6,13 +6,32 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.camera import project_stereo, undistort_to_rays
+from machine.camera import distortion_jacobian, project_stereo, undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
 from server.vision.contracts import Array
-from server.vision.odometry_lens import ray_noise
 from server.vision.odometry_motion import moved_by_twist, row_fractions
 from server.vision.odometry_sight import Sight, StereoMatches, Wanted
+
+
+def ray_noise(camera: StereoCamera, rays: Array) -> Array:
+    """Covariances (n, 2, 2) of undistorted rays, in px of the focal length, for raw noise of 1 px; NaN rays give the
+    identity.
+
+    Model:   D^-1 D^-T, D = d(distorted ray) / d(ray).
+    """
+    known = np.isfinite(rays).all(axis=1)
+    noise = np.tile(np.eye(2), (len(rays), 1, 1))
+    inverse = np.linalg.inv(distortion_jacobian(camera, rays[known]))
+    noise[known] = inverse @ inverse.transpose(0, 2, 1)
+    return noise
+
+
+def ray_sigma(camera: StereoCamera, rays: Array) -> Array:
+    """The same as one number per ray (n,): the root of the mean variance of both coordinates."""
+    noise = ray_noise(camera, rays)
+    return np.sqrt(0.5 * (noise[:, 0, 0] + noise[:, 1, 1]))
+
 
 FAILURES_MAX = 8  # more failed than found, and this often: the point is asked in turn only
 TURNS = 32  # pairs in which each of those is asked once more: what covered it may have gone

@@ -138,11 +138,6 @@ def covariance_in_vo(T_cam_vo: Array, covariance: Array) -> Array:
     return J @ covariance @ J.T
 
 
-def pose_difference(T_one: Array, T_other: Array) -> Array:
-    """The step (6,) from one pose to another: rotation vector by left perturbation, then translation."""
-    return np.concatenate([rotvec_from_rotation(T_other[:3, :3] @ T_one[:3, :3].T), T_other[:3, 3] - T_one[:3, 3]])
-
-
 def with_scale_error(covariance: Array, position_vo: Array, sigma_scale_frac: float) -> Array:
     """Covariance (6, 6) with the rig's unknown scale: sigma_scale times the way from the start, along that way."""
     grown = covariance.copy()

@@ -1,8 +1,10 @@
-"""What a pair shows of the map: points of the keyframes, the oldest first, found in it until there are enough."""
+"""What a pair shows of the map: points of the keyframes, found again; and what stood still with the camera."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,9 +12,9 @@ from machine.camera import project_stereo, undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
 from server.vision.contracts import Array
-from server.vision.odometry_keyframe import DEPTH_MIN_M, Hides, Keyframe, expect_points
-from server.vision.odometry_lens import ray_noise
-from server.vision.odometry_pose import StereoPoints
+from server.vision.odometry_align import AWAY_MAX_PX
+from server.vision.odometry_keyframe import DEPTH_MIN_M, Hides, Keyframe, expect_points, ray_noise
+from server.vision.odometry_pose import PoseFit, StereoPoints
 from server.vision.odometry_sight import Sight, Wanted
 
 ENOUGH_FRAC = 0.5  # of the points wanted: found, not only expected
@@ -64,13 +66,14 @@ class Tried:
 @dataclass(frozen=True, slots=True)
 class _Part:
     tried: Tried
-    keyframes: NDArray[np.int64]
-    indices: NDArray[np.int64]
+    number: int
     left_px: Array
     right_px: Array
-    points_vo: Array
-    covariances_vo: Array
     correlations: Array
+
+    @property
+    def indices(self) -> NDArray[np.int64]:
+        return self.tried.wanted.indices[self.tried.found]
 
 
 def observe_map(
@@ -96,15 +99,18 @@ def observe_map(
         part, expected = _observe_keyframe(number, keyframe, sight, wanted, points_max - n_found)
         parts.append(part)
         n_expected += expected
-        n_found += len(part.indices)
+        n_found += len(part.left_px)
         if n_expected >= points_max and n_found >= ENOUGH_FRAC * points_max:
             break
-    left_px = np.concatenate([part.left_px for part in parts])
-    right_px = np.concatenate([part.right_px for part in parts])
+
+    def together(of: Callable[[_Part], NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([of(part) for part in parts])
+
+    left_px, right_px = together(lambda part: part.left_px), together(lambda part: part.right_px)
     rays_left, rays_right = undistort_to_rays(camera, left_px), undistort_to_rays(camera, right_px)
     seen = StereoPoints(
-        points_vo=np.concatenate([part.points_vo for part in parts]),
-        covariances_vo=np.concatenate([part.covariances_vo for part in parts]),
+        points_vo=together(lambda part: part.tried.keyframe.points_vo[part.indices]),
+        covariances_vo=together(lambda part: part.tried.keyframe.covariances_vo[part.indices]),
         rays_left=rays_left,
         rays_right=rays_right,
         sigma_px=sigma_px,
@@ -112,12 +118,18 @@ def observe_map(
         baseline_m=camera.baseline_m,
         noise=np.stack([ray_noise(camera, rays_left), ray_noise(camera, rays_right)], axis=1),
     )
-    numbers = [np.concatenate([getattr(part, name) for part in parts]) for name in ("keyframes", "indices")]
-    tried = tuple(part.tried for part in parts)
-    points_row = np.concatenate([part.tried.keyframe.points_row[part.indices] for part in parts])
-    correlations = np.concatenate([part.correlations for part in parts])
-    votes = np.concatenate([part.tried.keyframe.votes[part.indices] for part in parts])
-    return Observed(numbers[0], numbers[1], left_px, right_px, n_expected, seen, points_row, votes, correlations, tried)
+    return Observed(
+        keyframes=np.repeat([part.number for part in parts], [len(part.left_px) for part in parts]),
+        indices=together(lambda part: part.indices),
+        left_px=left_px,
+        right_px=right_px,
+        n_expected=n_expected,
+        seen=seen,
+        points_row=together(lambda part: part.tried.keyframe.points_row[part.indices]),
+        votes=together(lambda part: part.tried.keyframe.votes[part.indices]),
+        correlations=together(lambda part: part.correlations),
+        tried=tuple(part.tried for part in parts),
+    )
 
 
 def expected_right(camera: StereoCamera, points_cam: Array) -> NDArray[np.bool_]:
@@ -142,16 +154,74 @@ def _observe_keyframe(number: int, keyframe: Keyframe, sight: Sight, wanted: Wan
     if len(wanted.indices) > room:
         wanted = wanted.some(np.linspace(0, len(wanted.indices) - 1, room).astype(np.int64))
     left, right = sight.find(keyframe.sight, wanted)
-    on, good = wanted.indices, left.good
-    left_px, right_px = left.points_px[good], np.where(right.good[:, None], right.points_px, np.nan)[good]
-    part = _Part(
-        tried=Tried(keyframe, wanted, good),
-        keyframes=np.full(int(good.sum()), number, dtype=np.int64),
-        indices=on[good],
-        left_px=left_px,
-        right_px=right_px,
-        points_vo=keyframe.points_vo[on[good]],
-        covariances_vo=keyframe.covariances_vo[on[good]],
-        correlations=left.correlation[good],
-    )
-    return part, len(on)
+    good = left.good
+    right_px = np.where(right.good[:, None], right.points_px, np.nan)[good]
+    part = _Part(Tried(keyframe, wanted, good), number, left.points_px[good], right_px, left.correlation[good])
+    return part, len(wanted.indices)
+
+
+VOTES_MAX = 8  # as many pairs in a row turn a cell's verdict round
+Mask = NDArray[np.bool_]
+
+
+class OwnStructure:
+    """Votes by cells of the left picture: above 0 something went with the world there, below with the camera."""
+
+    def __init__(self, shape: tuple[int, int], cell_px: int) -> None:
+        self._cell_px = cell_px
+        self._votes = np.zeros((shape[0] // cell_px + 1, shape[1] // cell_px + 1), dtype=np.int64)
+        self._hidden = np.zeros(self._votes.shape, dtype=np.bool_)
+
+    def vote(self, own_px: Array, world_px: Array) -> None:
+        """Count points (n, 2) of one pair that stood still against the world, and points that moved with it."""
+        for places, sign in ((own_px, -1), (world_px, 1)):
+            np.add.at(self._votes, self._cells(places), sign)
+        self._votes = np.clip(self._votes, -VOTES_MAX, VOTES_MAX)
+        own = self._votes < 0
+        wide = np.asarray(cv2.dilate(own.astype(np.uint8), np.ones((3, 3), np.uint8))) > 0
+        self._hidden = own | (wide & (self._votes == 0))
+
+    def hides(self, left_px: Array) -> Mask:
+        """Which places (n, 2) [raw px] lie on it or right at it, where nothing of the world was ever seen."""
+        return self._hidden[self._cells(left_px)]
+
+    def _cells(self, places_px: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        finite = np.where(np.isfinite(places_px), places_px, 0.0)
+        cells = np.clip(finite // self._cell_px, 0, np.array(self._votes.shape)[::-1] - 1).astype(np.int64)
+        return cells[:, 1], cells[:, 0]
+
+
+def vote(own: OwnStructure, sight: Sight, observed: Observed, fit: PoseFit, rest_squares: Array) -> None:
+    """Let a located pair vote: on its points, on their keyframes, and on the picture's cells.
+
+    A point votes where the world's motion and rest in the picture exclude each other: it fits one of them only. Points
+    that were not found where the world has them are looked for where they were.
+    """
+    moved = rest_squares > fit.limit
+    with_world, with_camera = fit.inliers & moved, (fit.squares >= fit.limit) & ~moved
+    own_px, start = [observed.left_px[with_camera]], 0
+    limit_px = observed.seen.sigma_px * np.sqrt(2.0 * fit.limit)
+    for tried in observed.tried:
+        end = start + int(tried.found.sum())
+        at = tried.wanted.indices[tried.found]
+        tried.keyframe.vote(at, with_world[start:end].astype(np.int8) - with_camera[start:end].astype(np.int8))
+        own_px.append(_standing(sight, tried, limit_px))
+        start = end
+    own.vote(np.concatenate(own_px), observed.left_px[with_world])
+
+
+def _standing(sight: Sight, tried: Tried, limit_px: float) -> Array:
+    """Places (n, 2) of points that were missed, and that lie where they were kept, in both eyes."""
+    wanted = tried.wanted
+    away = np.linalg.norm(wanted.guesses_left_px - wanted.places_left_px, axis=1) > AWAY_MAX_PX
+    missed = np.flatnonzero(~tried.found & away & sight.may_show(wanted.places_left_px))
+    if len(missed) == 0:
+        return np.zeros((0, 2))
+    some = wanted.some(missed)
+    warps, places = np.tile(np.eye(2), (len(missed), 1, 1)), (some.places_left_px, some.places_right_px)
+    found = sight.find(tried.keyframe.sight, Wanted(some.indices, *places, warps, *places))
+    good = np.ones(len(missed), dtype=bool)
+    for eye, place in zip(found, places, strict=True):
+        good &= eye.good & (np.linalg.norm(eye.points_px - place, axis=1) < limit_px)
+    tried.keyframe.vote(some.indices[good], np.full(int(good.sum()), -1, dtype=np.int8))
+    return places[0][good]

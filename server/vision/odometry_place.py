@@ -10,17 +10,14 @@ from machine.description import StereoCamera
 from machine.poses import inverse_pose, pose, transform_points
 from server.vision.contracts import Array
 from server.vision.odometry_align import CORRELATION_MIN
+from server.vision.odometry_features import UNIQUE_RATIO_MAX
 from server.vision.odometry_keyframe import Keyframe
 from server.vision.odometry_motion import ACCELERATION, Motion
 from server.vision.odometry_motions import Located
 from server.vision.odometry_pose import coarse_pose
-from server.vision.odometry_recognition import UNIQUE_RATIO_MAX
 from server.vision.odometry_sight import Sight
 
 CLIMBS_MAX = 8  # from place to better place in one pair
-
-
-# A start for the fit when prediction fails: flow from what was seen last, then recognition of any keyframe.
 
 NEIGHBOUR_MAX_PX = 60.0  # a recognised place takes the depth of the map point next to it
 RECOGNISED_PER_PAIR = 3  # keyframes; the rest has its turn with the next pair

@@ -72,27 +72,43 @@ class CoarsePose:
     n_inliers: int
 
 
+def ransac_pose(
+    points: Array, rays: Array, limit: float, rounds: int, method: int = cv2.SOLVEPNP_SQPNP, start: Array | None = None
+) -> tuple[Array, NDArray[np.int64]] | None:
+    """T_cam_points by PnP with RANSAC from rays (n, 2), inliers below this limit of a ray; and the inliers' indices."""
+    rvec = None if start is None else cv2.Rodrigues(start[:3, :3])[0]
+    tvec = None if start is None else start[:3, 3].reshape(3, 1).copy()
+    good, rvec, tvec, inliers = cv2.solvePnPRansac(
+        points.reshape(-1, 1, 3),
+        rays.reshape(-1, 1, 2),
+        np.eye(3),
+        None,
+        rvec,
+        tvec,
+        useExtrinsicGuess=start is not None,
+        iterationsCount=rounds,
+        reprojectionError=limit,
+        confidence=0.999,
+        flags=method,
+    )
+    if not good or inliers is None:
+        return None
+    T = pose(np.asarray(cv2.Rodrigues(rvec)[0], dtype=float), np.asarray(tvec, dtype=float).reshape(3))
+    return T, np.asarray(inliers, dtype=np.int64).ravel()
+
+
 def coarse_pose(points_vo: Array, rays: Array, focal_px: float) -> CoarsePose | None:
     """T_cam_vo by PnP with RANSAC; None where no pose gathers at least 8 points."""
     if len(points_vo) < 8:
         return None
     try:
-        good, rvec, tvec, inliers = cv2.solvePnPRansac(
-            points_vo.reshape(-1, 1, 3),
-            rays.reshape(-1, 1, 2),
-            np.eye(3),
-            None,
-            iterationsCount=RANSAC_ROUNDS,
-            reprojectionError=RANSAC_PX / focal_px,
-            confidence=0.999,
-            flags=cv2.SOLVEPNP_SQPNP,
-        )
+        found = ransac_pose(points_vo, rays, RANSAC_PX / focal_px, RANSAC_ROUNDS)
     except cv2.error:  # degenerate points
         return None
-    if not good or inliers is None or len(inliers) < 8:
+    if found is None or len(found[1]) < 8:
         return None
-    rotation = nearest_rotation(np.asarray(cv2.Rodrigues(rvec)[0], dtype=float))
-    return CoarsePose(pose(rotation, np.asarray(tvec, dtype=float).reshape(3)), len(inliers))
+    T, inliers = found
+    return CoarsePose(pose(nearest_rotation(T[:3, :3]), T[:3, 3]), len(inliers))
 
 
 @njit(cache=True, nogil=True)

@@ -11,16 +11,19 @@ from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
 from server.vision.odometry_align import CORRELATION_MIN, HALF_PX, Alignment, align
-from server.vision.odometry_features import inside_mask, spread_corners, texture_grey
-from server.vision.odometry_recognition import UNIQUE_RATIO_MAX, recognise, repeats
+from server.vision.odometry_features import (
+    UNIQUE_RATIO_MAX,
+    inside_mask,
+    recognise,
+    repeats,
+    spread_corners,
+    texture_grey,
+)
 
 EPIPOLAR_MAX_PX = 1.0
 DISPARITY_MIN_PX = 1.5
 SAMPLE = 40  # points that say which disparity is the right one where a texture repeats
 REPETITIONS_MAX = 8
-
-
-# Coarse correspondence between two images: pyramidal KLT, checked forward and backward.
 
 WINDOW_PX = 21
 LEVELS = 4
@@ -211,8 +214,7 @@ class ImageSight:
 
     def find(self, kept: Sight, wanted: Wanted) -> tuple[Alignment, Alignment]:
         """Patches of the kept pair, warped, laid onto this one; what lies under a mask is not found."""
-        if not isinstance(kept, ImageSight):
-            raise TypeError(f"a pair of images is compared with images, not with {type(kept).__name__}")
+        kept = _images(kept)
         left = align(kept.left, wanted.places_left_px, wanted.warps, self.left, wanted.guesses_left_px)
         right = align(kept.right, wanted.places_right_px, wanted.warps, self.right, wanted.guesses_right_px)
         shown = right.good & inside_mask(self.masks[1], right.points_px)
@@ -224,15 +226,13 @@ class ImageSight:
 
     def flow_from(self, kept: Sight, places_left_px: Array) -> Flow:
         """Pyramidal flow from the kept left image to this one."""
-        if not isinstance(kept, ImageSight):
-            raise TypeError(f"a pair of images is compared with images, not with {type(kept).__name__}")
+        kept = _images(kept)
         found = flow(kept.left, self.left, places_left_px)
         return Flow(found.points_px, found.good & inside_mask(self.masks[0], found.points_px))
 
     def recognise(self, kept: Sight) -> tuple[Array, Array]:
         """By ORB features."""
-        if not isinstance(kept, ImageSight):
-            raise TypeError(f"a pair of images is compared with images, not with {type(kept).__name__}")
+        kept = _images(kept)
         return recognise(kept.left, kept.masks[0], self.left, self.masks[0])
 
     def repeats(self) -> Array:
@@ -242,6 +242,12 @@ class ImageSight:
     def keep(self) -> "ImageSight":
         """With images of its own."""
         return ImageSight(self.left.copy(), self.right.copy(), self.masks, self.t_exposure_ns)
+
+
+def _images(kept: Sight) -> ImageSight:
+    if not isinstance(kept, ImageSight):
+        raise TypeError(f"a pair of images is compared with images, not with {type(kept).__name__}")
+    return kept
 
 
 def plausible(camera: StereoCamera, rays_left: Array, right_px: Array, good: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from server.vision.bundle import BundleProblem, BundleSettings, adjust_bundle
+from server.vision.bundle import adjust_bundle
+from server.vision.bundle_contracts import BundleProblem
 from server.vision.odometry_align import align
 from server.vision.odometry_keyframe import Keyframe
 from server.vision.odometry_motions import motions
@@ -12,8 +13,6 @@ from server.vision.odometry_observation import Observed
 from server.vision.odometry_pose import StereoPoints, pose_problem, refine_camera
 from server.vision.odometry_sensitivity import Shutter, sensitivity
 from server.vision.odometry_sight import ImageSight
-
-# Compiles the bundle adjustment's kernels: some 25 s of CPU on a new machine, cached afterwards.
 
 
 def warm_up_bundle() -> None:
@@ -35,7 +34,7 @@ def warm_up_bundle() -> None:
         baseline_m=0.1,
         fixed=np.array([True, False]),
     )
-    adjust_bundle(problem, BundleSettings(point_covariances=True))
+    adjust_bundle(problem)
 
 
 def warm_up() -> None:

@@ -75,14 +75,7 @@ class PoseProblem:
         """The rows of these sightings only."""
         if len(indices) == len(self.sightings):
             return self.observations
-        rows, whole = self.rows_of(indices), self.observations
-        return PointObservations(
-            whole.points_object[rows],
-            whole.seen_px[rows],
-            whole.eye_x_m[rows],
-            whole.focal_px,
-            None if whole.weights is None else whole.weights[rows],
-        )
+        return self.observations.some(self.rows_of(indices))
 
     def seen_by_both(self) -> tuple[Array, Array]:
         """Points that both eyes see, undistorted (m, 2) [px], left and right."""

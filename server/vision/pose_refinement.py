@@ -1,12 +1,12 @@
 """Pose of a rigid object from its points in one or two eyes: Levenberg-Marquardt with the analytic Jacobian."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from machine.poses import pose
 from server.vision.contracts import Array
 from server.vision.small_algebra import rotated, solve_positive
 
@@ -30,6 +30,12 @@ class PointObservations:
     focal_px: Array
     weights: Array | None = None
 
+    def some(self, rows: NDArray[np.bool_]) -> "PointObservations":
+        """Only these rows (n,)."""
+        weights = None if self.weights is None else self.weights[rows]
+        kept = self.points_object[rows], self.seen_px[rows], self.eye_x_m[rows]
+        return PointObservations(*kept, self.focal_px, weights)
+
 
 @dataclass(frozen=True, slots=True)
 class RefinedPose:
@@ -39,14 +45,31 @@ class RefinedPose:
     sum_squares_px2: float
     information: Array
     residuals_px: Array
-    converged: bool
+
+
+class Given(NamedTuple):
+    """`PointObservations` as the kernels take them: contiguous arrays."""
+
+    points: Array
+    seen: Array
+    eye_x: Array
+    focal: Array
+    weights: Array
+
+
+def kernel_arrays(observations: PointObservations) -> Given:
+    """The kernels' argument."""
+    weights = observations.weights
+    if weights is None:
+        weights = np.repeat(np.eye(2)[None], len(observations.points_object), axis=0)
+    arrays = observations.points_object, observations.seen_px, observations.eye_x_m, observations.focal_px, weights
+    return Given(*(np.ascontiguousarray(array, dtype=np.float64) for array in arrays))
 
 
 @njit(cache=True, nogil=True)
-def sum_squares(
-    rotation: Array, position: Array, points: Array, seen: Array, eye_x: Array, focal: Array, weights: Array
-) -> float:
+def sum_squares(rotation: Array, position: Array, given: Given) -> float:
     """Sum of squared residuals [px^2]; inf where a point lies behind the glass."""
+    points, seen, eye_x, focal, weights = given
     total = 0.0
     for i in range(points.shape[0]):
         a, b, c = points[i, 0], points[i, 1], points[i, 2]
@@ -63,18 +86,9 @@ def sum_squares(
 
 
 @njit(cache=True, nogil=True)
-def _normal_equations(
-    rotation: Array,
-    position: Array,
-    points: Array,
-    seen: Array,
-    eye_x: Array,
-    focal: Array,
-    weights: Array,
-    information: Array,
-    gradient: Array,
-) -> None:
+def _normal_equations(rotation: Array, position: Array, given: Given, information: Array, gradient: Array) -> None:
     """J^T J and J^T r, in place, for the left perturbation R <- exp(w) R, t <- t + dt; upper half mirrored."""
+    points, seen, eye_x, focal, weights = given
     information[:], gradient[:] = 0.0, 0.0
     row, col = np.empty(6), np.empty(6)
     for i in range(points.shape[0]):
@@ -104,20 +118,17 @@ def _normal_equations(
 
 
 @njit(cache=True, nogil=True)
-def descend(
-    T: Array, points: Array, seen: Array, eye_x: Array, focal: Array, weights: Array
-) -> tuple[Array, Array, float, Array, bool]:
-    """Compiled `refine_pose`: rotation, position, sum of squares, information, converged."""
+def _descend(T: Array, given: Given) -> tuple[Array, Array, float, Array]:
+    """Levenberg-Marquardt from one start: rotation, position, sum of squares, information."""
     rotation, position = T[:3, :3].copy(), T[:3, 3].copy()
-    total = sum_squares(rotation, position, points, seen, eye_x, focal, weights)
+    total = sum_squares(rotation, position, given)
     information, gradient, damped = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
-    damping, converged = 1e-3, False
-    fresh = False
+    damping, fresh = 1e-3, False
     for _ in range(ITERATIONS_MAX):
         if not np.isfinite(total):
             break
         if not fresh:
-            _normal_equations(rotation, position, points, seen, eye_x, focal, weights, information, gradient)
+            _normal_equations(rotation, position, given, information, gradient)
             fresh = True
         damped[:] = information
         for k in range(6):
@@ -125,32 +136,28 @@ def descend(
         step = solve_positive(damped, -gradient)
         new_rotation = rotated(rotation, step[:3])
         new_position = position + step[3:]
-        new_total = sum_squares(new_rotation, new_position, points, seen, eye_x, focal, weights)
+        new_total = sum_squares(new_rotation, new_position, given)
         if new_total <= total:
             small = np.abs(step).max() < 1e-11 or total - new_total < GAIN_DONE * total + 1e-20
             rotation, position, total, fresh = new_rotation, new_position, new_total, False
             damping = max(damping * 0.1, 1e-9)
             if small:
-                converged = True
                 break
         else:
             damping *= 10.0
             if damping > 1e12:
-                converged = True  # no descent left in working precision
-                break
+                break  # no descent left in working precision
     if np.isfinite(total) and not fresh:
-        _normal_equations(rotation, position, points, seen, eye_x, focal, weights, information, gradient)
-    return rotation, position, total, information, converged
+        _normal_equations(rotation, position, given, information, gradient)
+    return rotation, position, total, information
 
 
 @njit(cache=True, nogil=True)
-def descend_all(
-    Ts: Array, points: Array, seen: Array, eye_x: Array, focal: Array, weights: Array
-) -> tuple[Array, Array, Array]:
+def _descend_all(Ts: Array, given: Given) -> tuple[Array, Array, Array]:
     """From every start (k, 4, 4): poses (k, 4, 4), sums of squares (k,), information (k, 6, 6)."""
     found, totals, informations = np.zeros(Ts.shape), np.empty(len(Ts)), np.empty((len(Ts), 6, 6))
     for k in range(len(Ts)):
-        rotation, position, total, information, _ = descend(Ts[k], points, seen, eye_x, focal, weights)
+        rotation, position, total, information = _descend(Ts[k], given)
         found[k, :3, :3], found[k, :3, 3], found[k, 3, 3] = rotation, position, 1.0
         totals[k], informations[k] = total, information
     return found, totals, informations
@@ -162,21 +169,6 @@ def residuals_px(T_cam_object: Array, observations: PointObservations) -> Array:
     rays = np.column_stack([(x - observations.eye_x_m) / z, y / z])
     plain = rays * observations.focal_px - observations.seen_px
     return plain if observations.weights is None else np.einsum("nij,nj->ni", observations.weights, plain)
-
-
-def refine_pose(T_cam_object: Array, observations: PointObservations) -> RefinedPose:
-    """Local minimum of the reprojection error over both eyes from one start.
-
-    Model:   p = R X + t (object into the left camera); residual = (fx (p_x - eye_x) / p_z, fy p_y / p_z) - seen;
-             left perturbation R <- exp(w) R, t <- t + dt; LM with Marquardt scaling.
-    Args:    T_cam_object: start (4, 4). observations: at least 3 points.
-    Returns: RefinedPose; `sum_squares_px2` is inf when the start has points behind the camera.
-    Source:  Levenberg-Marquardt; Jacobian of a calibrated pinhole, checked against finite differences in the tests.
-    """
-    T = np.ascontiguousarray(T_cam_object, dtype=np.float64)
-    rotation, position, total, information, converged = descend(T, *kernel_arrays(observations))
-    T_found = pose(rotation, position)
-    return RefinedPose(T_found, float(total), information, residuals_px(T_found, observations), bool(converged))
 
 
 @njit(cache=True, nogil=True)
@@ -199,26 +191,16 @@ def _distinct(Ts: Array, totals: Array, order: NDArray[np.intp], trace_max: floa
 
 
 def distinct_minima(starts: Array, observations: PointObservations, apart_rad: float) -> list[RefinedPose]:
-    """`refine_pose` from several starts (k, 4, 4), compiled; minima whose orientations differ, the best first."""
+    """Local minima of the reprojection error over both eyes whose orientations differ, the best first.
+
+    Model:   p = R X + t (object into the left camera); residual = (fx (p_x - eye_x) / p_z, fy p_y / p_z) - seen;
+             left perturbation R <- exp(w) R, t <- t + dt; LM with Marquardt scaling.
+    Args:    starts (k, 4, 4). observations: at least 3 points.
+    """
     Ts = np.ascontiguousarray(starts, dtype=np.float64).reshape(-1, 4, 4)
-    found, totals, informations = descend_all(Ts, *kernel_arrays(observations))
+    found, totals, informations = _descend_all(Ts, kernel_arrays(observations))
     order = np.argsort(totals, kind="stable")
     kept = _distinct(found, totals, order, 1.0 + 2.0 * float(np.cos(apart_rad)))
     return [
-        RefinedPose(found[k], float(totals[k]), informations[k], residuals_px(found[k], observations), converged=True)
-        for k in kept
+        RefinedPose(found[k], float(totals[k]), informations[k], residuals_px(found[k], observations)) for k in kept
     ]
-
-
-def kernel_arrays(observations: PointObservations) -> tuple[Array, Array, Array, Array, Array]:
-    """The kernels' arguments, contiguous: points, seen, eye_x, focal, weights."""
-    weights = observations.weights
-    if weights is None:
-        weights = np.repeat(np.eye(2)[None], len(observations.points_object), axis=0)
-    return (
-        np.ascontiguousarray(observations.points_object, dtype=np.float64),
-        np.ascontiguousarray(observations.seen_px, dtype=np.float64),
-        np.ascontiguousarray(observations.eye_x_m, dtype=np.float64),
-        np.ascontiguousarray(observations.focal_px, dtype=np.float64),
-        np.ascontiguousarray(weights, dtype=np.float64),
-    )

@@ -5,10 +5,14 @@ views -> checks of the input -> start -> joint fit -> views differ? rigid? sides
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from machine.description import StereoCamera
+from machine.markers import CORNER_SIGNS
+from machine.poses import inverse_pose, pose, pose_difference, transform_points
+from machine.rotations import nearest_rotation
 from server.vision.contracts import Array
 from server.vision.object_pose import fitted_variance
 from server.vision.teach_checks import (
@@ -33,9 +37,83 @@ from server.vision.teach_contracts import (
     angle_sigma_rad,
     position_sigma_m,
 )
-from server.vision.teach_fit import PER_MARKER, Corners, LayoutFit, Priors, fit_layout
-from server.vision.teach_frame import LayoutFrame, place_layout, placed_covariances
+from server.vision.teach_fit import PER_MARKER, Corners, LayoutFit, LayoutState, Priors, fit_layout, moved
 from server.vision.teach_start import SeenViews, corners_of, first_sides, start_of
+
+FrameName = Literal["present", "reference", "middle"]
+STEP = 1e-6  # of a numeric derivative, rad and m
+FLAT_FRAC = 0.2  # of the widest extent: centres that spread less across lie on a line
+
+
+@dataclass(frozen=True, slots=True)
+class LayoutFrame:
+    """Where the object's origin shall lie.
+
+    "present": where the present layout fits the new one best. "reference": the reference marker keeps its present pose
+    (identity where it has none). "middle": the mean of the markers' centres, z square to their plane, x along the
+    reference marker's x axis. `present`: T_on_marker and side [m] by id.
+    """
+
+    name: FrameName
+    present: Mapping[int, tuple[Array, float]]
+
+
+def place_layout(state: LayoutState, ids: Sequence[int], frame: LayoutFrame) -> Array:
+    """T_on_marker (m, 4, 4) in the wanted frame."""
+    if frame.name == "middle":
+        T_on_ref = _from_middle(state)
+    elif frame.name == "present" and any(marker_id in frame.present for marker_id in ids):
+        T_on_ref = _best_fit(state, ids, frame.present)
+    else:
+        T_on_ref = frame.present.get(ids[0], (np.eye(4), 0.0))[0]
+    return T_on_ref @ state.Ts_ref_marker
+
+
+def placed_covariances(state: LayoutState, covariance: Array, ids: Sequence[int], frame: LayoutFrame) -> Array:
+    """Covariances (m, 6, 6) of T_on_marker in the wanted frame, by central differences through the frame's choice.
+
+    Args: covariance (7 m + 1, 7 m + 1) of markers (T_ref_marker by left perturbation, side) and baseline.
+    """
+    rows = np.flatnonzero(np.diag(covariance) > 0.0)
+    J = np.zeros((len(ids), 6, len(rows)))
+    for column, row in enumerate(rows):
+        step = np.zeros(len(covariance))
+        step[row] = STEP
+        plus = place_layout(moved(state, step), ids, frame)
+        minus = place_layout(moved(state, -step), ids, frame)
+        for k in range(len(ids)):
+            J[k, :, column] = pose_difference(minus[k], plus[k]) / (2.0 * STEP)
+    found = J @ covariance[np.ix_(rows, rows)] @ J.transpose(0, 2, 1)
+    return 0.5 * (found + found.transpose(0, 2, 1))
+
+
+def _best_fit(state: LayoutState, ids: Sequence[int], present: Mapping[int, tuple[Array, float]]) -> Array:
+    """T_on_ref that lays the new corners onto the present ones (Kabsch 1976)."""
+    new, old = [], []
+    for k, marker_id in enumerate(ids):
+        if marker_id in present:
+            T_on_marker, side_m = present[marker_id]
+            new.append(transform_points(state.Ts_ref_marker[k], 0.5 * state.sides_m[k] * CORNER_SIGNS))
+            old.append(transform_points(T_on_marker, 0.5 * side_m * CORNER_SIGNS))
+    source, target = np.concatenate(new), np.concatenate(old)
+    middle, aim = source.mean(axis=0), target.mean(axis=0)
+    rotation = nearest_rotation((target - aim).T @ (source - middle))
+    return pose(rotation, aim - rotation @ middle)
+
+
+def _from_middle(state: LayoutState) -> Array:
+    centres = state.Ts_ref_marker[:, :3, 3]
+    middle = centres.mean(axis=0)
+    z = state.Ts_ref_marker[:, :3, 2].mean(axis=0)
+    _, extents, axes = np.linalg.svd(centres - middle, full_matrices=False)
+    if len(centres) >= 3 and extents[1] > FLAT_FRAC * extents[0]:
+        z = axes[2] * np.sign(axes[2] @ z)
+    z = z / np.linalg.norm(z)
+    x = state.Ts_ref_marker[0, :3, 0]
+    x = x - (x @ z) * z
+    x = x / np.linalg.norm(x)
+    return inverse_pose(pose(np.column_stack([x, np.cross(z, x), z]), middle))
+
 
 KNOWN_BASELINE_FRAC = 1e-9  # in the fit that asks the images for the sides
 
@@ -118,7 +196,7 @@ def _fits(
             f"marker {unknown} has no printed side and is never seen by both eyes; give its side, or show it to both"
         )
         return Refusal(TeachStatus.NOT_DETERMINED, reason)
-    start = start_of(seen, sides, camera, 0)
+    start = start_of(seen, sides, camera)
     if start is None:
         return Refusal(
             TeachStatus.CONTRADICTION, "no pose puts the markers in front of the camera; check the camera file"
@@ -149,7 +227,7 @@ def _shown(view: TeachView, ids: Sequence[int]) -> list[int]:
 
 def _priors(task: TeachTask, sides_m: Array, settings: TeachSettings) -> Priors:
     sigmas = [settings.side_sigma_m if marker_id in task.printed_m else np.inf for marker_id in task.ids]
-    return Priors(sides_m, np.array(sigmas), settings.baseline_sigma_frac, settings.sigma_px, reference=0)
+    return Priors(sides_m, np.array(sigmas), settings.baseline_sigma_frac, settings.sigma_px)
 
 
 def _refined(seen: SeenViews, corners: Corners, fit: LayoutFit, priors: Priors, n_dropped: int) -> _Fits:
@@ -165,8 +243,8 @@ def _refined(seen: SeenViews, corners: Corners, fit: LayoutFit, priors: Priors, 
 
 def _markers(fits: _Fits, task: TeachTask) -> tuple[TaughtMarker, ...]:
     state, ids = fits.known.state, task.ids
-    Ts = place_layout(state, ids, task.frame, 0)
-    covariances = placed_covariances(state, fits.known.covariance, ids, task.frame, 0)
+    Ts = place_layout(state, ids, task.frame)
+    covariances = placed_covariances(state, fits.known.covariance, ids, task.frame)
     n = len(ids)
     rms = sighting_rms_px(fits.known, fits.corners, len(fits.seen.views), n)
     side_sigmas, free_sigmas = (

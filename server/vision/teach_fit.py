@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.rotations import rotation_from_rotvec
+from machine.poses import moved_pose
 from server.vision.contracts import Array
 
 Indices = NDArray[np.intp]
@@ -66,7 +66,6 @@ class Priors:
     side_sigmas_m: Array
     baseline_sigma_frac: float
     sigma_px: float
-    reference: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +75,6 @@ class LayoutFit:
     state: LayoutState
     covariance: Array
     residuals_px: Array
-    converged: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,28 +105,25 @@ def fit_layout(start: LayoutState, corners: Corners, priors: Priors) -> LayoutFi
              + (b / sigma_b)^2, baseline (1 + b), rho Huber at three sigma (sigma at least `priors.sigma_px`, and as
              large as the residuals' median says); views eliminated by Schur's complement; the reference marker is held.
     """
-    state, damping, converged = start, 1e-4, False
+    state, damping = start, 1e-4
     cost, scale_px = _cost(state, corners, priors)
     for _ in range(ITERATIONS_MAX):
         if not np.isfinite(cost):
             break
         equations = _equations(state, corners, priors, scale_px, damping)
-        trial = _moved(state, equations, priors.reference)
+        trial = _moved(state, equations)
         trial_cost, _ = _cost(trial, corners, priors, scale_px)
         if trial_cost <= cost:
             done = cost - trial_cost <= GAIN_DONE * cost + 1e-12
             state, damping = trial, max(0.1 * damping, 1e-9)
             cost, scale_px = _cost(state, corners, priors)
             if done:
-                converged = True
                 break
         else:
             damping *= 10.0
             if damping > 1e8:
-                converged = True
                 break
-    covariance = _covariance(state, corners, priors)
-    return LayoutFit(state, covariance, residuals_px(state, corners), converged)
+    return LayoutFit(state, _covariance(state, corners, priors), residuals_px(state, corners))
 
 
 def _in_camera(state: LayoutState, corners: Corners) -> tuple[Array, Array, Array]:
@@ -223,38 +218,31 @@ def _add_priors(A: Array, g: Array, state: LayoutState, priors: Priors) -> None:
     g[-1] += state.baseline_frac / priors.baseline_sigma_frac**2
 
 
-def free_rows(n_markers: int, reference: int) -> Indices:
-    """Which of the 7 m + 1 parameters are free: all but the reference marker's six."""
-    rows = np.arange(PER_MARKER * n_markers + 1)
-    held = (rows >= PER_MARKER * reference) & (rows < PER_MARKER * reference + 6)
-    return rows[~held]
+def free_rows(n_markers: int) -> Indices:
+    """Which of the 7 m + 1 parameters are free: all but the six of the first marker, the reference."""
+    return np.arange(6, PER_MARKER * n_markers + 1)
 
 
 def moved(state: LayoutState, step: Array) -> LayoutState:
     """The state after a step (7 m + 1) of markers and baseline; views stay."""
     n = len(state.Ts_ref_marker)
     per_marker = step[:-1].reshape(n, PER_MARKER)
-    Ts = _perturbed(state.Ts_ref_marker, per_marker[:, :6])
+    Ts = _all_moved(state.Ts_ref_marker, per_marker[:, :6])
     sides = state.sides_m + per_marker[:, 6]
     return replace(state, Ts_ref_marker=Ts, sides_m=sides, baseline_frac=state.baseline_frac + float(step[-1]))
 
 
-def _moved(state: LayoutState, equations: _Equations, reference: int) -> LayoutState:
-    free = free_rows(len(state.Ts_ref_marker), reference)
+def _moved(state: LayoutState, equations: _Equations) -> LayoutState:
+    free = free_rows(len(state.Ts_ref_marker))
     step = np.zeros(len(equations.g))
     step[free] = _solved(equations.S[np.ix_(free, free)], -equations.g[free])
     back = equations.view_gradient + np.einsum("vij,j->vi", equations.cross, step)
     views = -np.einsum("vij,vj->vi", equations.view_inverse, back)
-    return replace(moved(state, step), Ts_cam_ref=_perturbed(state.Ts_cam_ref, views))
+    return replace(moved(state, step), Ts_cam_ref=_all_moved(state.Ts_cam_ref, views))
 
 
-def _perturbed(Ts: Array, steps: Array) -> Array:
-    """R <- exp(w) R, t <- t + dt for each pose."""
-    result = Ts.copy()
-    for T, step in zip(result, steps, strict=True):
-        T[:3, :3] = rotation_from_rotvec(step[:3]) @ T[:3, :3]
-        T[:3, 3] += step[3:]
-    return result
+def _all_moved(Ts: Array, steps: Array) -> Array:
+    return np.array([moved_pose(T, step) for T, step in zip(Ts, steps, strict=True)])
 
 
 def _scaled(S: Array) -> tuple[Array, Array]:
@@ -274,7 +262,7 @@ def _covariance(state: LayoutState, corners: Corners, priors: Priors) -> Array:
     """(7 m + 1, 7 m + 1), zero for what is held; infinite diagonal where nothing is determined."""
     n = len(state.Ts_ref_marker)
     k = PER_MARKER * n + 1
-    full, free = np.zeros((k, k)), free_rows(n, priors.reference)
+    full, free = np.zeros((k, k)), free_rows(n)
     if not np.isfinite(residuals_px(state, corners)).all():
         return np.diag(np.full(k, np.inf))
     S = _equations(state, corners, priors, np.inf, 0.0).S[np.ix_(free, free)]

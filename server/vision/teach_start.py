@@ -98,7 +98,7 @@ def groups_seen_together(seen: SeenViews) -> list[list[int]]:
     return sorted(found, key=len, reverse=True)
 
 
-def start_of(seen: SeenViews, sides_m: Array, camera: StereoCamera, reference: int) -> LayoutState | None:
+def start_of(seen: SeenViews, sides_m: Array, camera: StereoCamera) -> LayoutState | None:
     """First values of all unknowns; None where some marker or view has no pose in front of the camera.
 
     Model:   T_a_b of every pair seen together = the candidate that most views agree on; chained from the reference
@@ -108,7 +108,7 @@ def start_of(seen: SeenViews, sides_m: Array, camera: StereoCamera, reference: i
         {k: _candidates(shot, seen.ids[k], sides_m[k], camera) for k in seen.shows(v)}
         for v, shot in enumerate(seen.views)
     ]
-    Ts = _chained(alone, sides_m, reference)
+    Ts = _chained(alone, sides_m)
     if Ts is None:
         return None
     views = [_view_pose(seen, v, alone[v], Ts, sides_m, camera) for v in range(len(seen.views))]
@@ -138,9 +138,9 @@ def _agreed(by_view: Sequence[Sequence[Array]], length_m: float) -> Array:
     return everything[int(np.argmin(costs))]
 
 
-def _chained(alone: Sequence[Mapping[int, list[Array]]], sides_m: Array, reference: int) -> list[Array] | None:
+def _chained(alone: Sequence[Mapping[int, list[Array]]], sides_m: Array) -> list[Array] | None:
     n = len(sides_m)
-    known: dict[int, Array] = {reference: np.eye(4)}
+    known: dict[int, Array] = {0: np.eye(4)}
     while len(known) < n:
         pairs = [(a, b, _pair(alone, a, b)) for a in known for b in range(n) if b not in known]
         a, b, by_view = max(pairs, key=lambda pair: len(pair[2]))

@@ -12,9 +12,8 @@ from machine.poses import pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec
 from server.vision.aruco_source import ArucoPoseSource, MonoArucoPoseSource
 from server.vision.contracts import LookStatus, OdometryStatus, PoseStatus
-from server.vision.look import average_look
+from server.vision.look import average_look, pose_mean
 from server.vision.odometry import StereoOdometry
-from server.vision.pose_mean import pose_mean
 
 MACHINE = parse_machine_toml(
     (Path(__file__).parents[2] / "machine" / "machines" / "hiab033.toml").read_text(encoding="utf-8")

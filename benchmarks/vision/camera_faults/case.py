@@ -7,7 +7,8 @@ from benchmarks.vision.camera_faults.looks import Looks
 from benchmarks.vision.camera_faults.pictures import RATE_HZ, Pictures
 from machine.description import Machine
 from server.camera.contracts import FrameReport, VisionSettings
-from server.camera.health import ImageHealth, silence
+from server.camera.health.image_health import ImageHealth
+from server.camera.health.stamps import silence
 from server.camera.pipeline import VisionPipeline
 from server.camera.process import build_pipeline
 from server.camera.sources.settings import HttpSource

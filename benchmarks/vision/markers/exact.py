@@ -19,7 +19,8 @@ from machine.description import Marker, StereoCamera
 from machine.markers import marker_corners
 from machine.rotations import Array
 from server.vision.contracts import PoseStatus
-from server.vision.object_pose import PoseSettings, Sighting, estimate_object_pose
+from server.vision.object_pose import PoseSettings, estimate_object_pose
+from server.vision.pose_problem import Sighting
 
 MARKER_ID = 1
 SHIPPED = PoseSettings()

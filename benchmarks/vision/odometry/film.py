@@ -15,7 +15,7 @@ from machine.description import Machine, parse_machine_toml
 from machine.markers import marker_corners
 from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import Array, rotation_from_rotvec
-from server.camera.masking import plate_and_shaft
+from server.targets.tool_mask import plate_and_shaft
 from server.vision.contracts import Image
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 from sim_plc.presets import spread_of

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.vision.odometry.film import Film, FilmCase, nominal_machine
-from server.camera.masking import outlines
-from server.camera.own_structure import still_mask
+from server.camera.own_structure import outlines, still_mask
 from server.vision.contracts import Array, OdometryStatus
 from server.vision.odometry import OdometrySettings, StereoOdometry
 

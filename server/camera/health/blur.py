@@ -7,10 +7,10 @@ where no marker is in view.
 import numpy as np
 from numba import njit
 
-from server.camera.health.findings import FaultCode, Finding
-from server.camera.health.pair import Pair
+from server.camera.health.findings import FaultCode, Finding, Pair
 from server.camera.health.thumbnail import EyeCells
 from server.vision.contracts import NO_WHITE_MARGIN, Array, Image, MarkerView
+from server.vision.quadrilateral import grey_at
 
 SITE_STEP = 15  # has no factor in common with the grids that pictures are made of
 LEVEL_FROM = 15
@@ -54,15 +54,6 @@ def sharpness(image: Image) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _grey_at(image: Image, x: float, y: float) -> float:
-    i, j = int(y), int(x)
-    v, u = y - i, x - j
-    top = (1.0 - u) * image[i, j] + u * image[i, j + 1]
-    low = (1.0 - u) * image[i + 1, j] + u * image[i + 1, j + 1]
-    return (1.0 - v) * top + v * low
-
-
-@njit(cache=True, nogil=True)
 def _edge_width(image: Image, x: float, y: float, nx: float, ny: float, reach: float) -> float:
     """Standard deviation of the slope of the step along one profile [px]; NaN where there is no clean step."""
     n = int(2.0 * reach / PROFILE_STEP_PX) + 1
@@ -74,7 +65,7 @@ def _edge_width(image: Image, x: float, y: float, nx: float, ny: float, reach: f
     grey = np.empty(n)
     for k in range(n):
         d = -reach + k * PROFILE_STEP_PX
-        grey[k] = _grey_at(image, x + d * nx, y + d * ny)
+        grey[k] = grey_at(image, x + d * nx, y + d * ny)
     dark, bright = 0.5 * (grey[0] + grey[1]), 0.5 * (grey[n - 1] + grey[n - 2])
     if bright - dark < CONTRAST_MIN_GREY:
         return np.nan

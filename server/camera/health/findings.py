@@ -1,7 +1,12 @@
-"""What can be wrong with a stereo pair, and one finding of it."""
+"""What a monitor is given, and what it finds wrong with a stereo pair."""
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
+
+from server.camera.contracts import StereoFrame
+from server.camera.health.thumbnail import EyeCells
+from server.vision.contracts import PairObservation
 
 
 class FaultCode(Enum):
@@ -44,3 +49,32 @@ class Finding:
     text: str
     forbids_look: bool = True
     forbids_odometry: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """One pair. `first`: nothing before it to compare with (start, new connection, new size).
+
+    `resumed`: the first of a new connection, of the size of the pictures before: it may be the last of those again.
+    """
+
+    frame: StereoFrame
+    left: EyeCells
+    right: EyeCells
+    step: int
+    first: bool
+    resumed: bool = False
+    observation: PairObservation | None = None
+
+    @property
+    def eyes(self) -> tuple[tuple[str, EyeCells], tuple[str, EyeCells]]:
+        """Both eyes by name."""
+        return ("left", self.left), ("right", self.right)
+
+
+class Monitor(Protocol):
+    """Watches for one kind of fault; remembers what it needs from pair to pair."""
+
+    def check(self, pair: Pair) -> tuple[Finding, ...]:
+        """What is wrong with this pair."""
+        ...

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from server.camera.health.exposure import FLAT_STD_GREY
-from server.camera.health.findings import FaultCode, Finding
-from server.camera.health.pair import Pair
+from server.camera.health.findings import FaultCode, Finding, Pair
+from server.camera.health.light import FLAT_STD_GREY
 from server.camera.health.thumbnail import EyeCells, eyes_alike
 from server.vision.contracts import Array
 

@@ -5,8 +5,7 @@ from numba import njit
 
 from machine.description import StereoCamera
 from server.camera.contracts import StereoFrame
-from server.camera.health.findings import FaultCode, Finding
-from server.camera.health.pair import Pair
+from server.camera.health.findings import FaultCode, Finding, Pair
 from server.camera.health.thumbnail import CHANGE, SIDE_MIN_PX
 from server.vision.contracts import Array
 

@@ -8,13 +8,11 @@ from numba import njit
 from machine.description import StereoCamera
 from server.camera.contracts import StereoFrame
 from server.camera.health.blur import BlurMonitor
-from server.camera.health.exposure import ExposureMonitor
-from server.camera.health.findings import FaultCode, Finding
+from server.camera.health.findings import FaultCode, Finding, Monitor, Pair
 from server.camera.health.frozen import FrozenMonitor
 from server.camera.health.garbage import GarbageMonitor, wrong_size
-from server.camera.health.light import LightMonitor
+from server.camera.health.light import ExposureMonitor, LightMonitor
 from server.camera.health.markers import MarkerMonitor
-from server.camera.health.pair import Monitor, Pair
 from server.camera.health.rig import RigMonitor
 from server.camera.health.spot import SpotMonitor
 from server.camera.health.stamps import StampMonitor
@@ -80,9 +78,7 @@ class Latch:
 
 JUMP_MIN_PX = 4.0  # half of the smallest block of a JPEG
 ALIKE_MAX_PX = 0.5  # between the eyes: blocks shift both by the same, a step in depth does not
-INTERVAL_MAX_S = (
-    0.12  # of a 10 Hz camera; 4 px in it, from rest, at 1 m and 700 px focal length: 0.8 m/s^2, cranes have 0.5
-)
+INTERVAL_MAX_S = 0.12  # of a 10 Hz camera; 4 px in it from rest, at 1 m with 700 px: 0.8 m/s^2, cranes have 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,8 +7,7 @@ from numba import njit
 
 from machine.description import StereoCamera
 from server.camera.contracts import StereoFrame
-from server.camera.health.findings import FaultCode, Finding
-from server.camera.health.pair import Pair
+from server.camera.health.findings import FaultCode, Finding, Pair
 from server.vision.contracts import Array, Image, MarkerView, ObjectPose, PoseStatus
 
 TWICE = "seen at two places"

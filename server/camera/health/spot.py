@@ -11,8 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from server.camera.health.findings import FaultCode, Finding
-from server.camera.health.pair import Pair
+from server.camera.health.findings import FaultCode, Finding, Pair
 from server.camera.health.thumbnail import CHANGE, EyeCells, Thumb
 from server.vision.contracts import Image
 

@@ -3,8 +3,7 @@
 from collections import deque
 
 from server.camera.contracts import StereoFrame
-from server.camera.health.findings import FaultCode, Finding
-from server.camera.health.pair import Pair
+from server.camera.health.findings import FaultCode, Finding, Pair
 from server.camera.smallest_offset import SmallestOffset
 
 WINDOW = 120  # pairs over which the period is taken

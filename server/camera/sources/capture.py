@@ -1,80 +1,32 @@
-"""What we ask of OpenCV's VideoCapture, and a thread that keeps its newest picture."""
+"""Cameras by OpenCV's VideoCapture: what we ask of it, and a source that reads it."""
 
-import logging
-import threading
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
-from server.camera.sources.newest import Newest
-
-BACK_OFF_FIRST_S = 0.5
-BACK_OFF_MAX_S = 8.0
-CLOSE_S = 3.0
-
-_log = logging.getLogger(__name__)
+from server.camera.sources.live import LiveSource
 
 Picture = NDArray[Any]
+Capture = cv2.VideoCapture
+OpenCapture = Callable[[int | str], Capture]
 
 
-class Capture(Protocol):
-    """cv2.VideoCapture, as far as it is used."""
-
-    def isOpened(self) -> bool:
-        """Whether it can be read."""
-        ...
-
-    def set(self, propId: int, value: float, /) -> bool:
-        """Ask for a property; what came of it must be read back."""
-        ...
-
-    def get(self, propId: int, /) -> float:
-        """A property as it is."""
-        ...
-
-    def read(self) -> tuple[bool, Picture]:
-        """The next picture."""
-        ...
-
-    def release(self) -> None:
-        """Let go."""
-        ...
-
-
-class CapturedSource(ABC):
-    """Reads a capture in a thread that keeps the newest picture; decoding waits until it is read.
-
-    A capture that is lost, or that cannot be opened, is opened again with back-off. How one is opened, stamped and
-    decoded is the subclass's matter.
+class CapturedSource(LiveSource[tuple[Picture, int, int, int, int]]):
+    """Reads a capture; decoding waits until a picture is read. How one is opened, stamped and decoded is the subclass's
+    matter.
     """
 
+    ENDED = "gives no pictures"
+    EXPECTED = (CameraError,)
+
     def __init__(self, subject: str) -> None:
-        self._subject = subject
-        self._newest: Newest[tuple[Picture, int, int, int, int]] = Newest()
-        self._stop = threading.Event()
-        self._state = f"{subject}: opening"
-        self._connection = 0
-        self._thread = threading.Thread(target=self._run, name="camera-capture", daemon=True)
-
-    @property
-    def skipped(self) -> int:
-        """Pictures replaced by newer ones before they were taken."""
-        return self._newest.skipped
-
-    @property
-    def state(self) -> str:
-        """Empty while pictures arrive."""
-        return self._state
-
-    @property
-    def ended(self) -> bool:
-        """Never: a camera may always come back."""
-        return False
+        super().__init__(subject, "opening")
 
     def read(self, timeout_s: float) -> StereoFrame | None:
         """The newest pair; a picture that cannot be decoded is passed over and reported in `state`."""
@@ -89,11 +41,6 @@ class CapturedSource(ABC):
             return None
         self._state = ""
         return StereoFrame(left, right, t_exposure_ns, t_receive_ns, sequence, connection)
-
-    def close(self) -> None:
-        """Let go of the camera."""
-        self._stop.set()
-        self._thread.join(CLOSE_S)
 
     @abstractmethod
     def _open(self) -> Capture:
@@ -110,28 +57,10 @@ class CapturedSource(ABC):
     def _eyes(self, picture: Picture) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Left and right grey views of a picture."""
 
-    def _run(self) -> None:
-        back_off_s = BACK_OFF_FIRST_S
-        while not self._stop.is_set():
-            try:
-                back_off_s = BACK_OFF_FIRST_S if self._captured() else back_off_s
-                reason = f"{self._subject}: gives no pictures"
-            except CameraError as error:
-                reason = str(error)
-            except (
-                Exception
-            ) as error:  # outermost loop of the thread: whatever OpenCV raises, the camera is tried again
-                _log.exception(self._subject)
-                reason = f"{self._subject}: {error!r}"
-            if self._stop.is_set():
-                return
-            self._state = f"{reason}; trying again"
-            _log.info("%s in %.1f s", self._state, back_off_s)
-            self._stop.wait(back_off_s)
-            back_off_s = min(2.0 * back_off_s, BACK_OFF_MAX_S)
+    def _reason(self, error: Exception) -> str:
+        return str(error)
 
-    def _captured(self) -> bool:
-        """One capture from its opening to its end; whether it gave any picture."""
+    def _connected(self) -> bool:
         capture = self._open()
         try:
             return self._pump(capture)
@@ -150,6 +79,3 @@ class CapturedSource(ABC):
             sequence += 1
             self._newest.put((picture, t_exposure_ns, t_receive_ns, sequence, self._connection))
         return sequence > 0
-
-
-OpenCapture = Callable[[int | str], Capture]

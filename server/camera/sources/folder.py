@@ -9,19 +9,15 @@ from recording.clock import mono_ns
 from recording.files import read_text
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
-from server.camera.sources.pacing import Pacing
 from server.camera.sources.settings import EurocSource, FolderSource, StampUnit
 from server.camera.sources.side_by_side import decode_grey
-from server.camera.sources.stamped import StampedStereoSource, StoredPair
+from server.camera.sources.stamped import Pacing, StampedStereoSource, StoredPair
 from server.vision.contracts import Image
 
 UNITS_NS: dict[StampUnit, int] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 YEARS_S = range(978_307_200, 4_102_444_800)  # 2001 to 2099: a name is a time where one unit puts it there
 LONG_DIGITS = 16  # a longer count of pictures does not exist
 WILDCARDS = re.compile(r"(\*\*/|\*\*|\*|\?|\[[^\]]+\])")
-
-
-# Stereo pairs of a data set in EuRoC's layout: mav0/cam0/data.csv names stamps and files, cam1 the other eye's.
 
 
 class EurocStereoSource(StampedStereoSource):

@@ -3,29 +3,130 @@
 A thread reads the stream and keeps the newest complete picture undecoded, so that being late costs no decoding.
 """
 
+import base64
 import contextlib
 import http.client
-import logging
 import socket
-import threading
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from urllib.parse import SplitResult, unquote, urljoin, urlsplit
 
 from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
-from server.camera.errors import StreamError
-from server.camera.sources.http_opening import open_stream, require_address
+from server.camera.errors import CameraError, StreamError
+from server.camera.sources.live import LiveSource
 from server.camera.sources.multipart import MultipartParser, Part
-from server.camera.sources.newest import Newest
 from server.camera.sources.settings import HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side
 from server.shown_address import without_password
 
-SILENCE_S = 2.0  # a camera that says nothing for this long is taken as lost
-BACK_OFF_FIRST_S = 0.2
-BACK_OFF_MAX_S = 3.0
-CHUNK_BYTES = 1 << 18
+REDIRECTS_MAX = 5
+MOVED = frozenset({301, 302, 303, 307, 308})
 
-_log = logging.getLogger(__name__)
+TakeSocket = Callable[[socket.socket], None]
+
+
+def require_address(url: str) -> None:
+    """Raises: CameraError: not an address of the form http://[user:password@]host[:port]/path."""
+    if _split(url) is None:
+        raise CameraError(f"camera url '{without_password(url)}' is not http://[user:password@]host[:port]/path")
+
+
+@contextlib.contextmanager
+def open_stream(url: str, timeout_s: float, take_socket: TakeSocket) -> Iterator[http.client.HTTPResponse]:
+    """The response with status 200, its body still to be read. `take_socket` is given each connection's socket.
+
+    User and password go to the host of their own address only; a redirect to another one takes none along.
+
+    Raises: StreamError: another status, a redirect that cannot be followed. OSError, http.client.HTTPException.
+    """
+    authorization, n_moved = "", 0
+    while True:
+        address = _split(url)
+        if address is None:
+            raise StreamError(f"redirected to {without_password(url)}, which is not http://host[:port]/path")
+        connection = http.client.HTTPConnection(address.hostname or "", address.port or 80, timeout=timeout_s)
+        with (
+            contextlib.closing(connection),
+            contextlib.closing(_get(connection, address, authorization, take_socket)) as got,
+        ):
+            if got.status == http.client.OK:
+                yield got
+                return
+            if got.status in MOVED and (place := got.headers.get("Location")):
+                url, authorization, n_moved = _moved(url, address, place), "", n_moved + 1
+            elif got.status == http.client.UNAUTHORIZED and address.password is not None and not authorization:
+                authorization = _authorization(address, got)
+            else:
+                raise StreamError(f"HTTP status {got.status} {got.reason}{_remedy(got.status, address)}")
+        if n_moved > REDIRECTS_MAX:
+            raise StreamError(f"redirected more than {REDIRECTS_MAX} times; give the stream's own address")
+
+
+def _split(url: str) -> SplitResult | None:
+    try:
+        address = urlsplit(url)
+        fits = address.scheme == "http" and address.hostname and (address.port is None or address.port > 0)
+    except ValueError:
+        return None
+    return address if fits else None
+
+
+def _get(
+    connection: http.client.HTTPConnection, address: SplitResult, authorization: str, take_socket: TakeSocket
+) -> http.client.HTTPResponse:
+    headers = {"Connection": "close"} | ({"Authorization": authorization} if authorization else {})
+    connection.request("GET", _target(address), headers=headers)
+    take_socket(connection.sock)  # the response takes it over
+    return connection.getresponse()
+
+
+def _target(address: SplitResult) -> str:
+    return (address.path or "/") + (f"?{address.query}" if address.query else "")
+
+
+def _moved(url: str, before: SplitResult, place: str) -> str:
+    """The new address; at the same host and port the user stays."""
+    moved = urljoin(url, place)
+    address = _split(moved)
+    if address is None or address.username is not None or before.username is None:
+        return moved
+    if (address.hostname, address.port or 80) != (before.hostname, before.port or 80):
+        return moved
+    return address._replace(netloc=f"{before.netloc.rpartition('@')[0]}@{address.netloc}").geturl()
+
+
+def _authorization(address: SplitResult, refused: http.client.HTTPResponse) -> str:
+    """What the header Authorization is to say; Digest where the camera offers it. Raises: StreamError: neither."""
+    user, password = unquote(address.username or ""), unquote(address.password or "")
+    challenges = refused.headers.get_all("WWW-Authenticate") or []
+    kinds = [challenge.partition(" ")[0].lower() for challenge in challenges]
+    if "digest" in kinds:
+        import httpx  # a quarter of a second, needed here only
+
+        asked = httpx.Request("GET", f"http://{address.hostname}:{address.port or 80}{_target(address)}")
+        flow = httpx.DigestAuth(user, password).sync_auth_flow(asked)
+        next(flow)
+        headers = [("WWW-Authenticate", challenge) for challenge in challenges]
+        try:
+            return flow.send(httpx.Response(401, headers=headers, request=asked)).headers["Authorization"]
+        except (httpx.HTTPError, KeyError, NotImplementedError) as error:
+            raise StreamError(f"the camera's request for a password cannot be read ({error})") from error
+    if "basic" in kinds:
+        return "Basic " + base64.b64encode(f"{user}:{password}".encode()).decode()
+    raise StreamError(f"the camera asks for a password in a way that is not known: {', '.join(kinds) or 'none'}")
+
+
+def _remedy(status: int, address: SplitResult) -> str:
+    if status != http.client.UNAUTHORIZED:
+        return ""
+    if address.password is None:
+        return "; give user and password in the address: http://user:password@host/path"
+    return "; user or password is wrong: put letters such as @ : / in them as %40 %3A %2F"
+
+
+SILENCE_S = 2.0  # a camera that says nothing for this long is taken as lost
+CHUNK_BYTES = 1 << 18
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,37 +136,22 @@ class _Received:
     connection: int
 
 
-class HttpStereoSource:
-    """Reads one camera stream for as long as it lives; a lost stream is opened again with back-off."""
+class HttpStereoSource(LiveSource[_Received]):
+    """Reads one camera stream for as long as it lives."""
+
+    BACK_OFF_S = (0.2, 3.0)
+    CLOSE_S = SILENCE_S + 1.0
+    ENDED = "the camera ended the stream"
+    EXPECTED = (OSError, http.client.HTTPException, StreamError)
 
     def __init__(self, settings: HttpSource) -> None:
         require_address(settings.url)
+        super().__init__(f"camera {without_password(settings.url)}", "connecting")
         self._url = settings.url
-        self._subject = f"camera {without_password(settings.url)}"
-        self._newest: Newest[_Received] = Newest()
-        self._stop = threading.Event()
-        self._state = f"{self._subject}: connecting"
-        self._connection = 0
         self._counted = 0
         self._bad_pictures = 0
         self._socket: socket.socket | None = None
-        self._thread = threading.Thread(target=self._run, name="camera-stream", daemon=True)
         self._thread.start()
-
-    @property
-    def skipped(self) -> int:
-        """Pictures replaced by newer ones before they were taken."""
-        return self._newest.skipped
-
-    @property
-    def state(self) -> str:
-        """Empty while pictures arrive."""
-        return self._state
-
-    @property
-    def ended(self) -> bool:
-        """Never: a stream may always come back."""
-        return False
 
     def read(self, timeout_s: float) -> StereoFrame | None:
         """The newest pair; a picture that cannot be decoded is passed over and reported in `state`."""
@@ -94,29 +180,10 @@ class HttpStereoSource:
         with contextlib.suppress(OSError):  # gone already
             if self._socket is not None:
                 self._socket.shutdown(socket.SHUT_RDWR)
-        self._thread.join(SILENCE_S + 1.0)
+        super().close()
 
-    def _run(self) -> None:
-        back_off_s = BACK_OFF_FIRST_S
-        while not self._stop.is_set():
-            try:
-                if self._stream():
-                    back_off_s = BACK_OFF_FIRST_S
-                reason = "the camera ended the stream"
-            except (OSError, http.client.HTTPException, StreamError) as error:
-                reason = str(error) or type(error).__name__
-            except Exception as error:  # outermost loop of the thread: whatever a camera sends, it is asked again
-                _log.exception(self._subject)
-                reason = repr(error)
-            if self._stop.is_set():
-                return
-            self._state = f"{self._subject}: {reason}; trying again"
-            _log.info("%s in %.1f s", self._state, back_off_s)
-            self._stop.wait(back_off_s)
-            back_off_s = min(2.0 * back_off_s, BACK_OFF_MAX_S)
-
-    def _stream(self) -> bool:
-        """Read one connection to its end; the name is resolved again each time. Returns whether any picture came."""
+    def _connected(self) -> bool:
+        """As its base has it; the host's name is resolved again each time."""
         with open_stream(self._url, SILENCE_S, self._take_socket) as response:
             self._connection += 1
             return self._read_parts(response)

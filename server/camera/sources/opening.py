@@ -14,7 +14,6 @@ from server.camera.sources.ahead import AheadSource
 from server.camera.sources.device import DeviceStereoSource
 from server.camera.sources.folder import EurocStereoSource, FolderStereoSource
 from server.camera.sources.http import HttpStereoSource
-from server.camera.sources.pacing import Pacing
 from server.camera.sources.recorded import RecordingStereoSource
 from server.camera.sources.rtsp import RtspStereoSource
 from server.camera.sources.settings import (
@@ -29,8 +28,7 @@ from server.camera.sources.settings import (
     SourceSettings,
 )
 from server.camera.sources.side_by_side import split_side_by_side
-
-# A source whose pairs come out rectified: nothing behind it knows that the camera has a lens.
+from server.camera.sources.stamped import Pacing
 
 
 class RectifyingSource:
@@ -73,9 +71,6 @@ class RectifyingSource:
         """Let go of the camera."""
         self._source.close()
         self._rectifier.close()
-
-
-# Stereo pairs from a video file of side-by-side frames.
 
 
 class FileStereoSource:

@@ -27,9 +27,6 @@ from server.vision.contracts import Image
 EYES_APART_MAX_NS = 2_000_000  # 0.3 mm at 0.15 m/s
 WAITING_MAX = 64  # pictures of one eye whose partner has not come
 
-
-# Foxglove's image messages -> grey pictures.
-
 COMPRESSED, RAW = "foxglove.CompressedImage", "foxglove.RawImage"
 IMAGE_SCHEMAS = (COMPRESSED, RAW)
 # Encoding -> bytes a pixel and what makes it grey; None: it is grey already.

@@ -14,12 +14,6 @@ REMEDY = (
     "standard: use its uncompressed format (pixel_format = 'YUYV')"
 )
 
-JPEG = b"\xff\xd8"
-REMEDY = (
-    "check cable, network and USB port; if every picture is refused, the camera's encoder does not keep to the "
-    "standard: use its uncompressed format (pixel_format = 'YUYV')"
-)
-
 
 def split_side_by_side(picture: Image) -> tuple[Image, Image]:
     """Left and right grey views (h, w) of a grey or BGR picture (h, 2 w)."""

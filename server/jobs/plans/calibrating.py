@@ -7,8 +7,7 @@ import numpy as np
 
 from machine.rotations import geodesic_angle
 from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate, CameraTrack, EncoderTrack
-from server.calibration.fusion import prior_from_tool_marker
-from server.calibration.trajectory_matching import DEFAULT_SETTINGS, estimate_camera_rotation
+from server.calibration.trajectory_matching import DEFAULT_SETTINGS, estimate_camera_rotation, prior_from_tool_marker
 from server.calibration.trajectory_matching_paper import estimate_camera_rotation_paper
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext

@@ -8,11 +8,10 @@ import numpy as np
 
 from machine.poses import pose
 from machine.rotations import Array, nearest_rotation
+from server.calibration.chords import positions_at
 from server.calibration.contracts import CalibrationStatus, EncoderTrack
-from server.calibration.line_equation import circle_points, line_reference
-from server.calibration.line_equation_servo import LineServo, LineServoSettings
-from server.calibration.line_equation_timing import fit_line_moving
-from server.calibration.time_offset import positions_at
+from server.calibration.line_equation import LineServo, LineServoSettings, circle_points, line_reference
+from server.calibration.line_equation_fit import fit_line_moving
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken

@@ -6,7 +6,7 @@ import numpy as np
 
 from machine.poses import pose
 from machine.rotations import Array
-from server.calibration.orientation import orientation_reference, orientation_reference_paper_axes
+from server.calibration.reference import orientation_reference, orientation_reference_paper_axes
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken

@@ -21,7 +21,7 @@ from server.calibration.nuisances import LAYOUT, Contribution, contributions, la
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.targets.anchor import anchor_covariance
+from server.targets.taught import anchor_covariance
 from server.vision.contracts import Look
 from server.vision.goal_error import error_jacobian, pose_error_covariance
 

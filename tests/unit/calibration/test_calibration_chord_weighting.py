@@ -5,10 +5,9 @@ import pytest
 from registration_cases import T_TCP_CAM_NOMINAL, RegistrationCase, draw_case
 
 from machine.rotations import geodesic_angle
-from server.calibration.chord_step import chord_weighting
-from server.calibration.chords import chord_pairs, chord_vectors
+from server.calibration.chord_rotation import chord_weighting
+from server.calibration.chords import chord_pairs, chord_vectors, find_time_offset, positions_at
 from server.calibration.rotation_fit import fit_rotation
-from server.calibration.time_offset import find_time_offset, positions_at
 from server.calibration.trajectory_matching import DEFAULT_SETTINGS, estimate_camera_rotation
 
 DRIFT, JITTER = 3e-5, 1e-6
@@ -93,8 +92,8 @@ def _chords_8_cm(case: RegistrationCase):
     vo, base = camera.Ts_vo_cam[:, :3, 3], Ts[:, :3, 3] + Ts[:, :3, :3] @ T_TCP_CAM_NOMINAL[:3, 3]
     pairs = chord_pairs(positions_at(camera.t_s, encoder.t_s, base)[0], s.chord_m)
     clock = (s.time_offset_bound_s, s.time_offset_step_s, s.time_offset_contrast_min)
-    offset = find_time_offset(camera.t_s, vo, encoder.t_s, base, pairs, *clock)
-    points = positions_at(camera.t_s + offset.offset_s, encoder.t_s, base)[0]
+    offset_s = find_time_offset(camera.t_s, vo, encoder.t_s, base, pairs, *clock)
+    points = positions_at(camera.t_s + offset_s, encoder.t_s, base)[0]
     return fit_rotation(chord_vectors(points, pairs), chord_vectors(vo, pairs)).R_a_b
 
 

@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
 from server.calibration.contracts import CalibrationStatus, CameraTrack, EncoderTrack
-from server.calibration.hand_eye import solve_ax_yb
-from server.calibration.hand_eye_linear import inverse_poses
-from server.calibration.hand_eye_tracks import estimate_hand_eye
+from server.calibration.hand_eye import estimate_hand_eye, solve_ax_yb
+from server.calibration.hand_eye_fit import inverse_poses
 from server.calibration.hybrid_mixture import MixtureSettings
 from server.calibration.trajectory_matching import estimate_camera_rotation
 from server.calibration.trajectory_matching_paper import estimate_camera_rotation_paper

@@ -12,9 +12,8 @@ from machine.kinematics import tcp_pose, tcp_poses
 from machine.poses import inverse_pose, pose
 from machine.rotations import rotation_from_rotvec
 from server.calibration.contracts import CalibrationStatus, CameraTrack, EncoderTrack
-from server.calibration.fusion import prior_from_tool_marker
 from server.calibration.reference import predicted_error_covariance, reference_from_look
-from server.calibration.trajectory_matching import estimate_camera_rotation
+from server.calibration.trajectory_matching import estimate_camera_rotation, prior_from_tool_marker
 from server.calibration.trajectory_matching_paper import estimate_camera_rotation_paper
 from server.motion.calibration_paths import plan_calibration_path
 from server.motion.contracts import JointTrajectory, PlanStatus, evaluate

@@ -13,11 +13,8 @@ from machine.poses import pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec, rotvec_from_rotation
 from server.calibration.checks import CalibrationInputError
 from server.calibration.contracts import CalibrationStatus
-from server.calibration.hand_eye import solve_ax_yb
-from server.calibration.hand_eye_contracts import HandEyeSettings
-from server.calibration.hand_eye_linear import inverse_poses, park_martin
-from server.calibration.hand_eye_models import HandEyeUnknowns, PoseModel
-from server.calibration.hand_eye_tracks import estimate_hand_eye
+from server.calibration.hand_eye import HandEyeSettings, estimate_hand_eye, solve_ax_yb
+from server.calibration.hand_eye_fit import HandEyeUnknowns, PoseModel, inverse_poses, park_martin
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 X_TRUE = pose(rotation_from_rotvec(np.array([0.3, -0.8, 1.1])), np.array([0.05, -0.02, 0.11]))
@@ -33,12 +30,12 @@ def hand_poses(t):
     return As
 
 
-def seen_target(As, rng, rotation_deg=0.0, position_m=0.0, scale=1.0):
+def seen_target(As, rng, rotation_deg=0.0, position_m=0.0):
     """Target in the camera, with noise in camera axes."""
     Ts = inverse_poses(As @ X_TRUE) @ Y_TRUE
     noise = np.deg2rad(rotation_deg) * rng.normal(size=(len(As), 3))
     Ts[:, :3, :3] = Rotation.from_rotvec(noise).as_matrix() @ Ts[:, :3, :3]
-    Ts[:, :3, 3] = scale * (Ts[:, :3, 3] + position_m * rng.normal(size=(len(As), 3)))
+    Ts[:, :3, 3] += position_m * rng.normal(size=(len(As), 3))
     return Ts
 
 
@@ -74,17 +71,6 @@ def test_outliers_do_not_matter(share):
     Ts[wrong, :3, 3] += 0.2 * rng.normal(size=(len(wrong), 3))
     degrees, millimetres = errors_of(solve_ax_yb(As, inverse_poses(Ts)))
     assert degrees < 0.3
-    assert millimetres < 2.0
-
-
-def test_unknown_scale_is_found():
-    As = hand_poses(np.arange(0.0, 15.0, 0.25))
-    Ts = seen_target(As, np.random.default_rng(3), 0.1, 0.0005, scale=2.5)
-    found = solve_ax_yb(As, inverse_poses(Ts), unknown_scale=True)
-    degrees, millimetres = errors_of(found)
-    assert found.scale == pytest.approx(2.5, rel=2e-3)
-    assert found.time_offset_sigma_s == 0.0  # no clock was fitted: the last sigma is the scale's
-    assert degrees < 0.15
     assert millimetres < 2.0
 
 
@@ -124,8 +110,7 @@ def test_covariance_is_honest():
     assert np.mean(np.array(chi2) < 12.59) > 0.87
 
 
-@pytest.mark.parametrize("unknown_scale", [False, True])
-def test_as_few_poses_as_are_taken_tell_an_honest_covariance(unknown_scale):
+def test_as_few_poses_as_are_taken_tell_an_honest_covariance():
     """Two poses can be fitted exactly, and a distribution with heavy tails then forgets the others."""
     quick = HandEyeSettings(triples=5)
     inside, told = 0, 0
@@ -133,7 +118,7 @@ def test_as_few_poses_as_are_taken_tell_an_honest_covariance(unknown_scale):
         rng = np.random.default_rng(seed)
         turns = rng.normal(0.0, np.deg2rad(25.0), (quick.poses_min, 3))
         As = np.array([pose(rotation_from_rotvec(turn), rng.uniform(-0.3, 0.3, 3)) for turn in turns])
-        found = solve_ax_yb(As, inverse_poses(seen_target(As, rng, 0.2, 0.002)), unknown_scale, quick)
+        found = solve_ax_yb(As, inverse_poses(seen_target(As, rng, 0.2, 0.002)), quick)
         if found.X is None or found.covariance is None:
             continue
         error = np.concatenate((rotvec_from_rotation(X_TRUE[:3, :3] @ found.X[:3, :3].T), (X_TRUE - found.X)[:3, 3]))
@@ -155,15 +140,15 @@ def test_too_few_poses_are_refused():
 
 def test_the_jacobian_against_finite_differences():
     times = np.arange(0.0, 5.0, 0.5)
-    Ts = seen_target(hand_poses(times), np.random.default_rng(6), scale=1.3)
-    model = PoseModel(lambda offset_s: hand_poses(times + offset_s), Ts, free_scale=True, free_offset=True)
-    at = HandEyeUnknowns(X_TRUE, Y_TRUE, 1.3)
+    Ts = seen_target(hand_poses(times), np.random.default_rng(6))
+    model = PoseModel(lambda offset_s: hand_poses(times + offset_s), Ts, free_offset=True)
+    at = HandEyeUnknowns(X_TRUE, Y_TRUE)
     residuals, J = model.evaluate(at)
     assert np.abs(residuals).max() < 1e-9
     for k in range(J.shape[2]):
         step = np.zeros(J.shape[2])
         step[k] = 1e-6
-        ahead, behind = (model.evaluate(at.after(sign * step, True))[0] for sign in (1.0, -1.0))
+        ahead, behind = (model.evaluate(at.after(sign * step))[0] for sign in (1.0, -1.0))
         np.testing.assert_allclose(J[:, :, k], (ahead - behind) / 2e-6, atol=2e-5)
 
 
@@ -211,19 +196,10 @@ def test_kinhec_outliers_no_worse_than_its_best_solver(tmp_path):
     assert found.translation_mm <= 1.1 * found.best_translation[1]
 
 
-def solve_stream(As, Bs, camera_covariances=None):
-    """As one of two streams, whose offset is searched."""
-    t_hand = np.arange(0.0, 13.0, 0.02)
-    return estimate_hand_eye(
-        t_hand, hand_poses(t_hand), T_CAM_S, inverse_poses(Bs), camera_covariances=camera_covariances
-    )
-
-
 T_CAM_S = np.arange(0.4, 12.5, 0.4)
 
 
-@pytest.mark.parametrize("solve", [solve_ax_yb, solve_stream])
-def test_poses_weigh_by_what_their_images_say_of_them(solve):
+def test_poses_weigh_by_what_their_images_say_of_them():
     """Each image is poor in its own direction: depth and tilt there have eight times the noise of the others."""
     As = hand_poses(T_CAM_S)
     errors = {"alike": [], "weighted": []}
@@ -238,8 +214,8 @@ def test_poses_weigh_by_what_their_images_say_of_them(solve):
         Ts[:, :3, :3] = Rotation.from_rotvec(noise[:, :3]).as_matrix() @ Ts[:, :3, :3]
         Ts[:, :3, 3] += noise[:, 3:]
         Bs = inverse_poses(Ts)
-        errors["alike"].append(errors_of(solve(As, Bs)))
-        errors["weighted"].append(errors_of(solve(As, Bs, camera_covariances=covariances)))
+        errors["alike"].append(errors_of(solve_ax_yb(As, Bs)))
+        errors["weighted"].append(errors_of(solve_ax_yb(As, Bs, camera_covariances=covariances)))
     alike, weighted = (np.sqrt(np.mean(np.square(errors[key]), axis=0)) for key in ("alike", "weighted"))
     assert (weighted < 0.75 * alike).all(), (alike, weighted)
 

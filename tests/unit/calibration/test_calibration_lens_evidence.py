@@ -10,7 +10,8 @@ from machine.poses import pose, transform_points
 from machine.rotations import rotation_from_rotvec
 from server.calibration.joint_lens import FOCAL, OOI_PRINT, TOOL_PRINT, LensPrior, eyes_off
 from server.calibration.lens_evidence import SIGMA_CORNER_PX, lens_doubts, lens_evidence, mean_evidence
-from server.vision.object_pose import PoseSettings, Sighting, estimate_object_pose
+from server.vision.object_pose import PoseSettings, estimate_object_pose
+from server.vision.pose_problem import Sighting
 
 FACING = rotation_from_rotvec(np.array([np.pi, 0.0, 0.0]))
 T_CAM_TOOL = pose(FACING @ rotation_from_rotvec(np.array([0.2, 0.1, 0.0])), np.array([0.05, 0.18, 0.47]))

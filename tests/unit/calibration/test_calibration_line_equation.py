@@ -6,8 +6,7 @@ from line_circles import drive
 
 from server.calibration.checks import CalibrationInputError
 from server.calibration.contracts import CalibrationStatus
-from server.calibration.line_equation import circle_points, image_distance, line_reference
-from server.calibration.line_equation_servo import LineServo, LineServoSettings
+from server.calibration.line_equation import LineServo, LineServoSettings, circle_points, image_distance, line_reference
 
 
 def test_the_circle_is_eq_10_to_12_with_the_centre_first_and_last():

@@ -8,8 +8,7 @@ from machine.poses import pose
 from server.calibration.checks import CalibrationInputError
 from server.calibration.contracts import CalibrationStatus, EncoderTrack
 from server.calibration.line_equation import circle_points, line_reference
-from server.calibration.line_equation_fit import LineFit, fit_line
-from server.calibration.line_equation_timing import fit_line_moving
+from server.calibration.line_equation_fit import LineFit, fit_line, fit_line_moving
 
 
 def goal_miss(found: LineFit, p_goal: np.ndarray) -> float:

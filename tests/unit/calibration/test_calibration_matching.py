@@ -9,8 +9,7 @@ from calibration_tracks import FOLDED, T_TCP_CAM, make_case, paper_offsets
 from machine.rotations import geodesic_angle, rotation_from_rotvec, rotvec_from_rotation
 from server.calibration.checks import CalibrationInputError
 from server.calibration.contracts import CalibrationStatus, CameraTrack, EncoderTrack, MountRotation
-from server.calibration.fusion import fuse_rotations, prior_from_tool_marker
-from server.calibration.trajectory_matching import estimate_camera_rotation
+from server.calibration.trajectory_matching import estimate_camera_rotation, fuse_rotations, prior_from_tool_marker
 
 PATHS = {"folded": FOLDED, "paper": paper_offsets()}
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from machine.rotations import geodesic_angle, rotation_about, rotation_from_rotvec
 from server.calibration.checks import CalibrationInputError
-from server.calibration.orientation import (
+from server.calibration.reference import (
     orientation_reference,
     orientation_reference_paper,
     orientation_reference_paper_axes,

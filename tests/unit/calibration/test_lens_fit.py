@@ -11,8 +11,7 @@ from typer.testing import CliRunner
 
 from longreach.cli import app
 from longreach.lens_calibrate_command import write_lens
-from server.calibration.lens_coverage import coverage_of
-from server.calibration.lens_fit import BoardView, LensFitError, fit_lens
+from server.calibration.lens_fit import BoardView, LensFitError, coverage_of, fit_lens
 from server.camera.rectification_reading import CalibrationText, parse_calibration
 
 SIZE = (1280, 720)

@@ -14,10 +14,9 @@ from machine.description import Machine
 from machine.rotations import Array, rotation_from_rotvec
 from server.camera.check import Gathered, Gathering, check_camera, steps
 from server.camera.check_findings import CheckFinding, Level, exit_code, worst
-from server.camera.check_focal import Tape, check_focal
-from server.camera.check_matching import match_eyes
 from server.camera.check_picture import check_exposure, check_sharpness, edge_blur_px
-from server.camera.check_rig import check_rig
+from server.camera.check_rig import check_rig, match_eyes
+from server.camera.check_scale import Tape, check_focal
 from server.camera.check_stream import StreamTimes, check_stream
 from server.camera.contracts import StereoFrame
 from server.camera.rectification import rectification_of

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from server.camera.contracts import StereoFrame
-from server.camera.health import FaultCode
-from server.camera.health.pair import Pair
+from server.camera.health.findings import FaultCode, Pair
 from server.camera.health.stamps import StampMonitor
 from server.camera.pipeline import STEP_PAIRS, CameraClock
 from server.camera.smallest_offset import DRIFT_MAX_PPM

@@ -8,11 +8,13 @@ import pytest
 from camera_stand_in import picture
 
 from server.camera.contracts import StereoFrame
-from server.camera.health import FaultCode, Finding, ImageHealth, sharpness
+from server.camera.health.blur import sharpness
+from server.camera.health.findings import FaultCode, Finding
+from server.camera.health.image_health import ImageHealth
 from server.camera.health.stamps import STARTING_PAIRS
-from server.camera.masking import SHAFT_PX, ToolMask, blown_up, plate_and_shaft
 from server.camera.pipeline import CameraClock
 from server.camera.sources.side_by_side import split_side_by_side
+from server.targets.tool_mask import SHAFT_PX, ToolMask, blown_up, plate_and_shaft
 from server.vision.contracts import MarkerView
 
 MS = 1_000_000

@@ -8,8 +8,9 @@ import pytest
 from health_pictures import CAMERA, HEIGHT, MS, PERIOD_MS, WIDTH, Camera, moved_stamp, walk
 
 from server.camera.contracts import StereoFrame
-from server.camera.health import FaultCode, Finding, ImageHealth, silence
-from server.camera.health.image_health import GOOD_PAIRS
+from server.camera.health.findings import FaultCode, Finding
+from server.camera.health.image_health import GOOD_PAIRS, ImageHealth
+from server.camera.health.stamps import silence
 from server.vision.contracts import Image
 
 BEFORE = 14

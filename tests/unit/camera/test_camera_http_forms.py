@@ -13,8 +13,7 @@ import pytest
 from camera_stand_in import jpeg_of, picture
 
 from server.camera.errors import StreamError
-from server.camera.sources.http import HttpStereoSource
-from server.camera.sources.http_opening import open_stream
+from server.camera.sources.http import HttpStereoSource, open_stream
 from server.camera.sources.multipart import MultipartParser
 from server.camera.sources.settings import HttpSource
 from server.settings import ServerSettings

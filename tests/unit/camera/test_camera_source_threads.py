@@ -8,10 +8,10 @@ import pytest
 from camera_stand_in import CameraStandIn, jpeg_of, part_of, picture
 
 from server.camera.contracts import StereoSource
-from server.camera.sources import capture as capturing
 from server.camera.sources.capture import Capture
 from server.camera.sources.device import DeviceStereoSource
 from server.camera.sources.http import HttpStereoSource
+from server.camera.sources.live import LiveSource
 from server.camera.sources.multipart import MultipartParser
 from server.camera.sources.settings import DeviceSource, HttpSource
 
@@ -60,7 +60,7 @@ class Raising:
 
 @pytest.mark.parametrize("at", ["open", "read", "stamp"])
 def test_a_device_in_which_opencv_raises_is_opened_again(at: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(capturing, "BACK_OFF_FIRST_S", 0.3)
+    monkeypatch.setattr(LiveSource, "BACK_OFF_S", (0.3, 8.0))
     device = Raising(at)
 
     def opened(_index: int | str) -> Capture:

@@ -10,7 +10,7 @@ from camera_stand_in import CameraStandIn, jpeg_of, part_of, picture
 
 from server.camera.errors import CameraError, StreamError
 from server.camera.sources.http import HttpStereoSource
-from server.camera.sources.newest import Newest
+from server.camera.sources.live import Newest
 from server.camera.sources.opening import open_source
 from server.camera.sources.settings import FileSource, FolderSource, HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side, split_side_by_side

@@ -6,8 +6,7 @@ import pytest
 
 from server.camera.check_findings import Level
 from server.camera.contracts import StereoFrame, VisionSettings
-from server.camera.masking import mask_polygons
-from server.camera.own_structure import check_own_structure, mask_line, still_mask
+from server.camera.own_structure import check_own_structure, mask_line, mask_polygons, still_mask
 from server.camera.pipeline import VisionPipeline
 from server.camera.sources.settings import HttpSource
 from server.errors import SettingsError

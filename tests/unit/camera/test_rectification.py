@@ -111,7 +111,7 @@ def wall_pictures(rig: RigCalibration, seed: int) -> tuple[Image, Image]:
 
 
 def test_pictures_come_out_with_equal_rows() -> None:
-    from server.camera.check_matching import match_eyes
+    from server.camera.check_rig import match_eyes
 
     rig = turned_rig()
     plan = rectification_of(rig, 60.0)

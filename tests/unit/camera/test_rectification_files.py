@@ -27,14 +27,8 @@ from rig_samples import (
 )
 
 from machine.rotations import rotation_from_rotvec
-from server.camera.rectification_reading import (
-    CalibrationFileError,
-    CalibrationText,
-    RigCalibration,
-    parse_calibration,
-    read_calibration,
-)
-from server.camera.rectification_rig import EyeCalibration
+from server.camera.rectification_reading import CalibrationText, parse_calibration, read_calibration
+from server.camera.rectification_rig import CalibrationFileError, EyeCalibration, RigCalibration
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 

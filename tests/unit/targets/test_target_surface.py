@@ -9,7 +9,7 @@ from benchmarks.targets.scene import bare_rock, left_eye, true_target, view
 from machine.camera import undistort_to_rays
 from server.targets.contracts import PatchStatus
 from server.targets.surface import measure_patch, target_frame, uncertainty_95, with_roll
-from server.vision.pose_mean import deviations
+from server.vision.look import deviations
 
 
 def measured(left, right, pixel=PIXEL):

@@ -8,8 +8,8 @@ from target_scenes import SETTINGS, anchored, machine, pair_at, pixel_of, true_i
 from server.targets.source import TargetPoseSource
 from server.targets.tracking import TargetTracker
 from server.vision.contracts import ObjectPose, PairObservation, PoseStatus
+from server.vision.look import deviations
 from server.vision.object_pose import NO_RIVAL
-from server.vision.pose_mean import deviations
 
 
 def tracker() -> TargetTracker:

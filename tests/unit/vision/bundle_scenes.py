@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine.poses import pose, transform_points
+from machine.poses import pose
 from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
-from server.vision.bundle import BundleProblem, RigidGroup
+from server.vision.bundle_contracts import BundleProblem
 
 FOCAL_PX, BASELINE_M, SIGMA_PX = (528.0, 530.0), 0.12, 0.12
 
@@ -16,7 +16,6 @@ class Scene:
     problem: BundleProblem
     Ts_vo_cam: np.ndarray
     points_vo: np.ndarray
-    T_vo_group: np.ndarray | None
 
 
 def random_pose(rng, sigma_rad, sigma_m):
@@ -28,23 +27,13 @@ def moved(T, rng, sigma_rad, sigma_m):
     return pose(step[:3, :3] @ T[:3, :3], T[:3, 3] + step[:3, 3])
 
 
-def marker_group(rng, half_m=0.15):
-    """Twelve corners of three markers on one board, not quite in one plane, and the board's pose in vo."""
-    corners = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]]) * half_m / 3.0
-    centres = half_m * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.2], [0.0, 1.0, -0.2]])
-    points = np.concatenate([centre + corners for centre in centres])
-    return points, moved(pose(np.eye(3), np.array([0.2, 0.0, 1.2])), rng, 0.1, 0.02)
-
-
 def rays_of(Ts_vo_cam, points_vo, frames, points, baseline_m=BASELINE_M):
     arm = points_vo[points] - Ts_vo_cam[frames, :3, 3]
     x, y, z = np.einsum("nji,nj->ni", Ts_vo_cam[frames, :3, :3], arm).T
     return np.column_stack([x / z, y / z, (x - baseline_m) / z, y / z])
 
 
-def make_scene(
-    rng, n_frames=5, n_points=60, noise=1.0, seen_frac=0.75, one_eye_frac=0.1, outlier_frac=0.0, group=False, off=1.0
-):
+def make_scene(rng, n_frames=5, n_points=60, noise=1.0, seen_frac=0.75, one_eye_frac=0.1, outlier_frac=0.0, off=1.0):
     """Frames on a 6 cm raster before points at 1.1 to 1.6 m; noise in units of SIGMA_PX; `off` scales the start."""
     Ts = np.array(
         [
@@ -53,13 +42,7 @@ def make_scene(
         ]
     )
     points = rng.uniform((-0.7, -0.5, 1.1), (0.9, 0.5, 1.6), (n_points, 3))
-    groups, T_group = (), None
-    if group:
-        in_group, T_group = marker_group(rng)
-        points = np.concatenate([points, transform_points(T_group, in_group)])
-        indices = np.arange(n_points, len(points))
-        groups = (RigidGroup(indices, in_group, moved(T_group, rng, 0.02 * off, 0.01 * off)),)
-    frames, seen = np.nonzero((rng.random((n_frames, len(points))) < seen_frac) | (np.arange(len(points)) >= n_points))
+    frames, seen = np.nonzero(rng.random((n_frames, len(points))) < seen_frac)
     uv = rays_of(Ts, points, frames, seen)
     uv += noise * SIGMA_PX * rng.normal(size=uv.shape) / np.tile(FOCAL_PX, 2)
     wrong = rng.random(len(uv)) < outlier_frac
@@ -76,9 +59,8 @@ def make_scene(
         focal_px=FOCAL_PX,
         baseline_m=BASELINE_M,
         fixed=np.arange(n_frames) == 0,
-        groups=groups,
     )
-    return Scene(problem, Ts, points, T_group)
+    return Scene(problem, Ts, points)
 
 
 def only(problem, keep):

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from gtsam_stereo_data import StereoData
 
-from server.vision.bundle import BundleLoss, BundleProblem, BundleSettings, adjust_bundle
+from server.vision.bundle import adjust_bundle
+from server.vision.bundle_contracts import BundleLoss, BundleProblem, BundleSettings
 from server.vision.contracts import Array
 
 TIGHT_STEP_SIGMA = 1e-6

@@ -9,7 +9,7 @@ from machine.description import StereoCamera
 from machine.poses import transform_points
 from server.vision.contracts import ObjectPose, ObjectPoseSource, PairObservation, PoseStatus
 from server.vision.object_pose import NO_RIVAL, not_seen
-from server.vision.pose_refinement import PointObservations, refine_pose
+from server.vision.pose_refinement import PointObservations, distinct_minima
 
 
 def check_contract(source: ObjectPoseSource, pair, truth, position_m: float, rotation_rad: float) -> PairObservation:
@@ -59,7 +59,8 @@ class DotPlateSource:
         rays = np.concatenate([undistort_to_rays(self._camera, places) for places in seen])
         focal = np.array([self._camera.fx_px, self._camera.fy_px])
         eye_x = np.repeat([0.0, self._camera.baseline_m], len(points))
-        fit = refine_pose(self._starts[name], PointObservations(np.tile(points, (2, 1)), rays * focal, eye_x, focal))
+        seen = PointObservations(np.tile(points, (2, 1)), rays * focal, eye_x, focal)
+        (fit,) = distinct_minima(self._starts[name][None], seen, 0.01)
         rms = float(np.sqrt(np.mean(fit.residuals_px**2)))
         covariance = 0.1**2 * np.linalg.inv(fit.information)
         return ObjectPose(name, PoseStatus.OK, "", fit.T_cam_object, covariance, (), rms, NO_RIVAL)

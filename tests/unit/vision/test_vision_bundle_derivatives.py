@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from bundle_scenes import FOCAL_PX, SIGMA_PX, make_scene, rays_of
 
-from machine.poses import transform_points
-from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
-from server.vision.bundle import BundleLoss, BundleSettings, adjust_bundle
-from server.vision.bundle_contracts import make_layout, make_work
+from machine.rotations import rotation_from_rotvec
+from server.vision.bundle import adjust_bundle
+from server.vision.bundle_contracts import BundleLoss, BundleSettings, make_layout, make_work
 from server.vision.bundle_covariance import gaussian_factor
-from server.vision.bundle_reduced import assemble, choose_charts, set_body_arms
-from server.vision.bundle_residuals import CAUCHY, HUBER, NONE, add_priors, linearise, loss, weight
+from server.vision.bundle_reduced import assemble, choose_charts
+from server.vision.bundle_residuals import CAUCHY, HUBER, NONE, linearise, loss, weight
 
 STEP = 1e-6
 
@@ -25,28 +24,15 @@ def moved(T, step):
 
 
 def residual_vector(problem, x):
-    """All residuals [sigma], priors' included, of the start moved by x: free frames, groups, then the other points."""
+    """All residuals [sigma] of the start moved by x: free frames, then points."""
     Ts, points = problem.Ts_vo_cam.copy(), problem.points_vo.copy()
     free = np.flatnonzero(~problem.fixed)
     for place, frame in enumerate(free):
         Ts[frame] = moved(Ts[frame], x[6 * place : 6 * place + 6])
     o = 6 * len(free)
-    loose = np.ones(len(points), dtype=bool)
-    for group in problem.groups:
-        points[group.point_indices] = transform_points(moved(group.T_vo_group, x[o : o + 6]), group.points_group)
-        loose[group.point_indices] = False
-        o += 6
-    points[loose] += x[o:].reshape(-1, 3)
+    points += x[o:].reshape(-1, 3)
     off = rays_of(Ts, points, problem.frames, problem.points) - problem.uv
-    rays = np.nan_to_num(off * np.tile(FOCAL_PX, 2) / SIGMA_PX).ravel()
-    if problem.information is None:
-        return rays
-    parts = [rays]
-    for frame in free:
-        root = np.linalg.cholesky(problem.information[frame]).T
-        turned = rotvec_from_rotation(Ts[frame, :3, :3] @ problem.Ts_vo_cam[frame, :3, :3].T)
-        parts.append(root @ np.concatenate([turned, Ts[frame, :3, 3] - problem.Ts_vo_cam[frame, :3, 3]]))
-    return np.concatenate(parts)
+    return np.nan_to_num(off * np.tile(FOCAL_PX, 2) / SIGMA_PX).ravel()
 
 
 def numeric_jacobian(problem, size):
@@ -58,32 +44,21 @@ def numeric_jacobian(problem, size):
     return np.array(columns).T
 
 
-def loose_indices(problem):
-    grouped = np.concatenate([np.zeros(0, np.int64), *(group.point_indices for group in problem.groups)])
-    return np.setdiff1d(np.arange(len(problem.points_vo)), grouped)
-
-
 @pytest.fixture(scope="module")
 def scene():
-    return make_scene(np.random.default_rng(1), n_frames=4, n_points=15, seen_frac=0.95, group=True)
+    return make_scene(np.random.default_rng(1), n_frames=4, n_points=27, seen_frac=0.95)
 
 
-@pytest.mark.parametrize("with_prior", [False, True])
-def test_reduced_system_is_the_schur_complement_of_the_numeric_one(scene, with_prior):
+def test_reduced_system_is_the_schur_complement_of_the_numeric_one(scene):
     problem = scene.problem
-    if with_prior:
-        root = np.random.default_rng(2).normal(size=(6, 6)) * 300.0
-        problem = replace(problem, information=np.tile(root @ root.T + 1e3 * np.eye(6), (4, 1, 1)))
     layout, start, _ = make_layout(problem, BundleSettings(loss=BundleLoss.NONE))
     work = make_work(layout)
     linearise(layout, start, work)
     choose_charts(layout, start, work)
-    set_body_arms(layout, start, work)
-    add_priors(layout, start, start, work)
-    assemble(layout, start, work, 0.0)
+    assemble(layout, work, 0.0)
 
     bodies = 6 * layout.n_columns
-    size = bodies + 3 * len(loose_indices(problem))
+    size = bodies + 3 * len(problem.points_vo)
     J, r = numeric_jacobian(problem, size), residual_vector(problem, np.zeros(size))
     H, g = J.T @ J, J.T @ r
     eliminated = H[:bodies, bodies:] @ np.linalg.inv(H[bodies:, bodies:])
@@ -97,25 +72,13 @@ def test_reduced_system_is_the_schur_complement_of_the_numeric_one(scene, with_p
 
 
 def test_covariances_are_the_inverse_of_the_numeric_system(scene):
-    """Poses, group and points at the optimum, against the inverse of the whole J^T J."""
-    settings = BundleSettings(loss=BundleLoss.NONE, step_tol_sigma=1e-7, point_covariances=True)
+    """Poses at the optimum, against the inverse of the whole J^T J."""
+    settings = BundleSettings(loss=BundleLoss.NONE, step_tol_sigma=1e-7)
     found = adjust_bundle(scene.problem, settings)
-    group = replace(scene.problem.groups[0], T_vo_group=found.Ts_vo_group[0])
-    optimum = replace(scene.problem, Ts_vo_cam=found.Ts_vo_cam, points_vo=found.points_vo, groups=(group,))
-    loose = loose_indices(optimum)
-    size = 6 * 4 + 3 * len(loose)
-    J = numeric_jacobian(optimum, size)
+    optimum = replace(scene.problem, Ts_vo_cam=found.Ts_vo_cam, points_vo=found.points_vo)
+    J = numeric_jacobian(optimum, 18 + 3 * len(optimum.points_vo))
     whole = found.variance_factor * np.linalg.inv(J.T @ J)
-    assert found.joint_covariance[6:, 6:] == pytest.approx(whole[:24, :24], rel=1e-3, abs=1e-5 * whole[:24, :24].max())
-    assert found.group_covariances[0] == pytest.approx(found.joint_covariance[-6:, -6:])
-    for place, point in enumerate(loose):
-        block = whole[24 + 3 * place : 27 + 3 * place, 24 + 3 * place : 27 + 3 * place]
-        assert found.point_covariances[point] == pytest.approx(block, rel=1e-3, abs=1e-5 * block.max())
-    corner = group.point_indices[5]
-    arm = found.points_vo[corner] - found.Ts_vo_group[0, :3, 3]
-    cross = np.array([[0.0, -arm[2], arm[1]], [arm[2], 0.0, -arm[0]], [-arm[1], arm[0], 0.0]])
-    rows = np.hstack([-cross, np.eye(3)])
-    assert found.point_covariances[corner] == pytest.approx(rows @ found.group_covariances[0] @ rows.T, rel=1e-6)
+    assert found.joint_covariance[6:, 6:] == pytest.approx(whole[:18, :18], rel=1e-3, abs=1e-5 * whole[:18, :18].max())
 
 
 @pytest.mark.parametrize("kind", [NONE, HUBER, CAUCHY])

@@ -8,15 +8,8 @@ from bundle_scenes import errors, make_scene, only, rays_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from server.vision.bundle import (
-    BundleInputError,
-    BundleLoss,
-    BundleProblem,
-    BundleSettings,
-    BundleStatus,
-    RigidGroup,
-    adjust_bundle,
-)
+from server.vision.bundle import adjust_bundle
+from server.vision.bundle_contracts import BundleInputError, BundleLoss, BundleProblem, BundleSettings, BundleStatus
 
 NASTY = st.one_of(
     st.floats(allow_nan=True, allow_infinity=True),
@@ -26,11 +19,10 @@ NASTY = st.one_of(
 
 
 def well_formed(problem, found):
-    k, m, n, g = len(problem.Ts_vo_cam), len(problem.points_vo), len(problem.frames), len(problem.groups)
+    k, m, n = len(problem.Ts_vo_cam), len(problem.points_vo), len(problem.frames)
     assert found.Ts_vo_cam.shape == (k, 4, 4)
     assert found.points_vo.shape == (m, 3)
     assert found.covariances.shape == (k, 6, 6)
-    assert found.Ts_vo_group.shape == (g, 4, 4)
     assert found.inliers.shape == (n,)
     if found.status is BundleStatus.DEGENERATE:
         assert found.reason
@@ -51,7 +43,7 @@ def not_believed(problem, **changes):
 
 @pytest.fixture(scope="module")
 def problem():
-    return make_scene(np.random.default_rng(1), n_frames=3, n_points=20, group=True).problem
+    return make_scene(np.random.default_rng(1), n_frames=3, n_points=20).problem
 
 
 def test_nothing_at_all():
@@ -111,13 +103,6 @@ def test_a_frame_that_sees_nothing_is_named(problem):
     assert "frame 2" in found.reason
 
 
-def test_a_group_that_nobody_sees_is_named(problem):
-    grouped = np.isin(problem.points, problem.groups[0].point_indices)
-    found = adjust_bundle(only(problem, ~grouped))
-    assert found.status is BundleStatus.DEGENERATE
-    assert "group 0" in found.reason
-
-
 @pytest.mark.parametrize("n_points", [1, 2])
 def test_too_few_points_determine_no_pose(n_points):
     scene = make_scene(np.random.default_rng(2), n_frames=2, n_points=n_points, seen_frac=1.1, one_eye_frac=0.0)
@@ -134,10 +119,7 @@ def test_points_on_one_line_determine_no_pose():
 
 def test_all_points_behind_the_eyes(problem):
     behind = problem.points_vo * np.array([1.0, 1.0, -1.0])
-    flipped = problem.groups[0].T_vo_group.copy()
-    flipped[2, 3] = -2.0
-    group = replace(problem.groups[0], T_vo_group=flipped)
-    assert not_believed(problem, points_vo=behind, groups=(group,))
+    assert not_believed(problem, points_vo=behind)
 
 
 def test_rays_of_another_place_are_not_believed():
@@ -163,10 +145,6 @@ def test_rays_of_another_place_are_not_believed():
         {"uv": np.zeros(7)},
         {"fixed": np.ones(9, dtype=bool)},
         {"frames": np.array([0, 1, 7])},
-        {"information": np.zeros((3, 3, 3))},
-        {"fixed_points": np.zeros(2, dtype=bool)},
-        {"groups": (RigidGroup(np.array([0, 0]), np.zeros((2, 3)), np.eye(4)),)},
-        {"groups": (RigidGroup(np.array([99]), np.zeros((1, 3)), np.eye(4)),)},
     ],
 )
 def test_arrays_that_do_not_fit_together_raise(problem, changes):
@@ -178,7 +156,7 @@ def test_arrays_that_do_not_fit_together_raise(problem, changes):
 @given(data=st.data())
 def test_any_numbers_give_a_status(data):
     """A good problem in which some numbers were replaced by anything."""
-    scene = make_scene(np.random.default_rng(data.draw(st.integers(0, 5))), n_frames=3, n_points=12, group=True)
+    scene = make_scene(np.random.default_rng(data.draw(st.integers(0, 5))), n_frames=3, n_points=12)
     arrays = {
         name: np.array(getattr(scene.problem, name)) for name in ("Ts_vo_cam", "points_vo", "uv", "sigma_px", "fixed")
     }
@@ -188,13 +166,7 @@ def test_any_numbers_give_a_status(data):
         flat[data.draw(st.integers(0, flat.size - 1))] = data.draw(NASTY)
     if data.draw(st.booleans()):
         arrays["fixed"] = np.array(data.draw(st.lists(st.booleans(), min_size=3, max_size=3)))
-    information = None
-    if data.draw(st.booleans()):
-        information = np.zeros((3, 6, 6))
-        information[data.draw(st.integers(0, 2)), data.draw(st.integers(0, 5)), data.draw(st.integers(0, 5))] = (
-            data.draw(NASTY)
-        )
-    changed = replace(scene.problem, **arrays, information=information)
+    changed = replace(scene.problem, **arrays)
     chosen = BundleSettings(
         loss=data.draw(st.sampled_from(list(BundleLoss))), iterations_max=data.draw(st.sampled_from([0, 1, 5, 30]))
     )

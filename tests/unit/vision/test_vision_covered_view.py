@@ -8,7 +8,8 @@ from vision_scenes import deviation, facing_pose, machine, sight
 
 from machine.rotations import rotation_from_rotvec
 from server.vision.contracts import PoseStatus
-from server.vision.object_pose import PoseSettings, Sighting, estimate_object_pose
+from server.vision.object_pose import PoseSettings, estimate_object_pose
+from server.vision.pose_problem import Sighting
 
 CAMERA = machine().camera
 OOI = machine().markers_on("ooi")

@@ -13,7 +13,8 @@ from machine.markers import marker_corners
 from machine.poses import transform_points
 from server.vision.edge_fit import SideFit
 from server.vision.marker_search import dictionary_by_name, dictionary_names, find_markers, refined
-from server.vision.object_pose import PoseSettings, Sighting, estimate_object_pose
+from server.vision.object_pose import PoseSettings, estimate_object_pose
+from server.vision.pose_problem import Sighting
 
 NAMES = dictionary_names()
 

@@ -9,8 +9,9 @@ from vision_scenes import deviation, facing_pose, machine, sight, single_marker
 from machine.markers import marker_corners
 from machine.rotations import rotation_from_rotvec
 from server.vision.contracts import PoseStatus
-from server.vision.object_pose import PoseSettings, Sighting, estimate_object_pose
-from server.vision.pose_refinement import PointObservations, refine_pose
+from server.vision.object_pose import PoseSettings, estimate_object_pose
+from server.vision.pose_problem import Sighting
+from server.vision.pose_refinement import PointObservations, distinct_minima
 
 CAMERA = machine().camera
 OOI = machine().markers_on("ooi")
@@ -45,7 +46,7 @@ def test_information_is_the_finite_difference_one():
 
     J = np.column_stack([(predict(1e-6 * e) - predict(-1e-6 * e)) / 2e-6 for e in np.eye(6)])
     seen = PointObservations(points, predict(np.zeros(6)).reshape(-1, 2), eye_x, focal)
-    refined = refine_pose(T, seen)
+    (refined,) = distinct_minima(T[None], seen, 0.01)
     assert refined.information == pytest.approx(J.T @ J, rel=1e-6, abs=1e-3)
 
 

@@ -14,10 +14,9 @@ from machine.rotations import rotation_from_rotvec
 from server.vision.contracts import OdometryStatus
 from server.vision.odometry import OdometrySettings, StereoOdometry
 from server.vision.odometry_covariance import KeyframeCovariances, readout_of
-from server.vision.odometry_keyframe import triangulated
-from server.vision.odometry_lens import ray_sigma
+from server.vision.odometry_features import recognise
+from server.vision.odometry_keyframe import ray_sigma, triangulated
 from server.vision.odometry_motion import Motion, moved_by_twist, row_fractions, standing
-from server.vision.odometry_recognition import recognise
 from server.vision.odometry_sensitivity import Sensitivity
 from server.vision.odometry_sight import StereoMatches, flow, plausible
 
@@ -124,7 +123,7 @@ def test_an_error_taken_over_from_a_keyframe_is_told_once():
     both = Sensitivity((0, 1), 0.5 * np.stack([follow, follow]), np.zeros((6, 6)), np.zeros(6), 0.0, 0.0)
     assert known.carried(both)[3, 3] == pytest.approx(4.0), "the same error twice: no averaging"
     known.remove(0)
-    assert known.pose_of(0)[3, 3] == pytest.approx(4.0)
+    assert known.carried(one)[3, 3] == pytest.approx(4.0)
 
 
 def test_simulated_points_are_inside_their_ellipsoids():

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.vision.odometry.film import nominal_machine
 from benchmarks.vision.odometry.gaps import BEFORE, GapCase, brick_wall, run_gap, wall_pair
-from server.vision.odometry_recognition import repeats
+from server.vision.odometry_features import repeats
 from server.vision.odometry_sight import ImageSight
 
 CASE = GapCase(seed=3, brick_mm=60, own_frac=0.3, black=15, step_mm=(4.0, 0.0), distance_m=1.3)

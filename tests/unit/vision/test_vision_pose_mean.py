@@ -7,7 +7,7 @@ from vision_scenes import deviation, facing_pose
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
 from server.vision.ambiguity import mirrored_pose
-from server.vision.pose_mean import pose_mean, white_eigenvalue_max
+from server.vision.look import pose_mean, white_eigenvalue_max
 
 TRUE = facing_pose(1.0, 15.0, 30.0, (0.1, 0.05))
 ROOT = np.diag([3e-3, 3e-3, 1e-3, 2e-4, 2e-4, 1e-3])

@@ -11,18 +11,11 @@ from machine.camera import project_stereo
 from machine.markers import marker_corners
 from machine.poses import transform_points
 from machine.rotations import geodesic_angle, rotation_from_rotvec
-from server.vision.ambiguity import mirrored_pose
-from server.vision.ambiguity_time import AGE_MAX_S
+from server.vision.ambiguity import AGE_MAX_S, PosePrior, mirrored_pose, prior_from
 from server.vision.contracts import PoseStatus
-from server.vision.object_pose import (
-    PointSighting,
-    PosePrior,
-    PoseSettings,
-    Sighting,
-    estimate_object_pose,
-    prior_from,
-)
+from server.vision.object_pose import PoseSettings, estimate_object_pose
 from server.vision.planar_pose import planar_poses, point_poses
+from server.vision.pose_problem import PointSighting, Sighting
 
 CAMERA = machine().camera
 GRID = np.array([[x, y, 0.0] for y in (0.06, 0.02, -0.02, -0.06) for x in (-0.08, -0.04, 0.0, 0.04, 0.08)])
@@ -114,8 +107,8 @@ def ambiguous_look():
     raise AssertionError("no ambiguous look in 50")
 
 
-def prior_at(T, age_s=0.1, **more):
-    return PosePrior(T, np.diag([0.01**2] * 3 + [0.003**2] * 3), age_s, **more)
+def prior_at(T, age_s=0.1):
+    return PosePrior(T, np.diag([0.01**2] * 3 + [0.003**2] * 3), age_s)
 
 
 def test_time_chooses_where_images_cannot():
@@ -133,7 +126,6 @@ def test_a_prior_that_may_not_count_does_not():
     far[:3, :3] = rotation_from_rotvec(np.array([0.0, 0.0, 1.0])) @ far[:3, :3]
     for prior in (
         prior_at(T, age_s=AGE_MAX_S + 0.01),
-        prior_at(T, ambiguous=True),
         prior_at(far),
         replace(prior_at(T), covariance=np.diag([0.5**2] * 3 + [0.01**2] * 3)),
     ):

@@ -6,6 +6,7 @@ import pytest
 from vision_scenes import DATA
 
 from benchmarks.vision.evidence import (
+    EvidenceError,
     corner_differences,
     grid_figures,
     odometry_figures,
@@ -14,7 +15,6 @@ from benchmarks.vision.evidence import (
     rectified_camera,
     tag_figures,
 )
-from server.vision.errors import EvidenceError
 
 needs_data = pytest.mark.skipif(
     not DATA.is_dir(), reason="real images are not here: no ../shared/data beside the project"

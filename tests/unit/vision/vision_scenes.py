@@ -11,7 +11,7 @@ from machine.description import Machine, Marker, parse_machine_toml
 from machine.markers import marker_corners
 from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import rotation_about, rotation_from_rotvec, rotvec_from_rotation
-from server.vision.object_pose import Sighting
+from server.vision.pose_problem import Sighting
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 
 ROOT = Path(__file__).parents[3]

@@ -1,27 +1,20 @@
-"""Where odometry must not look: what moves with the camera, so that its corners would say that nothing moves."""
+"""Where the own tool covers the images: it moves with the camera, so its corners would say that nothing moves."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from machine.description import StereoCamera
-from server.errors import SettingsError
-from server.settings_camera import Mask
-from server.vision.contracts import Array, Image, MarkerView
+from server.vision.contracts import Array, MarkerView
 
-OUTLINE_PX = 1.5  # an outline may be so far from the mask that it follows
+SHAFT_PX = 3000.0  # beyond the border of any image
+BOARD_CORNERS_MIN = 4  # fewer do not give a rectangle
 
 
 def blown_up(corners_px: Array, scale: float) -> Array:
     """A polygon (n, 2) [px] scaled about its middle."""
     middle = corners_px.mean(axis=0)
     return middle + scale * (corners_px - middle)
-
-
-SHAFT_PX = 3000.0  # beyond the border of any image
-BOARD_CORNERS_MIN = 4  # fewer do not give a rectangle
 
 
 def plate_and_shaft(corners_px: Array, scale: float) -> Array:
@@ -44,36 +37,6 @@ def around(corners_px: Array) -> Array:
     box = np.asarray(cv2.boxPoints(cv2.minAreaRect(seen)), dtype=float)
     turned = [np.roll(box, -k, axis=0) for k in range(4)]
     return max(turned, key=lambda one: float(one[3, 1] - one[0, 1] + one[2, 1] - one[1, 1]))
-
-
-def mask_polygons(mask: Mask, camera: StereoCamera, name: str) -> tuple[Array, ...]:
-    """Polygons (k, 2) [px] of a mask in the settings.
-
-    Raises: SettingsError: its picture cannot be read, or is not of the camera's size.
-    """
-    if not isinstance(mask, str):
-        return tuple(np.array(polygon, dtype=float) for polygon in mask)
-    try:
-        data = Path(mask).read_bytes()
-    except OSError as error:
-        raise SettingsError(f"[camera] {name} = '{mask}': {error.strerror}; give a picture file or polygons") from error
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
-    if picture is None:
-        raise SettingsError(f"[camera] {name} = '{mask}' is not a picture; give a PNG, white where the machine is seen")
-    found, wanted = (picture.shape[1], picture.shape[0]), (camera.width_px, camera.height_px)
-    if found != wanted:
-        raise SettingsError(
-            f"[camera] {name} = '{mask}' is {found[0]} x {found[1]} px, an eye's picture {wanted[0]} x {wanted[1]} px; "
-            "make the mask in that size"
-        )
-    return outlines(np.asarray(picture >= 128, np.uint8))
-
-
-def outlines(mask: Image) -> tuple[Array, ...]:
-    """Polygons (k, 2) [px] around what is not 0 in a mask (h, w); holes are covered too."""
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    simple = (np.asarray(cv2.approxPolyDP(contour, OUTLINE_PX, True), float).reshape(-1, 2) for contour in contours)
-    return tuple(polygon for polygon in simple if len(polygon) >= 3)
 
 
 class ToolMask:
