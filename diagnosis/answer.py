@@ -102,19 +102,19 @@ def _budget(found: Budget) -> dict[str, Any]:
         "left_mm": _mm(found.left_mm),
         "columns": [
             {
-                "column": one.name,
-                "before_mm": _mm(one.before_mm),
-                "after_mm": _mm(one.after_mm),
-                "floor_mm": _mm(one.floor_mm),
-                "measured": one.measured,
+                "column": column.name,
+                "before_mm": _mm(column.before_mm),
+                "after_mm": _mm(column.after_mm),
+                "floor_mm": _mm(column.floor_mm),
+                "measured": column.measured,
             }
-            for one in found.columns
+            for column in found.columns
         ],
         "effects": [_line(line, found.machine) for line in found.lines],
         "unexplained_mm": [
-            {"stage": one.stage, "joint": one.joint, "mm": _mm(one.after_mm)}
-            for one in found.stages
-            if one.verdict in ("partly", "unexplained")
+            {"stage": stage.stage, "joint": stage.joint, "mm": _mm(stage.after_mm)}
+            for stage in found.stages
+            if stage.verdict in ("partly", "unexplained")
         ],
     }
 
@@ -133,7 +133,7 @@ def _line(line: Line, machine: tuple[Term, ...]) -> dict[str, Any]:
         "probability": rounded(line.probability),
         "status": line.status,
         "used": None if used is None else _used(used),
-        "equals": [[_key(one) for one in members] for members in evidence.equals],
+        "equals": [[_key(member) for member in members] for members in evidence.equals],
         "evidence": {
             "gain_nats": rounded(evidence.gain_nats),
             "size_over_sd": rounded(evidence.z),
@@ -148,7 +148,10 @@ def _line(line: Line, machine: tuple[Term, ...]) -> dict[str, Any]:
 def _used(term: Term) -> dict[str, Any]:
     """A machine file's numbers of an effect, fitted without the doubtful ones."""
     table = _effect_table(term.effect, np.stack([term.theta] * 3, axis=1))
-    return {name: {"value": one["value"], "unit": one["unit"]} for name, one in table["parameters"].items()}
+    return {
+        name: {"value": parameter["value"], "unit": parameter["unit"]}
+        for name, parameter in table["parameters"].items()
+    }
 
 
 def _effect(line: Line) -> dict[str, Any]:
@@ -210,7 +213,7 @@ def _key(term: Term) -> dict[str, Any]:
 
 
 def _keys(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [{"name": one["name"], "joint": one["joint"]} for one in effects]
+    return [{"name": effect["name"], "joint": effect["joint"]} for effect in effects]
 
 
 def _mm(value: float | None) -> float | None:
@@ -240,7 +243,7 @@ def _shrink(found: Budget) -> dict[str, Any]:
         }
         for _, row, _ in parts
     ]
-    sums = [sums for one, _, sums in parts if one.fit.k] or [sums for _, _, sums in parts]
+    sums = [sums for gap, _, sums in parts if gap.fit.k] or [sums for _, _, sums in parts]
     if not sums:
         return {"overall": {}, "stages": stages}
     whole = together(sums)
@@ -286,9 +289,9 @@ def _detection_limits(found: Budget) -> Iterator[dict[str, Any]]:
 def _missing(found: Budget) -> list[dict[str, str]]:
     whole, nominal = found.whole, found.whole.nominal
     out = [
-        {"signal": one.stage, "costs": f"{one.stage} is not measured: {one.why}"}
-        for one in found.stages
-        if one.verdict == "not_measured"
+        {"signal": stage.stage, "costs": f"{stage.stage} is not measured: {stage.why}"}
+        for stage in found.stages
+        if stage.verdict == "not_measured"
     ]
     if whole.log_unused:
         text = "no segment of run.toml lies in the PLC's log: nothing of it was replayed; correct the segments' times"

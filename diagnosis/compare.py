@@ -63,7 +63,7 @@ def misses(whole: Read, machines: Sequence[tuple[str, str]]) -> tuple[Miss, ...]
                 "nothing recorded can drive a simulation: it needs encoders and the reference, as sent or received"
             )
         out.append(_by_encoders(name, nominal, runs))
-        seen = _by_camera(name, whole.tables, nominal, [one for _, one in runs])
+        seen = _by_camera(name, whole.tables, nominal, [run for _, run in runs])
         out += [seen] if seen is not None else []
     return tuple(out)
 
@@ -124,7 +124,7 @@ def _eyes(nominal: Nominal, base: ParameterSets) -> Nominal:
     if nominal.camera is None:
         return nominal
     size = 1.0 + float(base.machine[0, MARKER_SIZE])
-    markers: tuple[Marker, ...] = tuple(replace(one, side_m=one.side_m * size) for one in nominal.markers)
+    markers: tuple[Marker, ...] = tuple(replace(marker, side_m=marker.side_m * size) for marker in nominal.markers)
     return replace(nominal, camera=true_camera(base, nominal.camera), markers=markers)
 
 

@@ -58,8 +58,8 @@ def shrinks(one: HeldOut) -> list[tuple[Shrink, Squares]]:
 def together(parts: Iterable[Squares]) -> Squares:
     """Parts as one."""
     some = tuple(parts)
-    joined = [np.concatenate([getattr(one, name) for one in some]) for name in ("before", "after", "noise")]
-    return Squares(*joined, rows=sum(one.rows for one in some))
+    joined = [np.concatenate([getattr(part, name) for part in some]) for name in ("before", "after", "noise")]
+    return Squares(*joined, rows=sum(part.rows for part in some))
 
 
 def _shrink(part: Cell, sums: Squares) -> Shrink:

@@ -28,7 +28,7 @@ def column_of(pattern: str, sliding: Sequence[bool], j: int) -> str:
 def in_metres(told: Any, sliding: tuple[bool, ...], joint: int | None = None) -> Any:
     """The same answer with units in m wherever the joint (1-based) that a table belongs to slides."""
     if isinstance(told, list):
-        return [in_metres(one, sliding, joint) for one in told]
+        return [in_metres(item, sliding, joint) for item in told]
     if not isinstance(told, dict):
         return told
     own = None if told.get("name") in TILTS else told.get("joint", joint)

@@ -70,14 +70,20 @@ def forms_of(wholes: list[Read]) -> tuple[Remainder, ...]:
 def with_wanders(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[Remainder, ...]:
     """Remainders with what their joints' numbers wander by over recordings that these remainders belong to."""
     found = {place: wander_of(cells) for place, cells in _by_place(wholes).items()}
-    return tuple(replace(one, wander=found.get((one.stage, one.joint, one.on), ())) for one in remainders)
+    return tuple(
+        replace(remainder, wander=found.get((remainder.stage, remainder.joint, remainder.on), ()))
+        for remainder in remainders
+    )
 
 
 def with_mosts(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[Remainder, ...]:
     """Remainders with the most that their forms say of any of these recordings, which these remainders belong to."""
     cells = _by_place(wholes)
-    places = [(one, cells.get((one.stage, one.joint, one.on), [])) for one in remainders]
-    return tuple(replace(one, form_most=most_of(own, one.form)) if one.form else one for one, own in places)
+    places = [(remainder, cells.get((remainder.stage, remainder.joint, remainder.on), [])) for remainder in remainders]
+    return tuple(
+        replace(remainder, form_most=most_of(own, remainder.form)) if remainder.form else remainder
+        for remainder, own in places
+    )
 
 
 def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:
@@ -146,7 +152,7 @@ def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
         for cell, replay in zip(cells, replays, strict=True):
             sets = _own_joints(cell, replay)
             runs = [part_increments(stage, part, sets)[0][0][SKIPPED:, column] for part in replay.parts]
-            noise = [one[:, 0] for one in _noise(stage, cell, replay, column)]
+            noise = [rows[:, 0] for rows in _noise(stage, cell, replay, column)]
             totals.append(moments(runs))
             noises.append(moments(noise) if noise else np.zeros_like(totals[-1]))
         ar, sigma, rms = common_process(np.array(totals), np.array(noises))
@@ -202,6 +208,6 @@ def _noise(stage: str, cell: Cell, replay: Replay, column: int) -> list[Array]:
     if len(members) < 2:
         return []
     sets = _own_joints(cell, replay)
-    steps = [part_increments(stage, by_name[one.name], sets)[0][0][SKIPPED:, [column]] for one in members]
-    rows = min(len(one) for one in steps)
-    return deviations(np.stack([one[:rows] for one in steps])) if rows > ORDER_LEFT + 20 else []
+    steps = [part_increments(stage, by_name[member.name], sets)[0][0][SKIPPED:, [column]] for member in members]
+    rows = min(len(step) for step in steps)
+    return deviations(np.stack([step[:rows] for step in steps])) if rows > ORDER_LEFT + 20 else []

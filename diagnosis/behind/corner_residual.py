@@ -82,9 +82,9 @@ class CornerResidual:
         Ts = self.poses(base, plain, 0, 0.0)
         here = self.difference(plain, 0, Ts, None, self.T_base_ooi)
         columns = []
-        for k, one in enumerate(markers):
-            for row in np.diag(np.repeat((self.layout_m, 2.0 * self.layout_m / one.side_m), 3)):
-                moved = replace(one, T_on_marker=one.T_on_marker @ small_motion(row))
+        for k, marker in enumerate(markers):
+            for row in np.diag(np.repeat((self.layout_m, 2.0 * self.layout_m / marker.side_m), 3)):
+                moved = replace(marker, T_on_marker=marker.T_on_marker @ small_motion(row))
                 other = replace(self, frames=replace(self.frames, markers=(*markers[:k], moved, *markers[k + 1 :])))
                 columns.append(other.difference(plain, 0, Ts, None, self.T_base_ooi) - here)
         return replace(self, layout=day_noise(self.placeless(np.array(columns).T)))
@@ -191,4 +191,4 @@ def nuisance_of(placed: CornerResidual, base: ParameterSets) -> Array:
     steps = [placed.difference(plain, 0, Ts, None, placed.T_base_ooi @ small_motion(NUDGE * row)) for row in np.eye(6)]
     if placed.untimed:
         steps.append(placed.difference(plain, 0, placed.poses(base, plain, 0, NUDGE), None, placed.T_base_ooi))
-    return np.array([(one - at) / NUDGE for one in steps]).T
+    return np.array([(step - at) / NUDGE for step in steps]).T

@@ -47,14 +47,16 @@ class Path:
 def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
     """The course of every stretch that has encoders throughout."""
     out = []
-    for one in stretches:
-        if one.enc is None or not np.isfinite(one.enc).any(axis=0).all():
+    for stretch in stretches:
+        if stretch.enc is None or not np.isfinite(stretch.enc).any(axis=0).all():
             continue
-        skip = max(1, int(COURSE_S / one.dt_s + 1e-9))
-        step_s = one.dt_s * skip if one.dt_s <= FOLLOWED_S else None
-        coarse = coarse_steps(np.zeros(one.enc.shape[1]) if one.enc_step is None else one.enc_step)
-        quiet = np.ascontiguousarray(quieted(unstepped(filled(one.enc), coarse, one.dt_s), one.dt_s)[::skip])
-        out.append(Path(one.t_s[::skip], quiet, step_s, tuple(coarse.tolist())))
+        skip = max(1, int(COURSE_S / stretch.dt_s + 1e-9))
+        step_s = stretch.dt_s * skip if stretch.dt_s <= FOLLOWED_S else None
+        coarse = coarse_steps(np.zeros(stretch.enc.shape[1]) if stretch.enc_step is None else stretch.enc_step)
+        quiet = np.ascontiguousarray(
+            quieted(unstepped(filled(stretch.enc), coarse, stretch.dt_s), stretch.dt_s)[::skip]
+        )
+        out.append(Path(stretch.t_s[::skip], quiet, step_s, tuple(coarse.tolist())))
     return tuple(out)
 
 
@@ -76,7 +78,9 @@ def candidates_behind(joints: tuple[int, ...], paths: tuple[Path, ...]) -> tuple
     """
     coarse = np.nonzero(coarsest(paths, max(joints, default=0)))[0] + 1
     return tuple(
-        one for one in arm_candidates(joints, followed(paths)) if one.name not in SWINGS or one.joint not in coarse
+        candidate
+        for candidate in arm_candidates(joints, followed(paths))
+        if candidate.name not in SWINGS or candidate.joint not in coarse
     )
 
 

@@ -91,7 +91,7 @@ def _off(nominal: Nominal, data: PointData) -> _Off | None:
     def residual(sets: ParameterSets) -> Array:
         turned = (replace(data, q=true_angles(sets, data.q, k)) for k in range(sets.sets))
         plain = without_encoders(sets)
-        return np.array([fit_points(nominal, plain, one, k).residual.ravel() for k, one in enumerate(turned)])
+        return np.array([fit_points(nominal, plain, points, k).residual.ravel() for k, points in enumerate(turned)])
 
     joints = tuple(range(1, nominal.n + 1))
     r0, u = mixtures(residual, pack_under(nominal.baseline, nominal.n), arm_candidates(joints, moving=False))

@@ -96,12 +96,12 @@ def noise_by_repeats(
     nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: ParameterSets, stretches: tuple[Stretch, ...]
 ) -> RepeatedPoints | None:
     """What repeats of one command say of tracked points; None where there are none, or a baseline knows better."""
-    groups = [one for one in repeat_groups(stretches).values() if reference_spread(one) <= DIFFER_MAX_RAD]
+    groups = [group for group in repeat_groups(stretches).values() if reference_spread(group) <= DIFFER_MAX_RAD]
     at = inside(paths, data.when)
     if not groups or (at < 0).all() or nominal.remainder("structure", on="tracker") is not None:
         return None
     rough = unweighed(nominal, data, paths, at)
-    runs = tuple(tuple((one.t_segment_s, float(one.t_s[0]), float(one.t_s[-1])) for one in group) for group in groups)
+    runs = tuple(tuple((run.t_segment_s, float(run.t_s[0]), float(run.t_s[-1])) for run in group) for group in groups)
     return repeated_points(rough(base)[0].reshape(-1, 3), rough.data.which, rough.data.when, runs)
 
 

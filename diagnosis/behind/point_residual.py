@@ -65,7 +65,7 @@ class PointResidual:
             modelled(self.nominal, plain, replace(data, q=data.q + more_rad), found.places) - here
             for more_rad in NUDGE_RAD * np.eye(self.nominal.n)
         ]
-        return np.array([_about_upright(replace(found, residual=one / NUDGE_RAD), self.data.xyz) for one in moved])
+        return np.array([_about_upright(replace(found, residual=shift / NUDGE_RAD), self.data.xyz) for shift in moved])
 
     def _angles(self, sets: ParameterSets, which: int, side: float = 0.0) -> Array:
         if not self.paths:
@@ -84,7 +84,7 @@ class PointResidual:
         sided = np.stack([self._angles(sets, which, side) for side in SIDES])
         unsure = np.ptp(sided, axis=0).max(axis=1) > 0.0
         off = [fit_points(self.nominal, plain, replace(self.data, q=q), which).residual[unsure] for q in sided]
-        by_path = [np.bincount(self.at[unsure], (one**2).sum(axis=1), len(self.paths)) for one in off]
+        by_path = [np.bincount(self.at[unsure], (residual**2).sum(axis=1), len(self.paths)) for residual in off]
         nearest = np.argmin(by_path, axis=0)[self.at]
         return sided[nearest, np.arange(len(nearest))]
 

@@ -60,11 +60,11 @@ def mixtures(
     """The residual (N,) without effects, and orthonormal directions (N, k), strongest first, that small ones span."""
     r0 = residual(base)[0]
     columns = []
-    for one in candidates:
-        theta = np.array([0.0 if slot.neutral == 0.0 else slot.start for slot in one.slots])
-        for k, slot in enumerate(one.slots):
+    for candidate in candidates:
+        theta = np.array([0.0 if slot.neutral == 0.0 else slot.start for slot in candidate.slots])
+        for k, slot in enumerate(candidate.slots):
             theta[k] = 0.2 * slot.start if slot.neutral == 0.0 else slot.start
-            columns.append(residual(put(base, (one,), theta[None]))[0] - r0)
+            columns.append(residual(put(base, (candidate,), theta[None]))[0] - r0)
             theta[k] = 0.0 if slot.neutral == 0.0 else slot.start
     A = np.array(columns).T
     A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-15)

@@ -121,7 +121,7 @@ def _meet(tables: Tables, offset_s: float) -> bool:
     """Whether datagrams were sent, by this offset, while the PLC logged, or shortly before."""
     if tables.sent is None or tables.plc is None:
         return True
-    sent, rows = (one[np.isfinite(one)] for one in (tables.sent.t_s - offset_s, tables.plc.t_s))
+    sent, rows = (t_s[np.isfinite(t_s)] for t_s in (tables.sent.t_s - offset_s, tables.plc.t_s))
     if not len(sent) or not len(rows):
         return True
     return bool(sent.min() <= rows.max() and sent.max() >= rows.min() - EARLY_MAX_S)

@@ -70,8 +70,8 @@ def experiment_for(whole: Read, cells: list[list[Pair]], settled: bool) -> dict[
 def _proposed(whole: Read, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any]:
     """The experiment that best separates one cell's open pairs."""
     library = _library(whole, nominal, pairs)
-    table = {one.name: [_nats(whole, pair, one) for pair in pairs] for one in library}
-    able = [one for one in library if max(table[one.name]) >= TOLD_NATS]
+    table = {experiment.name: [_nats(whole, pair, experiment) for pair in pairs] for experiment in library}
+    able = [experiment for experiment in library if max(table[experiment.name]) >= TOLD_NATS]
     best = max(able, key=lambda one: _worth(pairs, table[one.name], one), default=None)
     if best is None:
         return _nothing(pairs[0], table)
@@ -100,7 +100,7 @@ def _library(whole: Read, nominal: Nominal, pairs: list[Pair]) -> tuple[Experime
         joints = _joints(pairs, nominal.n)
         return motions(nominal, centre, joints, extremes(nominal, cell.base, near, joints))
     parts = [part.whitened for part in cell.parts or (cell,)]
-    seen = next((one for one in parts if isinstance(one, CornerResidual) and one.on == "ooi"), None)
+    seen = next((residual for residual in parts if isinstance(residual, CornerResidual) and residual.on == "ooi"), None)
     if seen is None:
         return looks(nominal, cell.base, near, None)
     kept = near[visible(nominal, cell.base, near, seen.T_base_ooi)]
@@ -110,7 +110,7 @@ def _library(whole: Read, nominal: Nominal, pairs: list[Pair]) -> tuple[Experime
 def middle(whole: Read) -> Array:
     """The posture (n,) around which the recording was made."""
     nominal = whole.nominal
-    recorded = [one.enc for one in whole.stretches if one.enc is not None]
+    recorded = [stretch.enc for stretch in whole.stretches if stretch.enc is not None]
     static = whole.tables.static if whole.tables is not None else None
     if not recorded and static is not None and static.q is not None:
         recorded = [static.q]
@@ -144,7 +144,7 @@ def _nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
 
 def _worth(pairs: list[Pair], nats: list[float], experiment: Experiment) -> float:
     """Nats that count, weighed over the pairs, less what the machine's time costs."""
-    gained = sum(pair.weight * min(one, ENOUGH_NATS) for pair, one in zip(pairs, nats, strict=True))
+    gained = sum(pair.weight * min(nats_of, ENOUGH_NATS) for pair, nats_of in zip(pairs, nats, strict=True))
     return gained / sum(pair.weight for pair in pairs) - MINUTES_COST * experiment.minutes
 
 

@@ -95,11 +95,11 @@ def _foretold(whole: Read, replayer: Replayer, motion: Motion, truth: ParameterS
 def rows_of_postures(whole: Read, cell: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
     """Residuals of the cell's looks or points together with those from more postures; None where it has neither."""
     parts = cell.parts or (cell,)
-    extended = [_extended(one, postures, truth) for one in parts]
-    if all(one is None for one in extended):
+    extended = [_extended(part, postures, truth) for part in parts]
+    if all(residual is None for residual in extended):
         return None
-    rows = [one.whitened if more is None else more for one, more in zip(parts, extended, strict=True)]
-    return lambda sets: np.concatenate([one(sets) for one in rows], axis=1)
+    rows = [part.whitened if more is None else more for part, more in zip(parts, extended, strict=True)]
+    return lambda sets: np.concatenate([row(sets) for row in rows], axis=1)
 
 
 def _extended(part: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:

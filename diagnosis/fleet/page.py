@@ -10,14 +10,14 @@ WORDS = {"none": "✓ none", "effects": "! effects", "outside": "✗ outside", "
 
 def fleet_page(fleet: Fleet, name: str) -> str:
     """Shared effects first, then drift, then machine by machine."""
-    total = sum(len(one) for one in fleet.verdicts.values())
+    total = sum(len(verdicts) for verdicts in fleet.verdicts.values())
     facts = f"{len(fleet.machines)} machines, {total} recordings diagnosed, {len(fleet.unusable)} not usable"
     if fleet.no_serial:
         facts += f". {fleet.no_serial} tell no serial: those of one folder count as one machine's; {SERIAL}"
     body = [
         f"<h1>Sim-to-real gap of a fleet: {escape(name)}</h1><p>{escape(facts)}.</p>",
-        _section("Effects that machines share", [_shared(one) for one in fleet.shared], SHARED),
-        _section("Drift", [_drift(one) for one in fleet.drifts], DRIFT),
+        _section("Effects that machines share", [_shared(effect) for effect in fleet.shared], SHARED),
+        _section("Drift", [_drift(drift) for drift in fleet.drifts], DRIFT),
         _section("Machine by machine", [(m, _verdicts(fleet.verdicts[m])) for m in fleet.machines], MACHINES),
         _section("Every size found", [_found(fleet, k) for k in range(len(fleet.found))], FOUND),
         _section("Not usable", list(fleet.unusable), ("recording", "why")),

@@ -17,7 +17,7 @@ Told = Callable[[str, int, int], None]
 def recordings_below(folder: Path) -> list[Path]:
     """MCAP files and CSV folders (those with a run.toml) below a folder, in name order."""
     files = sorted(folder.rglob("*.mcap"))
-    folders = sorted(one.parent for one in folder.rglob("run.toml"))
+    folders = sorted(settings.parent for settings in folder.rglob("run.toml"))
     return sorted({*files, *folders})
 
 
@@ -51,8 +51,8 @@ def diagnose_all(
     file = None if machine_file is None else str(machine_file.resolve())
     paired = zip(names, paths, strict=True)
     todo = [(name, (str(path.resolve()), file)) for name, path in paired if name not in results]
-    for name, one in Workers(executor, renewed).run(diagnosed, todo, at_once):
-        results[name] = result = _result(called[name], one)
+    for name, future in Workers(executor, renewed).run(diagnosed, todo, at_once):
+        results[name] = result = _result(called[name], future)
         _save(saved / f"{name}.json", marks[name], result)
         told(called[name], len(results), len(names))
     return [results[name] for name in names]

@@ -14,8 +14,8 @@ Key = tuple[str, int | None]
 def equals_of(result: dict[str, Any], effect: dict[str, Any]) -> list[dict[str, Any]]:
     """What this recording cannot tell from an effect."""
     own = _key(effect)
-    classes = [members for members in result["indistinguishable"] if own in {_key(one) for one in members}]
-    return [one for members in classes for one in members if _key(one) != own]
+    classes = [members for members in result["indistinguishable"] if own in {_key(member) for member in members}]
+    return [member for members in classes for member in members if _key(member) != own]
 
 
 def _key(one: dict[str, Any]) -> Key:
@@ -89,16 +89,18 @@ class Fleet:
 
 def summary_of(results: Sequence[dict[str, Any]]) -> Fleet:
     """Of the dictionaries that `diagnosed` gives."""
-    good = [one for one in results if one["status"] == "diagnosed"]
+    good = [result for result in results if result["status"] == "diagnosed"]
     good.sort(key=lambda one: (machine_of(one), one["started_utc"], one["recording"]))
-    found = tuple(item for one in good for item in _found(one))
-    machines = tuple(dict.fromkeys(machine_of(one) for one in good))
+    found = tuple(item for result in good for item in _found(result))
+    machines = tuple(dict.fromkeys(machine_of(result) for result in good))
     verdicts = {
-        machine: tuple((one["recording"], one["answer"]["verdict"]) for one in good if machine_of(one) == machine)
+        machine: tuple(
+            (result["recording"], result["answer"]["verdict"]) for result in good if machine_of(result) == machine
+        )
         for machine in machines
     }
-    bad = tuple((one.get("recording", "?"), _why(one)) for one in results if one["status"] != "diagnosed")
-    nameless = sum(not one["serial"] for one in good)
+    bad = tuple((result.get("recording", "?"), _why(result)) for result in results if result["status"] != "diagnosed")
+    nameless = sum(not result["serial"] for result in good)
     return Fleet(machines, verdicts, found, _shared(good, found), _drifts(found), bad, nameless)
 
 
@@ -132,7 +134,7 @@ def _found(one: dict[str, Any]) -> list[Found]:
 
 
 def _confirmed(answer: dict[str, Any]) -> list[dict[str, Any]]:
-    return [one for one in answer["budget"]["effects"] if one["status"] == "confirmed"]
+    return [effect for effect in answer["budget"]["effects"] if effect["status"] == "confirmed"]
 
 
 def _days(text: str) -> float | None:
@@ -146,11 +148,11 @@ def _days(text: str) -> float | None:
 def _shared(good: list[dict[str, Any]], found: tuple[Found, ...]) -> tuple[Shared, ...]:
     """Effects by how many machines have them; a machine is without one only if its size there would have been seen."""
     out = []
-    for key in dict.fromkeys((one.name, one.joint) for one in found):
-        mine = [one for one in found if (one.name, one.joint) == key]
-        having = tuple(dict.fromkeys(one.machine for one in mine))
-        size = float(np.median([abs(one.value) for one in mine]))
-        able = [machine_of(one) for one in good if _could_see(one, key, size)]
+    for key in dict.fromkeys((finding.name, finding.joint) for finding in found):
+        mine = [finding for finding in found if (finding.name, finding.joint) == key]
+        having = tuple(dict.fromkeys(finding.machine for finding in mine))
+        size = float(np.median([abs(finding.value) for finding in mine]))
+        able = [machine_of(result) for result in good if _could_see(result, key, size)]
         out.append(Shared(*key, having, tuple(name for name in dict.fromkeys(able) if name not in having)))
     return tuple(sorted(out, key=lambda one: (-len(one.machines), one.name, one.joint or 0)))
 
@@ -168,9 +170,13 @@ def _could_see(one: dict[str, Any], key: tuple[str, int | None], size: float) ->
 
 def _drifts(found: tuple[Found, ...]) -> tuple[Drift, ...]:
     out = []
-    for key in dict.fromkeys((one.machine, one.name, one.joint) for one in found):
-        mine = [one for one in found if (one.machine, one.name, one.joint) == key and one.t_days is not None]
-        if len({one.t_days for one in mine}) >= DRIFT_MIN:
+    for key in dict.fromkeys((finding.machine, finding.name, finding.joint) for finding in found):
+        mine = [
+            finding
+            for finding in found
+            if (finding.machine, finding.name, finding.joint) == key and finding.t_days is not None
+        ]
+        if len({finding.t_days for finding in mine}) >= DRIFT_MIN:
             out.append(_drift(mine))
     return tuple(out)
 
@@ -183,9 +189,9 @@ def _drift(mine: list[Found]) -> Drift:
     """
     from scipy.stats import t as student
 
-    t = np.array([one.t_days or 0.0 for one in mine])
-    y = np.array([one.value for one in mine])
-    width = np.array([max(one.high - one.low, 1e-12) for one in mine])
+    t = np.array([finding.t_days or 0.0 for finding in mine])
+    y = np.array([finding.value for finding in mine])
+    width = np.array([max(finding.high - finding.low, 1e-12) for finding in mine])
     w = 1.0 / (width / (2.0 * Z_90)) ** 2
     A = np.stack([np.ones_like(t), t - t.mean()], axis=1)
     covariance = np.linalg.inv(A.T @ (w[:, None] * A))

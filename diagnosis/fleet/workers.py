@@ -57,16 +57,16 @@ class Workers:
                 task = left.popleft()
                 running[self._handed_out(work, task[1])] = task
             done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for one in [future for future in running if future in done]:
-                task = running.pop(one)
-                if _died(one):
-                    dead.append((task, one))
+            for finished in [future for future in running if future in done]:
+                task = running.pop(finished)
+                if _died(finished):
+                    dead.append((task, finished))
                 else:
-                    yield task[0], one
+                    yield task[0], finished
         if not dead or self._renew():
             return [task for task, _ in dead]
-        for (name, _), one in dead:
-            yield name, one
+        for (name, _), failed in dead:
+            yield name, failed
         return []
 
     def _handed_out(self, work: Work, arguments: tuple[Any, ...]) -> Answer:

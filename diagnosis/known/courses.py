@@ -65,14 +65,14 @@ def _gathered(x: Array, kept: float) -> Array:
 
 def courses_of(cell: Cell, replay: Replay, modelled: list[Array], channel: int) -> list[Course]:
     """One joint of a replay through each stretch. `modelled`: by `modelled_of`."""
-    return [_course(cell, replay, *one, channel) for one in zip(replay.parts, modelled, strict=True)]
+    return [_course(cell, replay, *piece, channel) for piece in zip(replay.parts, modelled, strict=True)]
 
 
 def modelled_of(cell: Cell, replay: Replay) -> list[Array]:
     """The stage's own output through each stretch (m, joints)."""
     chosen = ParameterSets(np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]), cell.base.machine)
     runs = (simulate(part.plant, chosen, part.drive, LAST[cell.stage]) for part in replay.parts)
-    return [np.asarray(getattr(one, OUTPUT[cell.stage])[0]) for one in runs]
+    return [np.asarray(getattr(run, OUTPUT[cell.stage])[0]) for run in runs]
 
 
 def _course(cell: Cell, replay: Replay, part: Part, outputs: Array, channel: int) -> Course:
@@ -85,7 +85,7 @@ def _course(cell: Cell, replay: Replay, part: Part, outputs: Array, channel: int
     if cell.stage == "link":
         drive = np.gradient(modelled, stretch.dt_s)
     load = part.drive.load[:m, channel] if len(part.drive.load) >= m else np.zeros(m)
-    t_s, began_s = stretch.t_s[:m], min(one.stretch.t_s[0] for one in replay.parts)
+    t_s, began_s = stretch.t_s[:m], min(other.stretch.t_s[0] for other in replay.parts)
     others = np.delete(u, j, axis=1)
     return Course(stretch.dt_s, t_s - t_s[0], modelled, drive, load, others, t_s - began_s)
 
@@ -136,7 +136,7 @@ RESPONSES = ("echoes", "catching up", "swings", "uneven swings", "the other join
 def responses(c: Course) -> dict[str, Array]:
     """Of one joint's actuator through a stretch: families (m, k)."""
     u, others = c.drive, list(c.others.T)
-    of_others = [_swings(c, one) for one in others] or [np.zeros((len(u), 0))]
+    of_others = [_swings(c, other) for other in others] or [np.zeros((len(u), 0))]
     families = (
         np.stack([np.interp(c.t_s - late_s, c.t_s, u) for late_s in ECHOES_S], axis=1),
         np.concatenate([c.leaking(hats(u, LAG_KNOTS), tau_s) for tau_s in LAGS_S], axis=1),

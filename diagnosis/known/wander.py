@@ -38,7 +38,7 @@ def _beside_wander(cell: Cell, nominal: Nominal) -> Cell:
     for joint in replay.joints:
         record = nominal.remainder("actuator", joint + 1)
         for name, size in record.wander if record is not None else ():
-            columns += [size * _column(cell, one) for one in named((name,), (joint + 1,))]
+            columns += [size * _column(cell, effect) for effect in named((name,), (joint + 1,))]
     return replace(cell, whitened=replace(replay, day=day_noise(np.stack(columns, axis=1)))) if columns else cell
 
 
@@ -72,7 +72,7 @@ def wander_of(cells: list[Cell]) -> Sizes:
     """
     if len(cells) < DAYS_MIN or cells[0].stage != "actuator" or cells[0].joint is None:
         return ()
-    names = [one for one in cells[0].candidates if _moves(one) and all(_known(cell, one) for cell in cells)]
+    names = [effect for effect in cells[0].candidates if _moves(effect) and all(_known(cell, effect) for cell in cells)]
     days = [_day(cell, names) for cell in cells]
     felt = [k for k in range(len(names)) if all(day.G[k, k] * names[k].slots[0].high ** 2 > FELT for day in days)]
     names, days = [names[k] for k in felt], [_Day(day.G[np.ix_(felt, felt)], day.b[felt]) for day in days]
@@ -84,7 +84,7 @@ def wander_of(cells: list[Cell]) -> Sizes:
         if off[k] < WANDERS:
             break
         variances[k] = common_excess(numbers[:, [k]] ** 2, errors[:, [k]])[0]
-    return tuple((one.name, float(np.sqrt(v))) for one, v in zip(names, variances, strict=True) if v > 0.0)
+    return tuple((effect.name, float(np.sqrt(v))) for effect, v in zip(names, variances, strict=True) if v > 0.0)
 
 
 def _moves(one: Candidate) -> bool:
@@ -98,5 +98,5 @@ def _known(cell: Cell, one: Candidate) -> bool:
 
 def _day(cell: Cell, names: list[Candidate]) -> _Day:
     r = neutral_fit(cell).residual
-    J = np.stack([_column(cell, one) for one in names], axis=1)
+    J = np.stack([_column(cell, effect) for effect in names], axis=1)
     return _Day(J.T @ J, -J.T @ r)

@@ -85,5 +85,5 @@ def by_channel(finding: Finding) -> Finding:
     """The same of an MCAP file, which has a channel where a folder has a CSV file."""
     subject, text = finding.subject, finding.text
     for row_type in CSV_ROW_TYPES:
-        subject, text = (one.replace(row_type.file, row_type.topic) for one in (subject, text))
+        subject, text = (part.replace(row_type.file, row_type.topic) for part in (subject, text))
     return replace(finding, subject=subject, text=text)

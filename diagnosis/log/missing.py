@@ -47,7 +47,9 @@ def _of_markers(table: MarkerTable) -> list[str]:
 def _of_odometry(table: OdometryTable) -> list[Finding]:
     found = _told("odometry.csv", _empty(table.position, PLACE), "no path of the camera is known")
     turned = _told("odometry.csv", _empty(table.quat_wxyz, TURN), "how the camera turned is not known")
-    return found + [Finding(one.code, "note", one.subject, one.text, one.count) for one in turned]  # lengths do without
+    return found + [
+        Finding(finding.code, "note", finding.subject, finding.text, finding.count) for finding in turned
+    ]  # lengths do without
 
 
 def _told(subject: str, columns: list[str], costs: str) -> list[Finding]:

@@ -106,7 +106,7 @@ class _Reader:
     def __init__(self, tables: dict[str, Any], urdfs: UrdfFiles, n_joints: int | None) -> None:
         self._tables = tables
         self._urdfs = urdfs
-        self._joints = [table_of(one, f"joint {k}") for k, one in enumerate(list_of(tables, "joint"), start=1)]
+        self._joints = [table_of(section, f"joint {k}") for k, section in enumerate(list_of(tables, "joint"), start=1)]
         self._slides = [slides(joint, f"joint {k}") for k, joint in enumerate(self._joints, start=1)]
         self._count = n_joints
         self._absent: list[tuple[str, str]] = []
@@ -198,7 +198,7 @@ class _Reader:
         com = [vector_of(joint, "com_m", 3, name) for joint, name in zip(self._joints, names, strict=True)]
         if any("mass_kg" not in joint for joint in self._joints):
             self._absent.append(("load", f"some joint has no mass_kg: {WEIGHTLESS}"))
-        centres = np.array([np.zeros(3) if one is None else one for one in com])
+        centres = np.array([np.zeros(3) if centre is None else centre for centre in com])
         return arm_from_dh(rows, tool, mass, centres, gravity), names
 
     def _urdf_arm(
@@ -294,7 +294,7 @@ class _Reader:
         found = markers_of(self._tables)
         if not found:
             self._absent.append(("camera", "no [[markers.marker]]"))
-        if "T_tcp_tool" not in tool and any(one.on == "tool" for one in found):
+        if "T_tcp_tool" not in tool and any(marker.on == "tool" for marker in found):
             self._absent.append(("camera", "[tool] has no T_tcp_tool: the markers on the tool are not used"))
         hung = "T_tcp_tool" in tool or MOUNT in self._section("camera")
         if hung and "T_flange_tcp" not in tool and "urdf" not in self._tables:  # a URDF's tip is its tcp

@@ -66,7 +66,7 @@ def _reversed_positions(plc: PlcTable) -> list[Finding]:
     table = _correlations(enc, ref, round(LAG_MAX_S / BLOCK_S))
     table[enc.std(axis=0) < FOLLOWS_MIN * ref.std(axis=0)] = 0.0
     found = _judge("plc.csv", "q_{j}_rad", "q_ref_{j}_rad", table)
-    return [one for one in found if one.code == "reversed_column"]
+    return [finding for finding in found if finding.code == "reversed_column"]
 
 
 def _command_for_encoder(plc: PlcTable) -> list[Finding]:

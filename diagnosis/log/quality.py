@@ -101,8 +101,8 @@ def _inside(t_s: Array, segments: Sequence[Segment]) -> NDArray[np.bool_]:
     if not segments:
         return np.ones(len(t_s) - 1, dtype=bool)
     inside = np.zeros(len(t_s) - 1, dtype=bool)
-    for one in segments:
-        inside |= (t_s[:-1] >= one.t_start_plc_s - EDGE_S) & (t_s[1:] <= one.t_end_plc_s + EDGE_S)
+    for segment in segments:
+        inside |= (t_s[:-1] >= segment.t_start_plc_s - EDGE_S) & (t_s[1:] <= segment.t_end_plc_s + EDGE_S)
     return inside
 
 

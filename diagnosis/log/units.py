@@ -35,11 +35,11 @@ def unit_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         if columns:
             found.append(_degrees(subject, pattern, columns, f"reach {largest(values[:, columns]):.4g}"))
         found += _slid_in_millimetres(subject, pattern, values, sliding)
-    if not any(one.code == "degrees" for one in found) and plc is not None:
+    if not any(finding.code == "degrees" for finding in found) and plc is not None:
         found += _degrees_by_comparison(plc, sliding) or _degrees_by_speed(plc, nominal)
     found += [] if plc is None else _percent(plc) + _bar(plc)
     placed = nominal is not None and nominal.T_base_tracker is not None
-    return found + [one for table in (tables.static, tables.tracker) for one in _millimetres(table, placed)]
+    return found + [finding for table in (tables.static, tables.tracker) for finding in _millimetres(table, placed)]
 
 
 def _positions(tables: Tables) -> list[tuple[str, str, Array]]:
@@ -76,7 +76,7 @@ def _milliseconds(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     plc = tables.plc
     if plc is None or len(plc.t_s) < ROWS_MIN:
         return []
-    segments = np.array([(one.t_start_plc_s, one.t_end_plc_s) for one in tables.run.segments])
+    segments = np.array([(segment.t_start_plc_s, segment.t_end_plc_s) for segment in tables.run.segments])
     span_s, wanted_s, who = _span_s(plc.t_s), _span_s(segments), "segments span"
     if nominal is not None and nominal.actuators is not None:
         wanted_s, who = nominal.actuators.log_cycle_s * (len(plc.t_s) - 1), "its rows at the machine file's cycle span"
@@ -92,7 +92,7 @@ def _milliseconds(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         for subject, column, table in others
         if table is not None and not own
     ]
-    return own + [one for found in beside for one in found]
+    return own + [finding for found in beside for finding in found]
 
 
 def _span_s(t_s: Array) -> float:

@@ -47,7 +47,7 @@ def urdf_arm(
     Raises: DiagnosisError, MachineError: a file that is no URDF, names or types that cannot belong together.
     """
     chain = urdf_chain(text, section["base_link"], section["tip_link"])
-    moving = {one.name: one for one in chain if one.kind != "fixed"}
+    moving = {joint.name: joint for joint in chain if joint.kind != "fixed"}
     wanted = _names(joints, list(moving))
     arm, names = arm_from_chain(chain, wanted, T_flange_tcp, gravity)
     for number, (joint, name) in enumerate(zip(joints, names, strict=False), start=1):

@@ -91,13 +91,13 @@ def floor_of_repeats(repeats: Array, dt_s: float) -> Floor:
         raise DiagnosisError(f"repeats have shape {values.shape}; give finite (R, m, n) with R of 2 or more")
     scale = np.sqrt(len(values) / (len(values) - 1.0))
     deviations = (values - values.mean(axis=0)) * scale
-    steps = [increments(one, dt_s) for one in deviations]
+    steps = [increments(deviation, dt_s) for deviation in deviations]
     if len(steps[0]) < 4 * ORDER_MAX:
         raise DiagnosisError(
             f"repeats are {len(values[0]) * dt_s:.3g} s long; give {4.5 * ORDER_MAX * BLOCK_S:g} s or more"
         )
     whitener = fit_whitener(steps)
-    rms = np.sqrt(np.mean(np.stack([block_means(one, dt_s) for one in deviations]) ** 2, axis=(0, 1)))
+    rms = np.sqrt(np.mean(np.stack([block_means(deviation, dt_s) for deviation in deviations]) ** 2, axis=(0, 1)))
     return Floor(rms, np.sqrt(np.mean(np.stack(steps) ** 2, axis=(0, 1))), whitener, True)
 
 

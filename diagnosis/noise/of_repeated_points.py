@@ -51,12 +51,14 @@ def repeated_points(
         ]
         if not deviations:
             continue
-        for one in deviations:
-            squares += (one**2).sum(axis=(0, 1))
-            free += (len(one) - 1) * one.shape[1]
-        means = np.mean([one.mean(axis=1) for one in deviations], axis=0)  # all points of a tracker drift together
+        for deviation in deviations:
+            squares += (deviation**2).sum(axis=(0, 1))
+            free += (len(deviation) - 1) * deviation.shape[1]
+        means = np.mean(
+            [deviation.mean(axis=1) for deviation in deviations], axis=0
+        )  # all points of a tracker drift together
         of_means += (means**2).sum(axis=0)
-        by_scatter += (len(means) - 1) / sum(one.shape[1] for one in deviations)
+        by_scatter += (len(means) - 1) / sum(deviation.shape[1] for deviation in deviations)
         free_means += len(means) - 1
     if not free:
         return None

@@ -41,18 +41,18 @@ def read_together(paths: Sequence[Path], machine_file: Path | None = None) -> Re
     """
     if len(paths) == 1:
         return read(paths[0], machine_file)
-    twice = [path for k, path in enumerate(paths) if path.resolve() in {one.resolve() for one in paths[:k]}]
+    twice = [path for k, path in enumerate(paths) if path.resolve() in {earlier.resolve() for earlier in paths[:k]}]
     if twice:
         raise DiagnosisError(f"{twice[0].name} is given twice, which says no more than once; name it once")
     try:
         recordings = [read_run(path) for path in paths]
     except RecordingError as error:
         raise DiagnosisError(str(error)) from error
-    before = [one for path in paths for one in in_recording(column_findings(path), path)]
+    before = [finding for path in paths for finding in in_recording(column_findings(path), path)]
     whole = examine(together(recordings, machine_file is not None), paths[0], machine_file, before, paths[1:])
     if any(is_folder(path) for path in paths):
         return whole
-    return replace(whole, findings=tuple(by_channel(one) for one in whole.findings))
+    return replace(whole, findings=tuple(by_channel(finding) for finding in whole.findings))
 
 
 def together(recordings: Sequence[Recording], machine_given: bool = False) -> Recording:
@@ -64,18 +64,18 @@ def together(recordings: Sequence[Recording], machine_given: bool = False) -> Re
     first = recordings[0]
     rows: list[Row] = list(first.rows)
     segments = list(first.run.segments or _whole(first, ""))
-    for number, one in enumerate(recordings[1:], start=2):
-        if not machine_given and one.machine_toml.strip() != first.machine_toml.strip():
+    for number, recording in enumerate(recordings[1:], start=2):
+        if not machine_given and recording.machine_toml.strip() != first.machine_toml.strip():
             raise DiagnosisError(f"recording {number} has another machine.toml than the first; give one by --machine")
-        shift = _shift(first, one, rows, number)
-        rows += [_moved(row, shift) for row in one.rows]
-        segments += [_later(segment, shift) for segment in one.run.segments or _whole(one, "")]
-    whole = all(one.complete for one in recordings)
+        shift = _shift(first, recording, rows, number)
+        rows += [_moved(row, shift) for row in recording.rows]
+        segments += [_later(segment, shift) for segment in recording.run.segments or _whole(recording, "")]
+    whole = all(recording.complete for recording in recordings)
     return replace(first, run=replace(first.run, segments=tuple(segments)), rows=tuple(rows), complete=whole)
 
 
 def _require_as_many_joints(recordings: Sequence[Recording]) -> None:
-    counts = {number: _joints(one) for number, one in enumerate(recordings, start=1)}
+    counts = {number: _joints(recording) for number, recording in enumerate(recordings, start=1)}
     told = {number: count for number, count in counts.items() if count}
     for number, count in told.items():
         first, others = next(iter(told.items()))

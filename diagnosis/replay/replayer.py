@@ -158,7 +158,7 @@ class Replayer:
         jumped = None
         if references.jumped is not None:
             out.late["controller"], jumped = driven(references.jumped)
-        return _Commands(own, tuple(driven(one)[1] for one in references.others), jumped)
+        return _Commands(own, tuple(driven(other)[1] for other in references.others), jumped)
 
     def _valves(self, out: Prepared, enc: Array, u: Array, commands: _Commands) -> Prepared:
         """With the actuators' drive, and with the other courses that the commands may have taken."""
@@ -178,7 +178,7 @@ class Replayer:
                 others.append(course * (1.0 + self._teeth()))
         else:
             out.drives["actuator"] = driven(_through(plant, u, commands.own))
-            others = [_through(plant, u, one) for one in commands.others]
+            others = [_through(plant, u, other) for other in commands.others]
             jumped = None if commands.jumped is None else _through(plant, u, commands.jumped)
         if jumped is not None:
             out.late["actuator"] = driven(jumped)
@@ -264,7 +264,7 @@ def replayer_of(nominal: Nominal, stretches: Sequence[Stretch]) -> Replayer | No
     if nominal.actuators is None:
         return None
     low, high = nominal.q_min, nominal.q_max
-    seen = [filled(one.enc) for one in stretches if one.enc is not None]
+    seen = [filled(stretch.enc) for stretch in stretches if stretch.enc is not None]
     if seen:
         low, high = (
             np.where(np.isfinite(limit), limit, of(np.concatenate(seen), axis=0))

@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 def side_by_side(of: Callable[[Piece], Result], pieces: Sequence[Piece]) -> list[Result]:
     """`of` each piece, in their order; what one raises is raised."""
     pool = _pool()
-    return [of(one) for one in pieces] if pool is None or len(pieces) < 2 else list(pool.map(of, pieces))
+    return [of(piece) for piece in pieces] if pool is None or len(pieces) < 2 else list(pool.map(of, pieces))
 
 
 @cache

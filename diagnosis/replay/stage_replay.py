@@ -78,13 +78,13 @@ class Replay:
         least, most = -1.0, 1.0
         if part.sided and sent is not None:  # one to either side
             least, most = -min(1.0, sent.unsure_s / part.plant.cycle_s), 0.0
-        guesses = [(one[None], least, most) for one in part.between]
+        guesses = [(difference[None], least, most) for difference in part.between]
         if part.slower is not None:
             guesses.append((part.slower[None], -1.0, 1.0))
         if self.stage == "actuator":
             guesses.append((shift, -TIMING_S, TIMING_S))
         if guesses:
-            columns = [(whiten_sets(self.whitener, one)[:, SKIPPED:] * weight, a, b) for one, a, b in guesses]
+            columns = [(whiten_sets(self.whitener, signal)[:, SKIPPED:] * weight, a, b) for signal, a, b in guesses]
             white = _excused(white, columns)
         return white.transpose(0, 2, 1).reshape(len(white), -1)
 
@@ -110,7 +110,7 @@ def _excused(white: Array, columns: list[tuple[Array, float, float]]) -> Array:
     """
     products = [[(a * b).sum(axis=1) for b, _, _ in columns] for a, _, _ in columns]
     wanted = [-(column * white).sum(axis=1) for column, _, _ in columns]
-    amounts = [np.zeros_like(one) for one in wanted]
+    amounts = [np.zeros_like(amount) for amount in wanted]
     for _ in range(PASSES):
         for k, (_, least, most) in enumerate(columns):
             others = sum(products[k][i] * amounts[i] for i in range(len(columns)) if i != k)

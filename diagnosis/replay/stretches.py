@@ -60,7 +60,7 @@ class Stretch:
 def stood_still(stretches: tuple[Stretch, ...]) -> bool:
     """Whether every joint was asked and seen to stay at one place; False where its encoders were not logged."""
     for name in ("enc", "ref"):
-        rows = [values for one in stretches if (values := getattr(one, name)) is not None]
+        rows = [values for stretch in stretches if (values := getattr(stretch, name)) is not None]
         if not rows:
             if name == "enc":
                 return False
@@ -118,9 +118,9 @@ def _uneven_stamps(plc: PlcTable, cut: list[list[NDArray[np.int64]]], found: lis
     """Where the rows are taken as even although their stamps are not."""
     pieces = [rows for pieces in cut for rows in pieces]
     off = [
-        float(np.abs(plc.t_s[rows] - one.t_s).max())
-        for rows, one in zip(pieces, found, strict=True)
-        if one.t_s[0] != plc.t_s[rows[0]]
+        float(np.abs(plc.t_s[rows] - stretch.t_s).max())
+        for rows, stretch in zip(pieces, found, strict=True)
+        if stretch.t_s[0] != plc.t_s[rows[0]]
     ]
     if not off:
         return []
@@ -146,10 +146,11 @@ def own_rows(
          said to have a cause outside the catalogue. Repeats that share rows are refused elsewhere.
     """
     inside = [
-        np.nonzero((t_s >= one.t_start_plc_s - EDGE_S) & (t_s <= one.t_end_plc_s + EDGE_S))[0] for one in segments
+        np.nonzero((t_s >= segment.t_start_plc_s - EDGE_S) & (t_s <= segment.t_end_plc_s + EDGE_S))[0]
+        for segment in segments
     ]
-    repeated = {one.repeat_of for one in segments if one.repeat_of}
-    first = [bool(one.repeat_of) or one.name in repeated for one in segments]
+    repeated = {segment.repeat_of for segment in segments if segment.repeat_of}
+    first = [bool(segment.repeat_of) or segment.name in repeated for segment in segments]
     taken, shared, left_out = np.zeros(len(t_s), dtype=bool), 0, set[int]()
     for k in sorted(range(len(segments)), key=lambda k: (not first[k], len(inside[k]))):
         again = taken[inside[k]]

@@ -60,7 +60,7 @@ class CellCurves:
 def curves_of(cells: Sequence[HeldOut], sliding: tuple[bool, ...]) -> tuple[CellCurves, ...]:
     """Of the cells with the largest gaps, at most four; those with a named effect first."""
     ranked = sorted(cells, key=lambda one: (not one.fit.hypothesis, -_energy(one)))
-    return tuple(_cell(one, sliding) for one in ranked[:CELLS_MAX])
+    return tuple(_cell(held_out, sliding) for held_out in ranked[:CELLS_MAX])
 
 
 def _energy(one: HeldOut) -> float:

@@ -12,7 +12,7 @@ from machine.rotations import Array
 
 def plots(curves: Sequence[CellCurves]) -> str:
     """One block a cell; the first open, the others folded away."""
-    blocks = [_block(one, number == 0) for number, one in enumerate(curves)]
+    blocks = [_block(curve, number == 0) for number, curve in enumerate(curves)]
     return "".join(blocks)
 
 

@@ -29,14 +29,14 @@ class Line:
 
 def chart(lines: Sequence[Line], x_label: str, y_label: str, title: str, symmetric: bool = False) -> str:
     """Lines over a common x, with axes, ticks and a legend; NaN breaks a line."""
-    shown = [_thinned(one) for one in lines if len(one.x)]
+    shown = [_thinned(line) for line in lines if len(line.x)]
     if not shown:
         return ""
-    x_range = _range(np.concatenate([one.x for one in shown]), False)
-    y_range = _range(np.concatenate([one.y for one in shown]), symmetric)
+    x_range = _range(np.concatenate([line.x for line in shown]), False)
+    y_range = _range(np.concatenate([line.y for line in shown]), symmetric)
     frame = _Frame(x_range, y_range)
     body = [_axes(frame, x_label, y_label)]
-    body += [f'<path class="{one.css}" d="{_path(frame, one)}"/>' for one in shown]
+    body += [f'<path class="{line.css}" d="{_path(frame, line)}"/>' for line in shown]
     return _svg("".join(body), title) + _legend(shown)
 
 
@@ -170,10 +170,10 @@ def _normal(edges: Array) -> tuple[Array, Array]:
 
 def _legend(lines: Sequence[Line]) -> str:
     keys = "".join(
-        f'<span><svg width="26" height="10" aria-hidden="true"><path class="{one.css}" d="M1 5L25 5"/></svg> '
-        f"{escape(one.label)}</span>"
-        for one in lines
-        if one.label
+        f'<span><svg width="26" height="10" aria-hidden="true"><path class="{line.css}" d="M1 5L25 5"/></svg> '
+        f"{escape(line.label)}</span>"
+        for line in lines
+        if line.label
     )
     return f'<p class="legend">{keys}</p>'
 

@@ -87,18 +87,18 @@ def in_words(name: str, joint: int | None) -> str:
 
 def candidates_of(stage: Stage, joints: tuple[int, ...], machine: bool) -> tuple[Candidate, ...]:
     """Every candidate of a stage on these joints; with the machine's own where `machine`."""
-    return tuple(one for effect in effects_of(stage) for one in _of_effect(effect, joints, machine))
+    return tuple(candidate for effect in effects_of(stage) for candidate in _of_effect(effect, joints, machine))
 
 
 def named(names: tuple[str, ...], joints: tuple[int, ...]) -> tuple[Candidate, ...]:
     """Candidates of these effects."""
-    return tuple(one for name in names for one in _of_effect(effect_of(name), joints, True))
+    return tuple(candidate for name in names for candidate in _of_effect(effect_of(name), joints, True))
 
 
 def arm_candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
     """What changes where a link is for its encoder. `moving`: whether the encoders' course in time is known, too."""
     found = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
-    return tuple(one for one in found if moving or one.name not in SEEN_IN_MOTION)
+    return tuple(candidate for candidate in found if moving or candidate.name not in SEEN_IN_MOTION)
 
 
 def on_an_arm(one: Candidate, torque_nm: float) -> Candidate:
@@ -121,12 +121,16 @@ def _of_effect(effect: Effect, joints: tuple[int, ...], machine: bool) -> list[C
     if effect.scope == "machine":
         places = (None,) if machine else ()
     options = effect.choice.options if effect.choice else ("",)
-    return [one for joint in places for option in options for one in _variants(effect, joint, option)]
+    return [variant for joint in places for option in options for variant in _variants(effect, joint, option)]
 
 
 def _variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]:
     slots = slots_of(effect.name, joint, option)
-    whole = {one.name: range(int(one.low), int(one.high) + 1) for one in effect.parameters if one.integer}
+    whole = {
+        parameter.name: range(int(parameter.low), int(parameter.high) + 1)
+        for parameter in effect.parameters
+        if parameter.integer
+    }
     if not whole:
         return [Candidate(effect.name, joint, effect.stage, option, slots)]
     moved = tuple(slot for slot in slots if slot.parameter not in whole)
@@ -144,7 +148,7 @@ def beside(base: ParameterSets, candidates: tuple[Candidate, ...]) -> tuple[Cand
     Why: a shape replaces the baseline's, and a scan with every other one would first have to undo what is known. A
     swing keeps its frequency: a boom's goes with its reach, and a baseline tuned to another motion is no new swing.
     """
-    return tuple(_beside(base, one) for one in candidates)
+    return tuple(_beside(base, candidate) for candidate in candidates)
 
 
 def _beside(base: ParameterSets, one: Candidate) -> Candidate:
@@ -190,11 +194,11 @@ def put(base: ParameterSets, candidates: tuple[Candidate, ...], thetas: Array) -
     thetas = np.atleast_2d(thetas)
     sets = base.repeated(len(thetas))
     column = 0
-    for one in candidates:
-        size = one.slots[0].parameter
-        for slot, value in one.fixed:
+    for candidate in candidates:
+        size = candidate.slots[0].parameter
+        for slot, value in candidate.fixed:
             sets.put(slot, value)
-        for slot in one.slots:
+        for slot in candidate.slots:
             values = thetas[:, column]
             column += 1
             if slot.parameter != size:
