@@ -297,7 +297,7 @@ def _missing(found: Budget) -> list[dict[str, str]]:
         text = "no segment of run.toml lies in the PLC's log: nothing of it was replayed; correct the segments' times"
         out.append({"signal": "PLC's log", "costs": text})
     out += [{"signal": why.split(":")[0], "costs": why} for _, why in found.before.merged]
-    out += [{"signal": part, "costs": text} for part, text in whole.lacking]
+    out += [{"signal": part, "costs": text} for part, text in whole.missing_parts]
     if nominal is not None and whole.tables is not None:
         out += [{"signal": "points", "costs": text} for text in left_out(nominal, whole.tables)]
     guessed = [fit.cell.label for fit in found.fits if not fit.cell.floor_known]

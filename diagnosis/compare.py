@@ -97,7 +97,7 @@ def _by_encoders(name: str, nominal: Nominal, runs: list[tuple[Stretch, Stretch]
 
 
 def _by_camera(name: str, tables: Tables | None, nominal: Nominal, simulated: list[Stretch]) -> Miss | None:
-    """Where the object seems to be by the simulated machine; about its mean, since nobody knows where it is."""
+    """Where the object seems to be by the simulated machine; about its mean, since its true place is unknown."""
     if tables is None or tables.markers is None or nominal.camera is None or nominal.arm is None:
         return None
     if nominal.T_tcp_cam_left is None or not simulated:

@@ -24,7 +24,7 @@ from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array
 
-MERGED_UNDER = "actuator"  # the last of the stages that no valve command tells apart
+MERGED_UNDER = "actuator"  # the last of the stages that no valve command separates
 STAGE_UNITS = {"link": "rad", "controller": "1", "actuator": "rad/s"}
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 POSTURES = 25
@@ -289,7 +289,7 @@ def totals_of(places: tuple[Place, ...]) -> tuple[Place, ...]:
 
 
 def _counted_under(place: Place, of_stage: list[Place]) -> str:
-    """The unit of the total that a place belongs to: a joint's own; of axes the first one's, rotations beside m."""
+    """The unit of the total that a place belongs to: a joint's own; of axes the first one's, rotations as well as m."""
     return place.unit if place.joint is not None else of_stage[0].unit
 
 
@@ -303,7 +303,7 @@ def _total(stage: str, unit: str, together: list[Place]) -> Place:
 
 
 def merged_stages(whole: Read) -> tuple[tuple[tuple[str, ...], str], ...]:
-    """Neighbouring stages that this recording cannot tell apart, and the missing signal that merges them."""
+    """Neighbouring stages that this recording cannot distinguish, and the missing signal that merges them."""
     tables = whole.tables
     some = whole.stretches
     if tables is None:

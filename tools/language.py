@@ -40,7 +40,7 @@ WORDS = [
         (r"[Aa]t once", "immediately; simultaneously"),
         (r"[Uu]ndisturbed", "baseline"),
         (r"(?<![Tt]here )(?:is|are) none", "is not one of, is not"),
-        (r"(?<![Tt]here )is no(?! (?:longer|more|less))", "is not a, is without"),
+        (r"(?<![Tt]here )is no(?! (?:longer|more|less|further|better|worse|larger|smaller))", "is not a, is without"),
         (r"[Mm]end(?:s|ed|ing)?|[Cc]ure[sd]?", "fix"),
         (r"[Ww]ish(?:es|ed)?", "request, requested"),
         (r"asked for", "requested"),

@@ -1,4 +1,4 @@
-"""The baseline of a machine: effects that belong to it undisturbed, and what they leave of the model's form.
+"""The baseline of a machine: effects that it has without a fault, and what they leave of the model's form.
 
 Fitted on some recordings, judged on others. Why a remainder at all: docs/decisions/0011-baseline.md.
 """
@@ -22,7 +22,7 @@ from diagnosis.whole_model.solve import fit_of, solve, trusted
 from machine.effects.entries import EffectEntry
 from machine.remainder import Remainder
 
-# What each effect gains on recordings of the undisturbed machine, by chance and by what its model is wrong by.
+# What each effect gains on baseline recordings, by chance and by the error of the machine's model.
 Gains = dict[tuple[str, int | None], dict[str, float]]
 
 
@@ -72,7 +72,7 @@ class Baseline:
 
 
 def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = lambda _text: None) -> Baseline:
-    """A baseline from undisturbed recordings of one machine.
+    """A baseline from recordings of one machine without a fault.
 
     Raises: DiagnosisError: fewer than one recording to fit or two to judge, or nothing in them to replay.
     """
@@ -85,16 +85,16 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     entries = _sized(wholes, _settled(fitted, progress), progress)
     progress("what the model is wrong by on all recordings alike")
     forms = _forms(wholes, entries)
-    foretold = _foretold(wholes, entries, forms)[len(fitted) :]
+    predicted = _predicted(wholes, entries, forms)[len(fitted) :]
     progress("what is left on the other recordings")
-    seen = _beside(checked, entries, foretold)
+    seen = _with_predicted(checked, entries, predicted)
     left = remainders_of(seen)
     progress("what its numbers wander by from day to day")
-    left = with_wanders(left, _beside(checked, entries, foretold, left))
+    left = with_wanders(left, _with_predicted(checked, entries, predicted, left))
     remainders = _with_forms(left, forms)
     remainders = with_mosts(remainders, [with_baseline(recording, entries, remainders) for recording in wholes])
     progress("what each effect gains on the other recordings")
-    gains = usual_gains(_beside(checked, entries, foretold, left))
+    gains = usual_gains(_with_predicted(checked, entries, predicted, left))
     return Baseline(entries, with_usual(remainders, gains, len(checked)), _judged(checked, seen, entries))
 
 
@@ -119,7 +119,7 @@ def _forms(wholes: list[Read], entries: tuple[EffectEntry, ...]) -> tuple[Remain
     return forms_of([with_baseline(recording, entries, left) for recording in wholes])
 
 
-def _foretold(
+def _predicted(
     wholes: list[Read], entries: tuple[EffectEntry, ...], forms: tuple[Remainder, ...]
 ) -> list[tuple[Remainder, ...]]:
     """For each recording the form that the others have; with few of them the form of all.
@@ -135,14 +135,14 @@ def _foretold(
     return [apart[k % FOLDS] for k in range(len(wholes))]
 
 
-def _beside(
+def _with_predicted(
     wholes: list[Read],
     entries: tuple[EffectEntry, ...],
-    foretold: list[tuple[Remainder, ...]],
+    predicted: list[tuple[Remainder, ...]],
     left: tuple[Remainder, ...] | None = None,
 ) -> list[Read]:
-    """Recordings with these effects, each with the form that is foretold of it, and with what that leaves if known."""
-    own = [forms if left is None else _with_forms(left, forms) for forms in foretold]
+    """Recordings with these effects, each with the form predicted for it, and with what that leaves if known."""
+    own = [forms if left is None else _with_forms(left, forms) for forms in predicted]
     return [with_baseline(recording, entries, remainders) for recording, remainders in zip(wholes, own, strict=True)]
 
 
@@ -157,8 +157,9 @@ def _with_forms(remainders: tuple[Remainder, ...], forms: tuple[Remainder, ...])
 def _settled(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
     """Effects of each cell by the floor that they leave themselves, fitted again until their names stay.
 
-    Why: the oil swings by several floors. Weighed by the noise alone, that swing decides what is worth fitting; by the
-    filter that whitens it, and by what each kind of measurement is left with, small effects beside it are seen.
+    Why: the oil oscillates by several floors. Weighed by the noise alone, that oscillation decides what is worth
+    fitting. Weighed by the filter that whitens it, and by what each kind of measurement is left with, smaller effects
+    are seen as well.
     """
     entries: tuple[EffectEntry, ...] = ()
     remainders: tuple[Remainder, ...] = ()

@@ -110,20 +110,21 @@ def _plain(cells: list[Cell], where: Remainder) -> Remainder:
     """Remainder [m or px] of points or corners, in all and by axis: nothing is whitened there."""
     if where.stage == "camera":
         return _of_corners(cells, where)
-    found, noise, swings = [], [], []
+    found, noise, variances = [], [], []
     for cell in cells:
         seen = cell.whitened
         if isinstance(seen, PointResidual):
-            own, swing = variances_of_points(seen.metres(cell.base)[0].reshape(-1, AXES), seen.noise)
+            own, oscillation = variances_of_points(seen.metres(cell.base)[0].reshape(-1, AXES), seen.noise)
             found.append(own)
             noise.append(seen.noise.own**2)
-            swings.append([max(swing, 0.0)])
+            variances.append([max(oscillation, 0.0)])
     if not found:
         return where
     by_axis = np.sqrt(common_excess(np.array(found), np.array(noise)))
     left = float(np.sqrt(np.mean(by_axis**2)))
-    swing_rad = float(np.sqrt(common_excess(np.array(swings), np.zeros((len(swings), 1)))[0]))
-    return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis), oscillation_rad=swing_rad)
+    oscillation_rad = float(np.sqrt(common_excess(np.array(variances), np.zeros((len(variances), 1)))[0]))
+    own_axes = tuple(float(x) for x in by_axis)
+    return replace(where, sigma=left, rms=left, by_axis=own_axes, oscillation_rad=oscillation_rad)
 
 
 def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
@@ -174,8 +175,8 @@ def common_process(totals: Array, noises: Array) -> tuple[Array, float, float]:
 
     Model: remainder and noise are independent, so that their moments add; recordings weigh as in `common_excess`. What
            chance leaves that no process has is made one by a little white noise; where it is much, the moments are not
-           read over many lags. Least squares, not the autocovariances: stretches are short, and a slow swing would
-           come out as damped by their ends.
+           read over many lags. Least squares, not the autocovariances: stretches are short, and their ends would make
+           a slow oscillation look damped.
     Args:  totals, noises: (recordings, p + 1, p + 1), moments in all and of noise alone.
     """
     order = totals.shape[1] - 1

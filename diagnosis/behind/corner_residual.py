@@ -48,8 +48,8 @@ class Frames:
 class CornerResidual:
     """Whitened corners (sets, N): measured less foreseen, the OOI's place in the base fitted each time.
 
-    `untimed`: so is by how much the camera's stamps are late, since nobody gave its clock's offset. `layout`: noise of
-    the markers' places on their object by `layout_m` each, the same in all frames.
+    `untimed`: the delay of the camera's stamps is fitted as well, since its clock's offset is not given. `layout`:
+    noise of the markers' places on their object by `layout_m` each, the same in all frames.
     """
 
     nominal: Nominal
@@ -182,8 +182,8 @@ def small_motion(x: Array) -> Array:
 
 
 def nuisance_of(placed: CornerResidual, base: ParameterSets) -> Array:
-    """Change of the residual with the OOI's place (N, 6), per m and rad in its own axes; where nobody knows its clock
-    (N, 7) with that, per s.
+    """Change of the residual with the OOI's place (N, 6), per m and rad in its own axes; where the clock's offset is
+    unknown (N, 7) with that, per s.
     """
     plain = without_encoders(base)
     Ts = placed.poses(base, plain, 0, 0.0)

@@ -26,22 +26,23 @@ REMEMBERED = 36  # of a joint: both sides of its play, too
 CROSSED = 2.0  # of a play, that a joint goes for its first side to be a matter of where it began
 SIDES = (-1.0, 0.0, 1.0)
 COURSE_S = 0.01  # between two angles of a course: between them 0.01 mm of the tip at 0.2 rad/s^2
-FOLLOWED_S = 0.1  # between logged rows: of a longer one neither play's turns nor a swing are seen
+FOLLOWED_S = 0.1  # between logged rows: a longer one shows neither play's reversals nor an oscillation
 ENCODER_COLUMNS = (kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE)
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The encoders' course through one stretch: t_s (m,), enc (m, n). `step_s`: between its rows, for play and swing;
-    None where rows are too rare to follow them: neither is modelled then. `coarse_rad`: steps of the encoders that are
-    seen behind them, 0 of finer ones.
+    """The encoders' course through one stretch: t_s (m,), enc (m, n). `step_s`: between its rows, for play and
+    oscillation; None where rows are too rare to follow them: neither is modelled then. `coarse_rad`: steps of the
+    encoders that are seen behind them, 0 of finer ones.
     """
 
     t_s: Array
     enc: Array
     step_s: float | None
     coarse_rad: tuple[float, ...] = ()
-    courses: dict[tuple[int, float, bytes], Array] = field(default_factory=dict, compare=False)  # behind play and swing
+    # Link-side angles, behind play and oscillation.
+    courses: dict[tuple[int, float, bytes], Array] = field(default_factory=dict, compare=False)
 
 
 def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
@@ -61,7 +62,7 @@ def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
 
 
 def followed(paths: tuple[Path, ...]) -> bool:
-    """Whether the courses are logged often enough for play and swing."""
+    """Whether the courses are logged often enough for play and oscillation."""
     return bool(paths) and all(path.step_s is not None for path in paths)
 
 
@@ -74,7 +75,7 @@ def coarsest(paths: tuple[Path, ...], n: int) -> Array:
 def candidates_behind(joints: tuple[int, ...], paths: tuple[Path, ...]) -> tuple[Candidate, ...]:
     """The arm's effects that points and corners along these courses can show.
 
-    Why: a swing behind a coarse encoder smooths its stairs, and would be named for that.
+    Why: an oscillation behind a coarse encoder smooths its stairs, and would be blamed for that.
     """
     coarse = np.nonzero(coarsest(paths, max(joints, default=0)))[0] + 1
     return tuple(
@@ -141,8 +142,8 @@ def _interpolate(at_s: Array, values: Array, path_of: NDArray[np.int64], path: i
 
 
 def _behind_joint(path: Path, step_s: float, effects: Array, j: int, key: bytes, side: float) -> Array:
-    """Link-side angles of joint j (0-based), which has play or swing, at the path's rows (m,); joint by joint, since
-    most sets differ in one.
+    """Link-side angles of joint j (0-based), which has play or oscillates, at the path's rows (m,); joint by joint,
+    since most sets differ in one.
     """
     if side and np.ptp(path.enc[:, j]) < CROSSED * effects[kernel.BACKLASH]:
         side = 0.0

@@ -28,7 +28,7 @@ class Loose:
     def told(self, marker_id: int) -> str:
         """What a reader is told."""
         sizes = f"{self.moved_px:.2g} px, noise {self.own_px:.2g} px"
-        return f"goes with marker {marker_id}, which moves beside the others ({sizes}): fasten it"
+        return f"goes with marker {marker_id}, which moves against the others ({sizes}): fasten it"
 
 
 def loose_marker(visits: list[Array], markers: int) -> Loose | None:

@@ -20,7 +20,7 @@ from diagnosis.search.candidates import Candidate
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-LARGER = 2.0  # than what no mixture of effects explains: what differs so from repeat to repeat is no scatter
+LARGER = 2.0  # than what no mixture of effects explains: what differs so from repeat to repeat is not scatter
 DRIFT_TIMES = 2.0  # of the noise: trackers drift by as much as they scatter
 TENTHS, ALIKE_LEAST = 10, 1.8  # of independent instants one recording in a thousand shows more
 
@@ -49,8 +49,8 @@ def point_scatter(
 ) -> PointScatter:
     """Of points whose residual [m] is `rough`.
 
-    Args: candidates: effects whose mixtures explain what is no noise; repeats: what repeats of one command show;
-          has_baseline: whether the machine file says how these points scatter beside their model.
+    Args: candidates: effects whose mixtures explain what is not noise; repeats: what repeats of one command show;
+          has_baseline: whether the machine file says how these points scatter about their model.
     """
     found = _at_rest(rough, base, candidates, has_baseline)
     if not has_baseline and rough.paths:
@@ -118,7 +118,7 @@ def _alike_in_time(rough: PointResidual, base: ParameterSets, noise_m: float) ->
     """For how many instants one speaks, where what is measured drifts: 1 where they differ by chance.
 
     Model: variance of the means of tenths of the recording, over that of means of as many independent instants. What
-           is several times larger than the noise is no drift of a tracker.
+           is several times larger than the noise is not a tracker's drift.
     Why:   a tracker drifts by a tenth of a millimetre in a minute, and a length that is 0.08 mm off follows the drift.
            What an effect does goes with the motion, which tenths of a recording have alike.
     """

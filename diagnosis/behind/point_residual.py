@@ -23,7 +23,7 @@ NUDGE_RAD = 1e-4
 class PointResidual:
     """Residuals (sets, 3 m) of measured points in units of the floor; unknown frame and places are fitted each time.
 
-    Axes: radial, tangential and up about the base's upright, since a slewing arm swings across far more than it bends.
+    Axes: radial, tangential and up about the base's upright, since a slewing arm oscillates across more than it bends.
     `known`: (3 m,) [m], what the machine's model is known to be wrong by. `t_start_s`: of the recording, where the
     tracker's clock may be off (see `true_times`); None where that is the camera's.
     """
@@ -76,7 +76,7 @@ class PointResidual:
     def _sided(self, sets: ParameterSets, plain: ParameterSets, which: int) -> Array:
         """Angles (m, n) with each course begun on that side of the plays that its points are nearer to.
 
-        Why: until a joint has gone through its play nobody knows where in it the link stands. Begun in the middle,
+        Why: until a joint has gone through its play, it is unknown where in it the link stands. Begun in the middle,
              fifteen points of three hundred spoke against a play that was there.
         """
         if not self.paths or not sets.joint[which, :, kernel.BACKLASH].any():

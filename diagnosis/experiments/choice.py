@@ -20,9 +20,9 @@ from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 Key = tuple[str, int | None]  # an effect and its joint
-ENOUGH_NATS = 30.0  # beyond it two hypotheses are told apart; more is not better, sooner is
+ENOUGH_NATS = 30.0  # beyond it two hypotheses are distinguished; more is not better, sooner is
 POOL_SEED = 5
-TOLD_NATS = 0.5 * EQUAL_T  # of a pair: an experiment that gives less of all of them is none
+SEPARATES_NATS = 0.5 * EQUAL_T  # of a pair: an experiment that gives less of each of them separates nothing
 CELLS_MAX = 3  # asked about
 MINUTES_COST = 0.01  # nats a minute: of equals the shorter one
 SEEN_BEHIND = ("encoder_scale", "encoder_eccentricity")
@@ -71,20 +71,20 @@ def _proposed(whole: Read, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any
     """The experiment that best separates one cell's open pairs."""
     library = _library(whole, nominal, pairs)
     table = {experiment.name: [_nats(whole, pair, experiment) for pair in pairs] for experiment in library}
-    able = [experiment for experiment in library if max(table[experiment.name]) >= TOLD_NATS]
+    able = [experiment for experiment in library if max(table[experiment.name]) >= SEPARATES_NATS]
     best = max(able, key=lambda one: _worth(pairs, table[one.name], one), default=None)
     if best is None:
         return _nothing(pairs[0], table)
-    told = next(number for number, nats in enumerate(table[best.name]) if nats >= TOLD_NATS)  # the weightiest of them
+    first = next(k for k, nats in enumerate(table[best.name]) if nats >= SEPARATES_NATS)  # the weightiest of them
     return {
         "what": best.name,
         "minutes": round(best.minutes, 2),
-        "separates": _told(pairs[told]),
-        "expected_nats": _digits(table[best.name][told]),
-        "alternatives": {name: _digits(row[told]) for name, row in table.items()},
-        "why": f"the recording does not tell {_word(pairs[told].names[0])} from {_word(pairs[told].names[1])}",
+        "separates": _pair_members(pairs[first]),
+        "expected_nats": _digits(table[best.name][first]),
+        "alternatives": {name: _digits(row[first]) for name, row in table.items()},
+        "why": f"the recording does not distinguish {_word(pairs[first].names[0])} from {_word(pairs[first].names[1])}",
         "pairs": [
-            {"separates": _told(pair), "expected_nats": _digits(nats)}
+            {"separates": _pair_members(pair), "expected_nats": _digits(nats)}
             for pair, nats in zip(pairs, table[best.name], strict=True)
         ],
         "execute": described(best, nominal.sliding),
@@ -159,15 +159,15 @@ def _nothing(pair: Pair, table: dict[str, list[float]]) -> dict[str, Any]:
     return {
         "what": "look at a marker, or track a point, from ten postures" if behind else None,
         "minutes": 5.0 if behind else None,
-        "separates": _told(pair),
+        "separates": _pair_members(pair),
         "expected_nats": None,
         "alternatives": {name: _digits(row[0]) for name, row in table.items()},
-        "why": f"no motion tells {names} by what was logged; needed: {signal}",
+        "why": f"no motion distinguishes {names} by what was logged; needed: {signal}",
         "signal": signal,
     }
 
 
-def _told(pair: Pair) -> list[dict[str, Any]]:
+def _pair_members(pair: Pair) -> list[dict[str, Any]]:
     return [{"name": name[0], "joint": name[1]} for name in pair.names if name is not None]
 
 

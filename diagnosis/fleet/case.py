@@ -71,7 +71,7 @@ def _whose(whole: Read) -> dict[str, Any]:
 
 
 def _machine_table(text: str) -> dict[str, Any]:
-    """The [machine] table of a machine file's text; nothing of one that is no TOML."""
+    """The [machine] table of a machine file's text; empty where the text is not TOML."""
     try:
         table = tomllib.loads(text).get("machine", {})
     except tomllib.TOMLDecodeError:

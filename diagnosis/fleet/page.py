@@ -13,7 +13,7 @@ def fleet_page(fleet: Fleet, name: str) -> str:
     total = sum(len(verdicts) for verdicts in fleet.verdicts.values())
     facts = f"{len(fleet.machines)} machines, {total} recordings diagnosed, {len(fleet.unusable)} not usable"
     if fleet.no_serial:
-        facts += f". {fleet.no_serial} tell no serial: those of one folder count as one machine's; {SERIAL}"
+        facts += f". {fleet.no_serial} state no serial: those of one folder count as one machine's; {SERIAL}"
     body = [
         f"<h1>Sim-to-real gap of a fleet: {escape(name)}</h1><p>{escape(facts)}.</p>",
         _section("Effects that machines share", [_shared(effect) for effect in fleet.shared], SHARED),
@@ -38,7 +38,7 @@ def _shared(one: Shared) -> tuple[str, ...]:
 
 def _drift(one: Drift) -> tuple[str, ...]:
     limits = f"{one.low:.3g} to {one.high:.3g}"
-    word = "drifts" if one.drifts else "no drift told"
+    word = "drifts" if one.drifts else "no drift found"
     return one.machine, one.name, _joint(one.joint), f"{one.per_day:.3g} {one.unit}", limits, str(one.n), word
 
 

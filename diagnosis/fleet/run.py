@@ -11,7 +11,7 @@ from diagnosis.fleet.case import diagnosed, fingerprint
 from diagnosis.fleet.workers import Workers
 from recording.files import write_durably
 
-Told = Callable[[str, int, int], None]
+Report = Callable[[str, int, int], None]
 
 
 def recordings_below(folder: Path) -> list[Path]:
@@ -27,7 +27,7 @@ def diagnose_all(
     executor: Executor,
     version: str,
     machine_file: Path | None = None,
-    told: Told = lambda _name, _done, _total: None,
+    report: Report = lambda _name, _done, _total: None,
     at_once: int = 64,
     renewed: Callable[[], Executor] | None = None,
     base: Path | None = None,
@@ -54,7 +54,7 @@ def diagnose_all(
     for name, future in Workers(executor, renewed).run(diagnosed, todo, at_once):
         results[name] = result = _result(called[name], future)
         _save(saved / f"{name}.json", marks[name], result)
-        told(called[name], len(results), len(names))
+        report(called[name], len(results), len(names))
     return [results[name] for name in names]
 
 
@@ -67,7 +67,7 @@ def _result(name: str, one: Future[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _name(path: Path, base: Path | None) -> str:
-    """What a recording's answer is kept as: of its own place only, so that one more beside it renames none."""
+    """What a recording's answer is kept as: of its own place only, so that one more in the folder renames none."""
     place = path.resolve() if base is None else path.relative_to(base)
     return f"{path.name.removesuffix('.mcap')}-{hashlib.sha256(place.as_posix().encode()).hexdigest()[:8]}"
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-# Names that a recording cannot tell apart count as one for whoever reads the answer.
+# Effects that a recording cannot distinguish count as one for the reader of the answer.
 Key = tuple[str, int | None]
 
 
 def equals_of(result: dict[str, Any], effect: dict[str, Any]) -> list[dict[str, Any]]:
-    """What this recording cannot tell from an effect."""
+    """What this recording cannot distinguish from an effect."""
     own = _key(effect)
     classes = [members for members in result["indistinguishable"] if own in {_key(member) for member in members}]
     return [member for members in classes for member in members if _key(member) != own]
@@ -68,14 +68,14 @@ class Drift:
 
     @property
     def drifts(self) -> bool:
-        """Whether the slope is told apart from none."""
+        """Whether the slope is significant."""
         return self.low > 0.0 or self.high < 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """The whole: verdicts by machine in the order of time, what is shared, what drifts, what could not be used; of how
-    many recordings no serial tells whose they are.
+    """The whole: verdicts by machine in the order of time, what is shared, what drifts, what could not be used; for how
+    many recordings no serial shows whose they are.
     """
 
     machines: tuple[str, ...]
@@ -163,7 +163,7 @@ def _could_see(one: dict[str, Any], key: tuple[str, int | None], size: float) ->
         return False
     named = _confirmed(answer)
     if key in {(other["name"], other["joint"]) for effect in named for other in equals_of(answer, effect)}:
-        return False  # it may be what was named there: that recording cannot tell the two apart
+        return False  # it may be what was named there: that recording cannot distinguish the two
     limit = {(x["name"], x["joint"]): x["size"] for x in answer["detection_limits"]}.get(key)
     return limit is not None and limit <= size
 

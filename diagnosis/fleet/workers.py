@@ -1,6 +1,6 @@
 """Work over an executor whose workers may die: a death takes one piece of work along, not the others.
 
-A pool of processes breaks as a whole when one of them dies (out of memory, a crash in compiled code), and nobody says
+A pool of processes breaks as a whole when one of them dies (out of memory, a crash in compiled code), and nothing says
 which piece of work it was.
 """
 

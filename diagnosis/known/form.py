@@ -1,9 +1,9 @@
-"""What an undisturbed machine's model is wrong by, as a function of what drives it: the baseline's nameless part.
+"""What the model of a machine without a fault is wrong by, as a function of what drives it: the baseline's form.
 
 A velocity actuator stands for oil, friction and bending booms. What that leaves is mostly the same every day: fitted
 on some recordings, functions of the command, its change, the angle and the load, and the responses that come later
-(`families/responses.py`), foretell most of what they explain of another one. Taken as known, it hides no fault and
-looks like none. It is fixed by the undisturbed recordings: a diagnosis fits nothing of it.
+(`known/courses.py`), predict most of what they explain of another one. Taken as known, it hides no fault and
+looks like none. It is fixed by the baseline recordings: a diagnosis fits nothing of it.
 """
 
 from collections.abc import Callable
@@ -43,7 +43,7 @@ NEARLY = 0.85  # of the best gain
 WORTH_NATS = 1.0  # a recording: a family that adds less is not worth its numbers
 LEAST_NATS = 12.0  # over all recordings: twice the margin of a name
 EXCEEDED_TIMES = 1.5  # the most that some recordings showed is exceeded by one more in every dozen
-TOGETHER_MIN = 3  # recordings: one of two would be foretold by a single one
+TOGETHER_MIN = 3  # recordings: one of two would be predicted by a single one
 
 
 def with_form(cells: list[Cell], nominal: Nominal) -> list[Cell]:
@@ -96,8 +96,8 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
 class Otherwise:
     """What a joint's form says beyond what was taken off (`said`), of a joint that moves otherwise than modelled.
 
-    Why: a joint that sticks moves in jumps where its command is smooth. Taken from the undisturbed model, a form then
-    speaks of a motion that never was: three quarters of what stiction of 0.2 left was that.
+    Why: a joint that sticks moves in jumps where its command is smooth. Taken from the model without a fault, a form
+    then speaks of a motion that never was: three quarters of what stiction of 0.2 left was that.
     """
 
     course: Course
@@ -106,7 +106,7 @@ class Otherwise:
 
     @classmethod
     def of(cls, course: Course, form: Form) -> "Otherwise":
-        """Of a stretch whose undisturbed model runs along `course`."""
+        """Of a stretch along whose `course` the model without a fault runs."""
         families = moving_families(course)
         own = tuple(entry for entry in form if entry[0] in families)
         return cls(course, own, _fitting(families, own, "a joint"))
@@ -117,7 +117,7 @@ class Otherwise:
 
 
 def _families(courses: list[Course]) -> list[dict[str, Array]]:
-    """Of one joint's actuator, for each stretch: what it answers at once, and what it still answers later (m, k)."""
+    """Of one joint's actuator, for each stretch: its immediate response, and its later one (m, k)."""
     return [
         {"the valve command": course.whole(hats(course.drive, KNOTS)), **moving_families(course), **responses(course)}
         for course in courses
@@ -194,18 +194,18 @@ class _Pile:
         return np.asarray(np.linalg.solve(H + ridge * self.prior, g))
 
     def gain(self, ridge: float) -> float:
-        """What each recording is foretold by the others, over all [nats]."""
+        """How well the others predict each recording, over all [nats]."""
         if len(self.family) == 0:
             return 0.0
         return sum(float((costs(r) - costs(r - B @ self.solved(ridge, k))).sum()) for k, (B, r) in enumerate(self.rows))
 
 
 def form_of(cells: list[Cell]) -> Form:
-    """The form that the same cell of several undisturbed recordings has in common; empty where none is foretold.
+    """The form that the same cell of several baseline recordings has in common; empty where none is predicted.
 
     Model: min sum w (r - B x)^2 + ridge |x|^2 over all recordings, columns of one size. Families that add little to
-           what the others foretell of a recording are dropped by the ridge that foretells most, and then the largest
-           ridge is taken that foretells nearly as much: what data do not ask for would be wrong where they never were.
+           what the others predict of a recording are dropped by the ridge that predicts most. Then the largest ridge
+           is taken that predicts nearly as much: numbers that the data do not need would be wrong outside of them.
     """
     pairs = [(columns, neutral_fit(cell).residual) for cell in cells if (columns := _white(cell))]
     if len(pairs) < TOGETHER_MIN:

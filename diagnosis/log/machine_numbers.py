@@ -65,7 +65,7 @@ def vector_of(table: Mapping[str, Any], key: str, size: int, where: str) -> Arra
 
 
 def pose_of(table: Mapping[str, Any], key: str, where: str) -> Array | None:
-    """A pose (4, 4), written row by row; None where it is not given. Raises: as `number_of`; it is no pose."""
+    """A pose (4, 4), written row by row; None where it is not given. Raises: as `number_of`; it is not a pose."""
     numbers = vector_of(table, key, 16, where)
     if numbers is None:
         return None

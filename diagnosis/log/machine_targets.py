@@ -25,7 +25,7 @@ class TrackedPoint:
 def markers_of(tables: Mapping[str, Any]) -> tuple[Marker, ...]:
     """The single markers, and every marker of the grids, which are markers like all others.
 
-    Raises: DiagnosisError: a field that is missing or wrong. MachineError: ids that repeat, or a board that is none.
+    Raises: DiagnosisError: a field that is missing or wrong. MachineError: ids that repeat, or an impossible board.
     """
     section = table_of(tables.get("markers", {}), "[markers]")
     singles = [_marker(section, f"markers.marker {k}") for k, section in enumerate(list_of(section, "marker"), start=1)]

@@ -1,4 +1,4 @@
-"""A name that is not known beside those that are: which one may have been meant."""
+"""Which known name an unknown one may have meant."""
 
 import difflib
 from collections.abc import Iterable

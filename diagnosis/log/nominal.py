@@ -168,8 +168,8 @@ class _Reader:
             return tuple(written)
         return tuple(bool(arm.prismatic[k]) if arm.moves[k] else written[k] for k in range(n))
 
-    def _lack(self, part: str, needed: tuple[str, ...]) -> bool:
-        """Whether some joint lacks a field; all that the first such joint lacks is written down."""
+    def _is_missing(self, part: str, needed: tuple[str, ...]) -> bool:
+        """Whether some joint misses a field; all that the first such joint misses is written down."""
         if not self._joints:
             self._absent.append((part, f"no [[joint]] with {', '.join(needed)}"))
             return True
@@ -189,7 +189,7 @@ class _Reader:
         names, tool = self._names(), pose_of(self._section("tool"), "T_flange_tcp", "[tool]")
         if "urdf" in self._tables:
             return self._urdf_arm(names, tool, gravity)
-        if self._lack("structure", GEOMETRY):
+        if self._is_missing("structure", GEOMETRY):
             return None, names
         rows = [_dh_row(joint, f"joint {k} ({names[k - 1]})") for k, joint in enumerate(self._joints, start=1)]
         mass = np.array(
@@ -223,9 +223,9 @@ class _Reader:
 
     def _unlimited(self, limits: list[tuple[float, float]], sliding: tuple[bool, ...]) -> str:
         """What it costs that some joints have no limits."""
-        lacking = [k for k, ends in enumerate(limits) if not np.isfinite(ends).all()]
-        wanted = " or ".join(sorted({" and ".join(LIMITS[sliding[k]]) for k in lacking}))
-        which = f"joint{'s' if len(lacking) > 1 else ''} {', '.join(str(k + 1) for k in lacking)}"
+        unlimited = [k for k, ends in enumerate(limits) if not np.isfinite(ends).all()]
+        wanted = " or ".join(sorted({" and ".join(LIMITS[sliding[k]]) for k in unlimited}))
+        which = f"joint{'s' if len(unlimited) > 1 else ''} {', '.join(str(k + 1) for k in unlimited)}"
         text = f"{which}: no {wanted}; the range that the recording shows stands in for it"
         return f"{text}, and sizes of internal_leakage and load_droop go by the largest load in that range"
 
@@ -247,7 +247,7 @@ class _Reader:
         if missing:
             self._absent.append(("actuator", f"[plc] has no {', '.join(missing)}"))
             return None
-        if self._lack("actuator", VALVE):
+        if self._is_missing("actuator", VALVE):
             return None
         rows = []
         for k, joint in enumerate(self._joints, start=1):
@@ -260,7 +260,7 @@ class _Reader:
 
     def _controlled(self, actuators: Actuators) -> bool:
         """Whether every joint has a gain above 0."""
-        if self._lack("controller", ("kp_frac_per_rad",)):
+        if self._is_missing("controller", ("kp_frac_per_rad",)):
             return False
         idle = [k for k, kp in enumerate(actuators.joints[:, 3], start=1) if kp == 0.0]
         if idle:

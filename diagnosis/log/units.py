@@ -10,7 +10,7 @@ from diagnosis.sliding import column_of, slides
 from machine.rotations import Array
 
 LIMIT_MARGIN_RAD = 0.2
-FULL_TURN_RAD = 6.6  # without limits: more than a turn to either side is no joint angle of an arm in radians
+FULL_TURN_RAD = 6.6  # without limits: more than a turn to either side cannot be a joint angle of an arm in radians
 DEGREES_MIN_RAD = 3.3  # below it a value may be either
 DEGREES = (40.0, 80.0)  # a ratio of 57.3, give or take the effects that scale signals
 PERCENT_MIN = 1.5
@@ -87,12 +87,12 @@ def _milliseconds(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         ("odometry.csv", "t_camera_s", tables.odometry),
         ("tracker.csv", "t_plc_s", tables.tracker),
     )
-    beside = [
+    spans = [
         _looks_like(subject, column, _span_s(table.t_s), span_s, "plc.csv spans")
         for subject, column, table in others
         if table is not None and not own
     ]
-    return own + [finding for found in beside for finding in found]
+    return own + [finding for found in spans for finding in found]
 
 
 def _span_s(t_s: Array) -> float:

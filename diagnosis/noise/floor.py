@@ -15,7 +15,7 @@ from machine.rotations import Array
 
 BLOCK_S = 0.05
 ORDER_MAX = 6
-ORDER_LEFT = 20  # of what a baseline leaves: a second, in which a slow swing shows
+ORDER_LEFT = 20  # of what a baseline leaves: a second, in which a slow oscillation shows
 SIGMA_MIN = 1e-12
 RESPONSE = 1000  # increments, 50 s
 STOOD = 1e-9  # two readings closer than this are one [rad or m]
@@ -202,7 +202,7 @@ def fit_whitener(runs: list[Array]) -> Whitener:
         if score < best_score:
             best, best_score = Whitener(a, np.maximum(sigma, SIGMA_MIN)), score
     if best is None:
-        raise DiagnosisError("increments are not finite; mend the signal first")
+        raise DiagnosisError("increments are not finite; fix the signal first")
     return best
 
 

@@ -57,8 +57,8 @@ class Read:
         return self.nominal is not None and not fatal(self.findings) and bool(stages_present(self))
 
     @property
-    def lacking(self) -> tuple[tuple[str, str], ...]:
-        """What the machine file lacks, by part, of what was recorded: a camera's numbers only where there was one."""
+    def missing_parts(self) -> tuple[tuple[str, str], ...]:
+        """What the machine file misses, by part, of what was recorded: a camera's numbers only where there was one."""
         absent = () if self.nominal is None else self.nominal.absent
         seen = self.tables is not None and (self.tables.markers is not None or self.tables.odometry is not None)
         return tuple((part, why) for part, why in absent if seen or part != "camera")
@@ -132,7 +132,7 @@ def examine(
 def _without_wild_points(
     tables: Tables, nominal: Nominal | None, stretches: tuple[Stretch, ...]
 ) -> tuple[Tables, list[Finding]]:
-    """Measured points that are none are named and left out, so that they do not widen the noise of the others."""
+    """Outlying points are named and left out, so that they do not widen the noise of the others."""
     static, tracker, findings = tables.static, tables.tracker, list[Finding]()
     if static is not None:
         static, zeros = without_zeros(static, "static.csv")
@@ -185,8 +185,8 @@ def _form_findings(recording: Recording, path: Path, others: Sequence[Path]) -> 
         text = "the file was cut; what could be read is used, `longreach recording recover` writes a whole one"
         findings.append(Finding("cut_file", "problem", "recording", text))
     findings += [
-        Finding("unknown_column", "note", path.name, f"channel {told}: it is not of the format")
-        for told in recording.foreign
+        Finding("unknown_column", "note", path.name, f"channel {channel}: it is not of the format")
+        for channel in recording.foreign
     ]
     if recording.run.format_version < FORMAT_VERSION:
         text = f"format_version {recording.run.format_version} is older than {FORMAT_VERSION}; read as its own version"
@@ -209,15 +209,15 @@ def _nominal(
             findings.append(Finding("machine_file", "fatal", name, "is empty or no file; give a machine.toml"))
             return None
     if not text:
-        lack = "there is no machine.toml; give one by --machine, or put it into the recording"
-        findings.append(Finding("no_machine_file", "fatal", path.name, lack))
+        reason = "there is no machine.toml; give one by --machine, or put it into the recording"
+        findings.append(Finding("no_machine_file", "fatal", path.name, reason))
         return None
     urdfs = UrdfFiles(recording.attachments, None if machine_file is None else machine_file.parent)
     try:
         nominal = nominal_of(text, urdfs, tables.n or None)
     except DiagnosisError as error:
-        told = str(error).removeprefix("machine.toml").removeprefix(":").strip()
-        findings.append(Finding("machine_file", "fatal", name, told))
+        reason = str(error).removeprefix("machine.toml").removeprefix(":").strip()
+        findings.append(Finding("machine_file", "fatal", name, reason))
         return None
     findings += [replace(finding, subject=name) for finding in nominal.findings]
     return nominal
@@ -248,7 +248,7 @@ def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
     if tables.markers is not None and guessed(tables):
         text = "no clocks.plc_to_pc_offset_s: pictures are placed by how they move with the joints, and a camera that "
-        text += "stamps late cannot be told; give the offset"
+        text += "stamps late cannot be found; give the offset"
         findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
     return findings
 
@@ -287,9 +287,9 @@ def _nothing(whole: Read) -> Finding:
         text = f"the PLC's log holds no number of any encoder (q_<j>_rad), and {text}"
     elif tables is not None and tables.plc is not None and tables.plc.ref is None and tables.plc.u is None:
         text = f"the PLC's log says where the joints were, not what they were asked (q_ref_<j>_rad, u_<j>_frac); {text}"
-    lacking = "; ".join(f"{part}: {why}" for part, why in whole.lacking)
-    if lacking:
-        text += f"; the machine file lacks {lacking}"
+    missing = "; ".join(f"{part}: {why}" for part, why in whole.missing_parts)
+    if missing:
+        text += f"; missing in the machine file: {missing}"
     if any(finding.code == "cut_file" for finding in whole.findings):
         text += f"; what could be read of the damaged file: {_what_was_read(tables)}"
     return Finding("no_data", "fatal", whole.path.name, text)

@@ -1,4 +1,4 @@
-"""Several recordings of one machine as one: the second recorded to separate what the first could not tell apart.
+"""Several recordings of one machine as one: the second recorded to separate what the first could not distinguish.
 
 They are laid end to end on the first one's clocks. What stands still between them (the object of interest, the tracker)
 is taken to stand still over all of them.
@@ -76,16 +76,16 @@ def together(recordings: Sequence[Recording], machine_given: bool = False) -> Re
 
 def _require_as_many_joints(recordings: Sequence[Recording]) -> None:
     counts = {number: _joints(recording) for number, recording in enumerate(recordings, start=1)}
-    told = {number: count for number, count in counts.items() if count}
-    for number, count in told.items():
-        first, others = next(iter(told.items()))
+    counted = {number: count for number, count in counts.items() if count}
+    for number, count in counted.items():
+        first, others = next(iter(counted.items()))
         if count != others:
             text = f"recording {number} has {count} joints, recording {first} has {others}"
             raise DiagnosisError(f"{text}; give recordings of one machine with the same columns")
 
 
 def _joints(one: Recording) -> int:
-    """How many joints its rows tell of; 0 where they tell of none."""
+    """How many joints its rows describe; 0 where they describe none."""
     fields = {PlcState: [field for _, field, _ in JOINT_SIGNALS], Sent: ["q_sent_rad"], StaticPoint: ["q_rad"]}
     return max((len(getattr(row, name)) for row in one.rows for name in fields.get(type(row), ())), default=0)
 
@@ -106,7 +106,7 @@ def _shift(first: Recording, one: Recording, rows: list[Row], number: int) -> _S
 
 
 def _number_of(row: Row) -> int:
-    """The number of the datagram that a row tells of."""
+    """The number of the datagram that a row belongs to."""
     match row:
         case Sent():
             return row.seq

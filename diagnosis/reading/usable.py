@@ -85,7 +85,7 @@ def _too_few(file: str, count: int, total: int, least: int) -> list[str]:
 
 
 def _elsewhere(tables: Tables, stretches: tuple[Stretch, ...]) -> list[str]:
-    """Segments that lie beside the whole log: two clocks."""
+    """Segments that lie outside the whole log: two clocks."""
     plc, segments = tables.plc, tables.run.segments
     if plc is None or stretches or not segments or not np.isfinite(plc.t_s).any():
         return []

@@ -58,7 +58,7 @@ def reached(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) -
 
 
 def _loss(stretches: tuple[Stretch, ...]) -> NDArray[np.bool_] | None:
-    """Of every datagram that can be judged whether it never arrived; None where some stretch cannot tell."""
+    """Of every datagram that can be judged whether it never arrived; None where some stretch cannot show it."""
     seen = [stretch.sent for stretch in stretches if stretch.sent is not None]
     known = [sent.lost if sent.judged is None else sent.lost[sent.judged] for sent in seen if sent.lost is not None]
     return np.concatenate(known) if known and len(known) == len(seen) else None

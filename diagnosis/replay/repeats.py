@@ -45,13 +45,13 @@ def _shared(name: str, members: tuple[Stretch, ...]) -> list[Finding]:
         shared_s = float(min(run.t_s[-1], following.t_s[-1]) - following.t_s[0])
         if shared_s > SHARED_MAX * min(run.duration_s, following.duration_s):
             text = f"{run.name!r} and {following.name!r} of {name!r} share {shared_s:.3g} s of rows"
-            text += ": that is no second measurement; correct the times in run.toml"
+            text += ": that is not a second measurement; correct the times in run.toml"
             return [Finding("segments_overlap", "fatal", "segments", text)]
     return []
 
 
 def laid_over(members: tuple[Stretch, ...], name: str) -> Array | None:
-    """One signal of all repeats on one time since their segments' starts, (repeats, m, n); None if one lacks it."""
+    """One signal of all repeats on one time since their segments' starts, (repeats, m, n); None if one has none."""
     signals = [getattr(run, name) for run in members]
     if any(signal is None for signal in signals):
         return None

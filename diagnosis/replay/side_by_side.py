@@ -1,6 +1,6 @@
-"""The same for several pieces at once, a thread each: the compiled kernel runs without the interpreter's lock.
+"""The same for several pieces in parallel, a thread each: the compiled kernel runs without the interpreter's lock.
 
-NUMBA_NUM_THREADS=1 keeps it to one, for workers beside each other and for a diagnosis beside a running machine.
+NUMBA_NUM_THREADS=1 keeps it to one, for parallel workers and for a diagnosis next to a running machine.
 """
 
 import os

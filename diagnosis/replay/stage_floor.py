@@ -24,13 +24,13 @@ from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
 
-# Repeats between which the machine itself changed: a gain that drifts is no noise.
+# Repeats between which the machine itself changed: a gain that drifts is not noise.
 SURE = 30.0  # chi2 for each repeat's own gain: five standard errors and more
 TOO_FEW = 3  # two repeats have one difference, which is noise as well as anything
 
 
 def steadied(repeats: Array, motion: Array, dt_s: float, where: NDArray[np.bool_]) -> Array:
-    """Residuals of repeats (R, m, n) without what each has in proportion to the motion, if that is no chance.
+    """Residuals of repeats (R, m, n) without what each has in proportion to the motion, if that is significant.
 
     Model: d_r = g_r M + noise over white increments; chi2 = sum (g_r / its error)^2, by the noise that still holds it.
     Args:  motion: (R, m, n), what was measured of the same output. where: columns (n,) that are asked.
@@ -117,7 +117,7 @@ def _smallest(stage: str, prepared: list[Prepared]) -> Array:
 
 
 def _silent(record: Remainder | None) -> bool:
-    """Whether a joint's stage was never seen to leave anything on the undisturbed machine."""
+    """Whether a joint's stage left nothing in any baseline recording."""
     return record is not None and record.sigma == 0.0
 
 

@@ -22,7 +22,7 @@ OUTPUT = {"link": "ref", "controller": "u", "actuator": "enc"}
 SKIPPED = 10  # increments at a stretch's start: the valve's state is not known there
 TIMING_S = 1.5e-3
 PASSES = 3
-SIDES = 2  # courses beside what was sent: a cycle later, and one earlier
+SIDES = 2  # courses in addition to what was sent: a cycle later, and one earlier
 TINY = 1e-12
 UNIFORM = 3.0**-0.5  # standard deviation of what lies anywhere between -1 and 1
 
@@ -92,8 +92,8 @@ class Replay:
 def trust(part: Part, whitener: Whitener) -> Array | float:
     """The weight of rows (1, m, joints): those after a jump that may be anywhere in its row count less.
 
-    Model: 1 / (1 + x^2) over the jump's standard deviation x: beside the noise it tells as much as chance, far above it
-           nothing, not one deviation time after time.
+    Model: 1 / (1 + x^2) over the jump's standard deviation x: near the noise a row counts as chance would have it, far
+           above it not at all, rather than one deviation each time.
     """
     if part.unsure is None:
         return 1.0

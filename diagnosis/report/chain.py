@@ -35,7 +35,7 @@ def chain(result: dict[str, Any]) -> str:
 
 
 def stage_shares(result: dict[str, Any]) -> dict[str, float]:
-    """Share of the gap on each judged stage, of which the first rows tell."""
+    """Share of the gap on each judged stage, by the rows of totals."""
     shares: dict[str, float] = {}
     for place in filter(is_total, result["localisation"]):  # one a unit, where some joints turn and others slide
         shares[place["stage"]] = shares.get(place["stage"], 0.0) + float(place["share_frac"] or 0.0)

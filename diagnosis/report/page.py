@@ -34,7 +34,7 @@ def next_text(result: dict[str, Any]) -> str:
         return str(one["why"])
     pair = " from ".join(place_text(member).replace("_", " ") for member in one["separates"])
     nats = f", about {one['expected_nats']:.3g} nats" if one["expected_nats"] is not None else ""
-    return f"{one['what']} for {one['minutes']:g} min: tells {pair}{nats}. Why: {one['why']}."
+    return f"{one['what']} for {one['minutes']:g} min: distinguishes {pair}{nats}. Why: {one['why']}."
 
 
 PLACES_MAX = 40
@@ -103,7 +103,7 @@ def _classes(result: dict[str, Any]) -> str:
         "the recording looks the same with either</li>"
         for members in result["indistinguishable"]
     )
-    return f"<p>Cannot be told apart here:</p><ul>{lines}</ul>" if lines else ""
+    return f"<p>Cannot be distinguished here:</p><ul>{lines}</ul>" if lines else ""
 
 
 def _places(result: dict[str, Any]) -> list[dict[str, Any]]:

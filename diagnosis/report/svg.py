@@ -1,4 +1,4 @@
-"""Small plots as inline SVG: no script, no file beside the page, colours from the page's own style sheet."""
+"""Small plots as inline SVG: no script, no file next to the page, colours from the page's own style sheet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

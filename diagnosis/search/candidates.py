@@ -17,7 +17,7 @@ LIMITS = 9  # sizes scanned between the bounds of an effect that limits (neutral
 NARROW = {"stiction": 50}  # sizes of effects whose cost has a valley far narrower than the way there
 PHASES = (-2.0, -0.4, 1.2, 2.7)
 SWINGS = ("link_flexibility",)  # effects with a frequency of their own
-FREQUENCIES_HZ = tuple(np.geomspace(0.8, 6.0, 24))  # a swing's cost has a valley a tenth of its frequency wide
+FREQUENCIES_HZ = tuple(np.geomspace(0.8, 6.0, 24))  # the cost has a valley a tenth of a frequency wide
 DROOP = "supply_droop"  # couples all joints
 #: Effects of the joint stage that the encoder shows against the valve command.
 SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")
@@ -33,9 +33,9 @@ Variant = tuple[str, int | None, str, tuple[float, ...]]
 class Candidate:
     """One effect on one joint (1-based; None: the machine), in one variant: `fixed` numbers do not move in a fit.
 
-    `read_off`: the log itself shows its size, and nothing of it is fitted. `counted`: that size is a share seen among
-    so many; 0: it is none. `cycles`: of a delay, a PLC's cycle and what the nominal machine has of it [s]: whole cycles
-    are where its cost has a kink that no gradient finds.
+    `read_off`: the log itself shows its size, and nothing of it is fitted. `counted`: that size is a share, counted
+    among so many; 0: it is not a share. `cycles`: of a delay, a PLC's cycle and what the nominal machine has of it [s]:
+    whole cycles are where its cost has a kink that no gradient finds.
     """
 
     name: str
@@ -143,10 +143,11 @@ def _variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]
 
 
 def beside(base: ParameterSets, candidates: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
-    """Candidates that stay with what the baseline has of the same effect: its swing's frequency, its wave's phase.
+    """Candidates with the baseline's shape of the same effect: its oscillation's frequency, its wave's phase.
 
-    Why: a shape replaces the baseline's, and a scan with every other one would first have to undo what is known. A
-    swing keeps its frequency: a boom's goes with its reach, and a baseline tuned to another motion is no new swing.
+    Why: a shape replaces the baseline's, and a scan with every other one would first have to undo what is known. An
+    oscillation keeps its frequency: a boom's depends on its reach, and a baseline tuned to another motion is not a new
+    oscillation.
     """
     return tuple(_beside(base, candidate) for candidate in candidates)
 
