@@ -106,7 +106,7 @@ def long_sentences_in(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _too_long(paragraph: str) -> Iterator[str]:
-    for sentence in re.split(r"(?<=[.!?:;])\s+", re.sub(r"`[^`]*`", "code", paragraph)):
+    for sentence in re.split(r"(?<=[.!?:;])\s+|(?<=[.!?][)*\"])\s+|(?<=[.!?]\*\*)\s+", re.sub(r"`[^`]*`", "code", paragraph)):
         words = len(sentence.split())
         if words > SENTENCE_MAX:
             yield f"sentence of {words} words ('{sentence[:40]}...') -> at most {SENTENCE_MAX}"
