@@ -159,21 +159,21 @@ def _effect(line: Line) -> dict[str, Any]:
     return _effect_table(term.effect, np.stack([term.theta, low, high], axis=1))
 
 
-def _effect_table(one: Candidate, numbers: Array) -> dict[str, Any]:
+def _effect_table(candidate: Candidate, numbers: Array) -> dict[str, Any]:
     """An effect with its numbers (slots, 3): value and 90 % limits."""
-    effect = effect_of(one.name)
+    effect = effect_of(candidate.name)
     parameters: dict[str, Any] = {}
-    vector = len({slot.parameter for slot in one.slots}) < len(one.slots)
+    vector = len({slot.parameter for slot in candidate.slots}) < len(candidate.slots)
     if vector and effect.direction is not None:
-        parameters = _vector(one.slots[0].parameter, effect.size.unit, effect.direction, numbers)
+        parameters = _vector(candidate.slots[0].parameter, effect.size.unit, effect.direction, numbers)
     else:
-        for slot, number in zip(one.slots, numbers, strict=True):
+        for slot, number in zip(candidate.slots, numbers, strict=True):
             parameters[slot.parameter] = _number(number, slot.spec.unit)
-    for slot, value in one.fixed:
+    for slot, value in candidate.fixed:
         parameters[slot.parameter] = {"value": value, "unit": "1", "low": value, "high": value}
-    if one.option and effect.choice is not None:
-        parameters[effect.choice.name] = {"value": one.option, "unit": "", "low": None, "high": None}
-    return {"name": one.name, "joint": one.joint, "stage": one.stage, "parameters": parameters}
+    if candidate.option and effect.choice is not None:
+        parameters[effect.choice.name] = {"value": candidate.option, "unit": "", "low": None, "high": None}
+    return {"name": candidate.name, "joint": candidate.joint, "stage": candidate.stage, "parameters": parameters}
 
 
 def _number(number: Array, unit: str) -> dict[str, Any]:
@@ -337,9 +337,11 @@ def _open_pairs(found: Budget) -> list[list[Pair]]:
     return sorted(out, key=lambda pairs: -pairs[0].weight)
 
 
-def _first_apart(one: Fit, other: Fit) -> Key | None:
+def _first_apart(first: Fit, other: Fit) -> Key | None:
     """The first effect that only `one` has."""
-    return next((effect.key for effect in one.hypothesis if effect.key not in {x.key for x in other.hypothesis}), None)
+    return next(
+        (effect.key for effect in first.hypothesis if effect.key not in {x.key for x in other.hypothesis}), None
+    )
 
 
 def _spread(fit: WholeFit) -> float:

@@ -72,7 +72,7 @@ def _proposed(whole: Read, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any
     library = _library(whole, nominal, pairs)
     table = {experiment.name: [_nats(whole, pair, experiment) for pair in pairs] for experiment in library}
     able = [experiment for experiment in library if max(table[experiment.name]) >= SEPARATES_NATS]
-    best = max(able, key=lambda one: _worth(pairs, table[one.name], one), default=None)
+    best = max(able, key=lambda experiment: _worth(pairs, table[experiment.name], experiment), default=None)
     if best is None:
         return _nothing(pairs[0], table)
     first = next(k for k, nats in enumerate(table[best.name]) if nats >= SEPARATES_NATS)  # the weightiest of them

@@ -58,12 +58,12 @@ def diagnose_all(
     return [results[name] for name in names]
 
 
-def _result(name: str, one: Future[dict[str, Any]]) -> dict[str, Any]:
+def _result(name: str, future: Future[dict[str, Any]]) -> dict[str, Any]:
     """A worker that died takes one recording along, not the fleet."""
-    error = one.exception()
+    error = future.exception()
     if error is not None:
         return {"status": "failed", "recording": name, "reason": f"{type(error).__name__}: {error}"}
-    return {**one.result(), "recording": name}
+    return {**future.result(), "recording": name}
 
 
 def _name(path: Path, base: Path | None) -> str:

@@ -18,8 +18,8 @@ def equals_of(result: dict[str, Any], effect: dict[str, Any]) -> list[dict[str, 
     return [member for members in classes for member in members if _key(member) != own]
 
 
-def _key(one: dict[str, Any]) -> Key:
-    return one["name"], one["joint"]
+def _key(effect: dict[str, Any]) -> Key:
+    return effect["name"], effect["joint"]
 
 
 Z_90 = 1.645
@@ -90,7 +90,7 @@ class Fleet:
 def summary_of(results: Sequence[dict[str, Any]]) -> Fleet:
     """Of the dictionaries that `diagnosed` gives."""
     good = [result for result in results if result["status"] == "diagnosed"]
-    good.sort(key=lambda one: (machine_of(one), one["started_utc"], one["recording"]))
+    good.sort(key=lambda result: (machine_of(result), result["started_utc"], result["recording"]))
     found = tuple(item for result in good for item in _found(result))
     machines = tuple(dict.fromkeys(machine_of(result) for result in good))
     verdicts = {
@@ -104,32 +104,32 @@ def summary_of(results: Sequence[dict[str, Any]]) -> Fleet:
     return Fleet(machines, verdicts, found, _shared(good, found), _drifts(found), bad, nameless)
 
 
-def machine_of(one: dict[str, Any]) -> str:
+def machine_of(result: dict[str, Any]) -> str:
     """Name and serial number; without a serial, name and folder: cranes of one kind are not one machine, and the
     recordings of one folder are taken as one's. The recording's own name where the machine file has none.
     """
-    if one["serial"]:
-        return f"{one['machine']} {one['serial']}".strip()
-    return f"{one['machine']} in {one['folder']}" if one["machine"] else one["recording"]
+    if result["serial"]:
+        return f"{result['machine']} {result['serial']}".strip()
+    return f"{result['machine']} in {result['folder']}" if result["machine"] else result["recording"]
 
 
-def _why(one: dict[str, Any]) -> str:
-    fatal = [finding["text"] for finding in one.get("findings", []) if finding["severity"] == "fatal"]
-    return one.get("reason") or "; ".join(fatal) or one["status"]
+def _why(result: dict[str, Any]) -> str:
+    fatal = [finding["text"] for finding in result.get("findings", []) if finding["severity"] == "fatal"]
+    return result.get("reason") or "; ".join(fatal) or result["status"]
 
 
-def _found(one: dict[str, Any]) -> list[Found]:
+def _found(result: dict[str, Any]) -> list[Found]:
     """Confirmed effects of a recording."""
     out = []
-    for effect in _confirmed(one["answer"]):
+    for effect in _confirmed(result["answer"]):
         sized = [
             (name, x) for name, x in effect["parameters"].items() if x["low"] is not None and x["high"] is not None
         ]
         if sized:
             name, x = sized[0]
             size = (name, x["unit"], float(x["value"]), float(x["low"]), float(x["high"]))
-            when = _days(one["started_utc"])
-            out.append(Found(machine_of(one), one["recording"], effect["name"], effect["joint"], *size, when))
+            when = _days(result["started_utc"])
+            out.append(Found(machine_of(result), result["recording"], effect["name"], effect["joint"], *size, when))
     return out
 
 
@@ -154,11 +154,11 @@ def _shared(good: list[dict[str, Any]], found: tuple[Found, ...]) -> tuple[Share
         size = float(np.median([abs(finding.value) for finding in mine]))
         able = [machine_of(result) for result in good if _could_see(result, key, size)]
         out.append(Shared(*key, having, tuple(name for name in dict.fromkeys(able) if name not in having)))
-    return tuple(sorted(out, key=lambda one: (-len(one.machines), one.name, one.joint or 0)))
+    return tuple(sorted(out, key=lambda shared: (-len(shared.machines), shared.name, shared.joint or 0)))
 
 
-def _could_see(one: dict[str, Any], key: tuple[str, int | None], size: float) -> bool:
-    answer = one["answer"]
+def _could_see(result: dict[str, Any], key: tuple[str, int | None], size: float) -> bool:
+    answer = result["answer"]
     if answer["verdict"] not in ("none", "effects", "partly"):
         return False
     named = _confirmed(answer)

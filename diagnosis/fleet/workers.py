@@ -79,5 +79,5 @@ class Workers:
             return failed
 
 
-def _died(one: Answer) -> bool:
-    return isinstance(one.exception(), BrokenExecutor)
+def _died(answer: Answer) -> bool:
+    return isinstance(answer.exception(), BrokenExecutor)

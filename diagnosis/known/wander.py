@@ -42,10 +42,10 @@ def _with_wander_of(cell: Cell, nominal: Nominal) -> Cell:
     return replace(cell, whitened=replace(replay, day=day_noise(np.stack(columns, axis=1)))) if columns else cell
 
 
-def _column(cell: Cell, one: Candidate) -> Array:
+def _column(cell: Cell, candidate: Candidate) -> Array:
     """How an effect moves the residual (N,), a unit of its size."""
-    step = STEP * one.slots[0].high
-    return (evaluated(cell, (one,), np.array([[step]]))[0] - neutral_fit(cell).residual) / step
+    step = STEP * candidate.slots[0].high
+    return (evaluated(cell, (candidate,), np.array([[step]]))[0] - neutral_fit(cell).residual) / step
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class _Day:
     G: Array
     b: Array
 
-    def judged_with(self, variances: Array) -> tuple[Array, Array]:
+    def numbers_given(self, variances: Array) -> tuple[Array, Array]:
         """The numbers (k,), each fitted alone, and their variances by noise, where those of `variances` wander."""
         S = np.diag(np.sqrt(variances))
         inner = self.G @ S @ np.linalg.solve(np.eye(len(S)) + S @ self.G @ S, S)
@@ -78,7 +78,7 @@ def wander_of(cells: list[Cell]) -> Sizes:
     names, days = [names[k] for k in felt], [_Day(day.G[np.ix_(felt, felt)], day.b[felt]) for day in days]
     variances = np.zeros(len(names))
     for _ in names:
-        numbers, errors = (np.array(x) for x in zip(*(day.judged_with(variances) for day in days), strict=True))
+        numbers, errors = (np.array(x) for x in zip(*(day.numbers_given(variances) for day in days), strict=True))
         off = np.where(variances > 0.0, 0.0, np.mean(numbers**2 / errors, axis=0))
         k = int(np.argmax(off))
         if off[k] < WANDERS:
@@ -87,13 +87,18 @@ def wander_of(cells: list[Cell]) -> Sizes:
     return tuple((effect.name, float(np.sqrt(v))) for effect, v in zip(names, variances, strict=True) if v > 0.0)
 
 
-def _moves(one: Candidate) -> bool:
+def _moves(candidate: Candidate) -> bool:
     """Whether an effect has one number, nothing at 0."""
-    return one.stage == "actuator" and len(one.slots) == 1 and not one.fixed and one.slots[0].neutral == 0.0
+    return (
+        candidate.stage == "actuator"
+        and len(candidate.slots) == 1
+        and not candidate.fixed
+        and candidate.slots[0].neutral == 0.0
+    )
 
 
-def _known(cell: Cell, one: Candidate) -> bool:
-    return any(other.key == one.key for other in cell.candidates)
+def _known(cell: Cell, candidate: Candidate) -> bool:
+    return any(other.key == candidate.key for other in cell.candidates)
 
 
 def _day(cell: Cell, names: list[Candidate]) -> _Day:

@@ -34,8 +34,8 @@ def markers_of(tables: Mapping[str, Any]) -> tuple[Marker, ...]:
     return (*singles, *grid_markers(tuple(board_of(board) for board in boards)))
 
 
-def _marker(one: object, where: str) -> Marker:
-    table = table_of(one, where)
+def _marker(section: object, where: str) -> Marker:
+    table = table_of(section, where)
     side, T, on = number_of(table, "side_m", where), pose_of(table, "T_on_marker", where), table.get("on")
     marker_id = table.get("id")
     if side is None or T is None or on not in ("tool", "ooi") or not _is_count(marker_id):
@@ -43,8 +43,8 @@ def _marker(one: object, where: str) -> Marker:
     return Marker(table["id"], side, on, T)
 
 
-def _board(one: object, where: str) -> BoardSection:
-    table = table_of(one, where)
+def _board(section: object, where: str) -> BoardSection:
+    table = table_of(section, where)
     known = {key: value for key, value in table.items() if key in BoardSection.model_fields}
     try:
         return BoardSection.model_validate(known)

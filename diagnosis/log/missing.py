@@ -48,9 +48,7 @@ def _of_odometry(table: OdometryTable) -> list[Finding]:
     found = _unusable("odometry.csv", _empty(table.position, PLACE), "no path of the camera is known")
     turned = _unusable("odometry.csv", _empty(table.quat_wxyz, TURN), "how the camera turned is not known")
     # A note only: lengths need no rotation.
-    return found + [
-        Finding(finding.code, "note", finding.subject, finding.text, finding.count) for finding in turned
-    ]
+    return found + [Finding(finding.code, "note", finding.subject, finding.text, finding.count) for finding in turned]
 
 
 def _unusable(subject: str, columns: list[str], costs: str) -> list[Finding]:

@@ -169,7 +169,7 @@ class _Reader:
         return tuple(bool(arm.prismatic[k]) if arm.moves[k] else written[k] for k in range(n))
 
     def _is_missing(self, part: str, needed: tuple[str, ...]) -> bool:
-        """Whether some joint misses a field; all that the first such joint misses is written down."""
+        """Whether a field is missing in some joint; all missing fields of the first such joint are written down."""
         if not self._joints:
             self._absent.append((part, f"no [[joint]] with {', '.join(needed)}"))
             return True

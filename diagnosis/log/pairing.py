@@ -123,12 +123,12 @@ def _rows(plc: PlcTable, which: NDArray[np.bool_]) -> PlcTable:
 
 def _judge(subject: str, pattern: str, other: str, table: Array) -> list[Finding]:
     """From correlations (encoder column, other column)."""
-    findings, judged = [], set()
+    findings, reported = [], set()
     for j in range(len(table)):
         k = int(np.argmax(table[j]))
         own = table[j, j]
-        if k != j and j not in judged and table[j, k] > OTHER_MIN and own < OWN_MAX and table[k, k] < OWN_MAX:
-            judged |= {j, k}
+        if k != j and j not in reported and table[j, k] > OTHER_MIN and own < OWN_MAX and table[k, k] < OWN_MAX:
+            reported |= {j, k}
             mine, theirs = pattern.replace("{j}", str(j + 1)), other.replace("{j}", str(k + 1))
             text = (
                 f"{mine} follows {theirs} (correlation {table[j, k]:.2f}) and not its own column ({own:.2f}): joints "

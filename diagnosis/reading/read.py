@@ -58,7 +58,7 @@ class Read:
 
     @property
     def missing_parts(self) -> tuple[tuple[str, str], ...]:
-        """What the machine file misses, by part, of what was recorded: a camera's numbers only where there was one."""
+        """What is missing in the machine file, by part, of what was recorded: of a camera only where there was one."""
         absent = () if self.nominal is None else self.nominal.absent
         seen = self.tables is not None and (self.tables.markers is not None or self.tables.odometry is not None)
         return tuple((part, why) for part, why in absent if seen or part != "camera")
@@ -132,7 +132,7 @@ def examine(
 def _without_wild_points(
     tables: Tables, nominal: Nominal | None, stretches: tuple[Stretch, ...]
 ) -> tuple[Tables, list[Finding]]:
-    """Outlying points are named and left out, so that they do not widen the noise of the others."""
+    """Impossible points are named and left out, so that they do not widen the noise of the others."""
     static, tracker, findings = tables.static, tables.tracker, list[Finding]()
     if static is not None:
         static, zeros = without_zeros(static, "static.csv")

@@ -84,22 +84,22 @@ def _require_as_many_joints(recordings: Sequence[Recording]) -> None:
             raise DiagnosisError(f"{text}; give recordings of one machine with the same columns")
 
 
-def _joints(one: Recording) -> int:
+def _joints(recording: Recording) -> int:
     """How many joints its rows describe; 0 where they describe none."""
     fields = {PlcState: [field for _, field, _ in JOINT_SIGNALS], Sent: ["q_sent_rad"], StaticPoint: ["q_rad"]}
-    return max((len(getattr(row, name)) for row in one.rows for name in fields.get(type(row), ())), default=0)
+    return max((len(getattr(row, name)) for row in recording.rows for name in fields.get(type(row), ())), default=0)
 
 
-def _shift(first: Recording, one: Recording, rows: list[Row], number: int) -> _Shift:
+def _shift(first: Recording, recording: Recording, rows: list[Row], number: int) -> _Shift:
     """So that a recording begins after all rows so far, with the first one's offsets between the clocks.
 
     Model: t_plc' = t_plc + s; t_pc' = t_plc' + offset of the first, so t_pc' = t_pc + s + offset_first - offset_own.
     """
     end = max(_plc_times(first.run, rows), default=0.0)
-    start = min(_plc_times(one.run, one.rows), default=0.0)
+    start = min(_plc_times(recording.run, recording.rows), default=0.0)
     s = end + APART_S - start
-    pc = s + _difference(first, one, number, "plc_to_pc_offset_s")
-    camera = pc - _difference(first, one, number, "camera_to_pc_offset_s")
+    pc = s + _difference(first, recording, number, "plc_to_pc_offset_s")
+    camera = pc - _difference(first, recording, number, "camera_to_pc_offset_s")
     seq = 1 + max((number for row in rows if 0 <= (number := _number_of(row)) <= NUMBER_MOST), default=0)
     pose = 1 + max((row.pose_index for row in rows if isinstance(row, StaticPoint)), default=0)
     return _Shift(s, pc, camera, seq, pose, f" ({number})")
@@ -121,8 +121,8 @@ def _later_number(number: int, by: int) -> int:
     return number + by if 0 <= number <= NUMBER_MOST else number
 
 
-def _difference(first: Recording, one: Recording, number: int, name: str) -> float:
-    a, b = getattr(first.run, name), getattr(one.run, name)
+def _difference(first: Recording, recording: Recording, number: int, name: str) -> float:
+    a, b = getattr(first.run, name), getattr(recording.run, name)
     if a is None and b is None:
         return 0.0
     if a is None or b is None:
@@ -163,8 +163,8 @@ def _moved(row: Row, by: _Shift) -> Row:
             return row
 
 
-def _whole(one: Recording, name: str) -> tuple[Segment, ...]:
-    times = [row.t_plc_s for row in one.of(PlcState)]
+def _whole(recording: Recording, name: str) -> tuple[Segment, ...]:
+    times = [row.t_plc_s for row in recording.of(PlcState)]
     return (Segment(name or "whole", "workcycle", min(times), max(times)),) if times else ()
 
 

@@ -40,7 +40,7 @@ def merged_drives(
     merge = merge_of(stretches)
     if merge is None or not replayer.nominal.has_controller:
         return []
-    return [one for stretch in stretches if (one := merged(replayer, stretch, merge, course)) is not None]
+    return [prepared for stretch in stretches if (prepared := merged(replayer, stretch, merge, course)) is not None]
 
 
 def merged(replayer: Replayer, stretch: Stretch, merge: Merge, course: ParameterSets | None = None) -> Prepared | None:

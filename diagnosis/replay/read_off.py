@@ -64,12 +64,12 @@ def _loss(stretches: tuple[Stretch, ...]) -> NDArray[np.bool_] | None:
     return np.concatenate(known) if known and len(known) == len(seen) else None
 
 
-def _fixed(one: Candidate, size: float | None) -> Candidate:
-    slot = one.slots[0]
+def _fixed(candidate: Candidate, size: float | None) -> Candidate:
+    slot = candidate.slots[0]
     if size is None or not slot.low < size < slot.highest:
-        return one
+        return candidate
     low, high = size * (1.0 - NARROW), size * (1.0 + NARROW)
-    return replace(one, slots=(replace(slot, low=low, high=high, highest=high, start=size),), read_off=True)
+    return replace(candidate, slots=(replace(slot, low=low, high=high, highest=high, start=size),), read_off=True)
 
 
 def comb_of(values: Array) -> float | None:

@@ -40,7 +40,7 @@ def repeat_findings(stretches: tuple[Stretch, ...]) -> list[Finding]:
 
 def _shared(name: str, members: tuple[Stretch, ...]) -> list[Finding]:
     """Repeats that are the same rows to a tenth or more: their noise would be none, and all else a gap."""
-    inside = sorted(members, key=lambda one: float(one.t_s[0]))
+    inside = sorted(members, key=lambda run: float(run.t_s[0]))
     for run, following in pairwise(inside):
         shared_s = float(min(run.t_s[-1], following.t_s[-1]) - following.t_s[0])
         if shared_s > SHARED_MAX * min(run.duration_s, following.duration_s):

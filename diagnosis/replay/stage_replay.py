@@ -159,18 +159,18 @@ def whiten_sets(whitener: Whitener, steps: Array) -> Array:
     return out / whitener.sigma
 
 
-def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) -> Part:
+def part_of(stage: str, prepared: Prepared, joints: list[int], replayer: Replayer) -> Part:
     """One stretch's replay narrowed to some joints (0-based)."""
-    drive = one.drives[stage]
+    drive = prepared.drives[stage]
     signals = {name: getattr(drive, name) for name in ("sent", "ref", "enc", "u", "load", "load_kg")}
     cut = {name: np.ascontiguousarray(values[:, joints]) for name, values in signals.items()}
     narrowed = replace(drive, **cut, enc_start=drive.enc_start[joints].copy(), u_start=drive.u_start[joints].copy())
-    plant = replace(one.plant, joints=one.plant.joints[joints])
-    output = measured_output(stage, one.stretch)
+    plant = replace(prepared.plant, joints=prepared.plant.joints[joints])
+    output = measured_output(stage, prepared.stretch)
     if output is None:
-        raise DiagnosisError(f"{one.stretch.name}: the output of stage {stage} was not recorded")
+        raise DiagnosisError(f"{prepared.stretch.name}: the output of stage {stage} was not recorded")
     measured = filled(output)[:, joints]
-    part = Part(plant, narrowed, measured, one.stretch)
+    part = Part(plant, narrowed, measured, prepared.stretch)
     finer = np.array([0.0 if replayer.learnt(stage, j) else replayer.finer for j in joints])
     if stage == "actuator" and finer.any():
         part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
@@ -183,13 +183,13 @@ def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) ->
         return own - part_increments(stage, other, neutral_sets(len(joints)))[0][0]
 
     signal = "u" if drive.first is DynamicStage.ACTUATOR else "ref"
-    jumped = one.late.get(stage)
+    jumped = prepared.late.get(stage)
     unsure = None if jumped is None else apart(**{signal: getattr(jumped, signal)})
-    between = tuple(apart(**{signal: course}) for course in one.others.get(stage, ()))
+    between = tuple(apart(**{signal: course}) for course in prepared.others.get(stage, ()))
     slower = None
     if stage == "actuator" and drive.first < DynamicStage.ACTUATOR:
         slower = own - part_increments(stage, part, _late_valves(len(joints)))[0][0]
-    return replace(part, between=between, sided=one.sided, unsure=unsure, slower=slower)
+    return replace(part, between=between, sided=prepared.sided, unsure=unsure, slower=slower)
 
 
 def _late_valves(joints: int) -> ParameterSets:

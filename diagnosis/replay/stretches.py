@@ -102,8 +102,8 @@ def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[
             label = f"{label} ({named[label]})"
         for part, rows in enumerate(pieces, start=1):
             name = f"{label}/{part}" if len(pieces) > 1 else label
-            one = _stretch(plc, segment, name, rows, sent_within(tables, came, plc.t_s[rows]))
-            found.append(replace(one, enc_step=enc_step))
+            stretch = _stretch(plc, segment, name, rows, sent_within(tables, came, plc.t_s[rows]))
+            found.append(replace(stretch, enc_step=enc_step))
     findings += [*_filled(plc, broken), *_uneven_stamps(plc, cut, found)]
     return tuple(found), findings
 

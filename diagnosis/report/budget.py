@@ -49,8 +49,8 @@ def _is_small(effect: dict[str, Any]) -> bool:
     return bool(effect["column"]) and effect["tool_mm"] < SMALL_MM
 
 
-def _or(one: dict[str, Any]) -> str:
-    others = [" + ".join(place_text(member) for member in members) for members in one["equals"]]
+def _or(effect: dict[str, Any]) -> str:
+    others = [" + ".join(place_text(member) for member in members) for members in effect["equals"]]
     more = [f"{len(others) - OTHERS} more"] if len(others) > OTHERS else []
     return f"  (or {', or '.join([*others[:OTHERS], *more])})" if others else ""
 

@@ -42,9 +42,9 @@ def stage_shares(result: dict[str, Any]) -> dict[str, float]:
     return shares
 
 
-def is_total(one: dict[str, Any]) -> bool:
+def is_total(place: dict[str, Any]) -> bool:
     """Whether a row of the localisation is of a stage as a whole, or of all of its joints that turn or slide."""
-    return one["joint"] is None and one["axis"] is None
+    return place["joint"] is None and place["axis"] is None
 
 
 def _named(result: dict[str, Any]) -> dict[str, list[str]]:

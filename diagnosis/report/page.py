@@ -29,12 +29,14 @@ def what_it_looks_like(result: dict[str, Any]) -> str:
 
 def next_text(result: dict[str, Any]) -> str:
     """What to drive next, and why."""
-    one = result["next_experiment"]
-    if not one["what"]:
-        return str(one["why"])
-    pair = " from ".join(place_text(member).replace("_", " ") for member in one["separates"])
-    nats = f", about {one['expected_nats']:.3g} nats" if one["expected_nats"] is not None else ""
-    return f"{one['what']} for {one['minutes']:g} min: distinguishes {pair}{nats}. Why: {one['why']}."
+    experiment = result["next_experiment"]
+    if not experiment["what"]:
+        return str(experiment["why"])
+    pair = " from ".join(place_text(member).replace("_", " ") for member in experiment["separates"])
+    nats = f", about {experiment['expected_nats']:.3g} nats" if experiment["expected_nats"] is not None else ""
+    return (
+        f"{experiment['what']} for {experiment['minutes']:g} min: distinguishes {pair}{nats}. Why: {experiment['why']}."
+    )
 
 
 PLACES_MAX = 40
@@ -123,10 +125,10 @@ def _percent(value: float | None) -> str:
     return "" if value is None else f"{100 * value:.1f} %"
 
 
-def _limits(one: dict[str, Any]) -> str:
-    if one["low"] is None or one["high"] is None:
+def _limits(row: dict[str, Any]) -> str:
+    if row["low"] is None or row["high"] is None:
         return ""
-    return f"{_percent(one['low'])} to {_percent(one['high'])}"
+    return f"{_percent(row['low'])} to {_percent(row['high'])}"
 
 
 def _table(rows: list[dict[str, Any]], columns: tuple[tuple[str, str], ...]) -> str:

@@ -99,20 +99,20 @@ def _range(values: Array, symmetric: bool) -> tuple[float, float]:
     return low, high
 
 
-def _thinned(one: Line) -> Line:
+def _thinned(line: Line) -> Line:
     """At most 700 points that keep each stretch's extremes."""
-    if len(one.x) <= POINTS_MAX:
-        return one
+    if len(line.x) <= POINTS_MAX:
+        return line
     kept: list[int] = []
-    for cut in np.array_split(np.arange(len(one.x)), POINTS_MAX // 2):
-        values = np.nan_to_num(one.y[cut], nan=0.0)
+    for cut in np.array_split(np.arange(len(line.x)), POINTS_MAX // 2):
+        values = np.nan_to_num(line.y[cut], nan=0.0)
         kept += sorted({int(cut[np.argmin(values)]), int(cut[np.argmax(values)])})
-    return Line(one.label, one.css, one.x[kept], one.y[kept])
+    return Line(line.label, line.css, line.x[kept], line.y[kept])
 
 
-def _path(frame: _Frame, one: Line) -> str:
-    xs, ys = frame.px(one.x), frame.py(one.y)
-    if DOTS in one.css:
+def _path(frame: _Frame, line: Line) -> str:
+    xs, ys = frame.px(line.x), frame.py(line.y)
+    if DOTS in line.css:
         return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in zip(xs, ys, strict=True) if np.isfinite(y))
     pieces, pen = [], "M"
     for x, y in zip(xs, ys, strict=True):

@@ -30,6 +30,6 @@ def lines(result: dict[str, Any]) -> list[str]:
     return out
 
 
-def place_text(one: dict[str, Any]) -> str:
+def place_text(place: dict[str, Any]) -> str:
     """An effect and its joint."""
-    return one["name"] + (f" on joint {one['joint']}" if one["joint"] is not None else "")
+    return place["name"] + (f" on joint {place['joint']}" if place["joint"] is not None else "")

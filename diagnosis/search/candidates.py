@@ -101,19 +101,19 @@ def arm_candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ..
     return tuple(candidate for candidate in found if moving or candidate.name not in SEEN_IN_MOTION)
 
 
-def on_an_arm(one: Candidate, torque_nm: float) -> Candidate:
+def on_an_arm(candidate: Candidate, torque_nm: float) -> Candidate:
     """The effect as an arm of this weight may have it: what bends by gravity bends as far, whatever its torque.
 
     Args: torque_nm: of all masses at the whole length. Arms as heavy as a crane's bend by what the catalogue says.
     """
     scale = max(1.0, CRANE_NM / torque_nm) if torque_nm > 0.0 else 1.0
-    if one.name not in BENT_BY_GRAVITY or scale == 1.0:
-        return one
+    if candidate.name not in BENT_BY_GRAVITY or scale == 1.0:
+        return candidate
     slots = (
         replace(slot, high=scale * slot.high, highest=scale * slot.highest, start=scale * slot.start, scale=scale)
-        for slot in one.slots
+        for slot in candidate.slots
     )
-    return replace(one, slots=tuple(slots))
+    return replace(candidate, slots=tuple(slots))
 
 
 def _of_effect(effect: Effect, joints: tuple[int, ...], machine: bool) -> list[Candidate]:
@@ -152,13 +152,13 @@ def beside(base: ParameterSets, candidates: tuple[Candidate, ...]) -> tuple[Cand
     return tuple(_beside(base, candidate) for candidate in candidates)
 
 
-def _beside(base: ParameterSets, one: Candidate) -> Candidate:
-    size, *shape = one.slots
-    if one.vector or not shape or base.get(size) == size.neutral:
-        return one
-    if one.name in SWINGS:
-        return replace(one, slots=(size,), fixed=tuple((slot, base.get(slot)) for slot in shape))
-    return replace(one, slots=(size, *(replace(slot, start=base.get(slot)) for slot in shape)))
+def _beside(base: ParameterSets, candidate: Candidate) -> Candidate:
+    size, *shape = candidate.slots
+    if candidate.vector or not shape or base.get(size) == size.neutral:
+        return candidate
+    if candidate.name in SWINGS:
+        return replace(candidate, slots=(size,), fixed=tuple((slot, base.get(slot)) for slot in shape))
+    return replace(candidate, slots=(size, *(replace(slot, start=base.get(slot)) for slot in shape)))
 
 
 def _grid(slot: Slot) -> Array:
