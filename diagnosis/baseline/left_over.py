@@ -7,7 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.point_residual import PointResidual
-from diagnosis.cells.behind import behind_cells, fitting, measurement_of, told_behind, without
+from diagnosis.cells.behind import behind_cells, fitting, measurement_of, shown_behind, without
 from diagnosis.cells.dynamic import stage_cells
 from diagnosis.cells.own_step import at_its_step
 from diagnosis.errors import DiagnosisError
@@ -44,7 +44,7 @@ def cells_of(whole: Read) -> list[Cell]:
         replayer = at_its_step(replayer, whole.stretches, base)
         for stage in DRIVEN_STAGES:
             cells += with_known(stage_cells(stage, replayer, whole.stretches, base, base), nominal)
-    return fitting(without(cells, told_behind(behind)) + behind, nominal)
+    return fitting(without(cells, shown_behind(behind)) + behind, nominal)
 
 
 def with_baseline(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:

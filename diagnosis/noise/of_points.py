@@ -17,12 +17,12 @@ ACROSS = 1  # of radial, tangential, up
 
 @dataclass(frozen=True, slots=True)
 class PointNoise:
-    """Standard deviations `own` (3,) [m], `swing_rad` and, of the shift, `common_m`; of each point `reach_m` (m,) and
-    its instant's number.
+    """Standard deviations `own` (3,) [m], `oscillation_rad` and, of the shift, `common_m`; of each point `reach_m` (m,)
+    and its instant's number.
     """
 
     own: Array
-    swing_rad: float
+    oscillation_rad: float
     reach_m: Array
     instants: NDArray[np.int64]
     common_m: float = 0.0
@@ -35,9 +35,9 @@ class PointNoise:
                a shift, which all points have alike.
         """
         out = rows.reshape(len(rows), -1, 3) / self.own
-        if self.swing_rad > 0.0:
+        if self.oscillation_rad > 0.0:
             size2 = np.bincount(self.instants, weights=self.reach_m**2)
-            share = 1.0 - 1.0 / np.sqrt(1.0 + (self.swing_rad / self.own[ACROSS]) ** 2 * size2)
+            share = 1.0 - 1.0 / np.sqrt(1.0 + (self.oscillation_rad / self.own[ACROSS]) ** 2 * size2)
             for across in out[:, :, ACROSS]:
                 along = np.bincount(self.instants, weights=self.reach_m * across) / np.maximum(size2, 1e-12)
                 across -= self.reach_m * (share * along)[self.instants]

@@ -142,17 +142,17 @@ def _variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]
     ]
 
 
-def beside(base: ParameterSets, candidates: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
+def with_baseline_shapes(base: ParameterSets, candidates: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
     """Candidates with the baseline's shape of the same effect: its oscillation's frequency, its wave's phase.
 
     Why: a shape replaces the baseline's, and a scan with every other one would first have to undo what is known. An
     oscillation keeps its frequency: a boom's depends on its reach, and a baseline tuned to another motion is not a new
     oscillation.
     """
-    return tuple(_beside(base, candidate) for candidate in candidates)
+    return tuple(_with_baseline_shape(base, candidate) for candidate in candidates)
 
 
-def _beside(base: ParameterSets, candidate: Candidate) -> Candidate:
+def _with_baseline_shape(base: ParameterSets, candidate: Candidate) -> Candidate:
     size, *shape = candidate.slots
     if candidate.vector or not shape or base.get(size) == size.neutral:
         return candidate

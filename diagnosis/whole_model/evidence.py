@@ -125,7 +125,7 @@ def deviations(J: Array, residual: Array, slab: Array, block: NDArray[np.int64])
     """Standard deviations (k,) of numbers with columns J (N, k) under priors `slab` (k,): by the posterior, and at
     least what leaving out one block of rows after the other moves them by.
 
-    Why: what a model is wrong by in one posture or motion is no white noise; a number that hangs on one shows it.
+    Why: what a model is wrong by in one posture or motion is not white noise; a number that hangs on one shows it.
     Source: delete-one-group jackknife, Kott 2001, eq. 1.
     """
     H, g = J.T @ J + np.diag(slab**-2.0), J.T @ residual
@@ -243,7 +243,7 @@ def _with_sharing(
     fit: WholeFit, equals: tuple[tuple[Term, ...], ...], sharing: tuple[int, ...]
 ) -> tuple[tuple[Term, ...], ...]:
     """Equals, and each term that shares the evidence of an effect."""
-    known = {id(one[0]) for one in equals if len(one) == 1}
+    known = {id(terms[0]) for terms in equals if len(terms) == 1}
     return (*equals, *((fit.best.terms[t],) for t in sharing if id(fit.best.terms[t]) not in known))
 
 
@@ -256,7 +256,7 @@ def scatter(J: Array, residual: Array, own: NDArray[np.int64], groupings: Sequen
 
     Model:  a number of their own in every group for columns `own` of J, against all of J common to all; their sum of
             squares d'Wd has the mean df + tau^2 tr W if the sizes scatter by tau (method of moments).
-    Why projected: a fit stops short of its optimum and leans on its priors; what J can still explain is no difference.
+    Why projected: a fit stops short of its optimum and leans on its priors; what J still explains is not a difference.
     Source: invariance as a sign of a cause: Peters, Buehlmann, Meinshausen 2016; tau: DerSimonian, Laird 1986.
     """
     norm = np.sqrt((J**2).sum(axis=0))

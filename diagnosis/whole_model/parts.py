@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.cells.behind import behind_cells, fitting, told_behind, without
+from diagnosis.cells.behind import behind_cells, fitting, shown_behind, without
 from diagnosis.cells.dynamic import coupled_cell, stage_cells
 from diagnosis.cells.merged import merged_cells
 from diagnosis.cells.own_step import at_its_step
 from diagnosis.known.known import with_known
 from diagnosis.reading.read import Read
 from diagnosis.replay.replayer import Replayer, replayer_of
-from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, beside, put
+from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put, with_baseline_shapes
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.fit import neutral_fit
 from diagnosis.search.work import Work
@@ -42,7 +42,7 @@ def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...]
     found = _solved(behind, work)
     if replayer is None:
         return tuple(found)
-    unseen = (*left_out, *told_behind(behind))
+    unseen = (*left_out, *shown_behind(behind))
     known = with_found(base, found, SEEN_BY_ENCODER)
     replayer = at_its_step(replayer, whole.stretches, known)
     course = known
@@ -82,27 +82,33 @@ def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
 
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
-    """A cell's effects, each in one form; beside a baseline's own with that one's shapes."""
-    return beside(cell.base, tuple(one for one in cell.candidates if (one.name, one.option) != OTHER_FORM))
+    """A cell's effects, each in one form; given a baseline, with the shapes of the baseline's own effects."""
+    return with_baseline_shapes(
+        cell.base, tuple(candidate for candidate in cell.candidates if (candidate.name, candidate.option) != OTHER_FORM)
+    )
 
 
 def _in_other_form(found: WholeFit) -> WholeFit:
     """The fit with dead bands that keep the full flow, where such a one explains as much as one that loses flow and a
     gain that makes up for it. With a gain besides, both forms are the same.
     """
-    kept = {one.joint: one for one in found.cell.candidates if (one.name, one.option) == OTHER_FORM}
+    kept = {
+        candidate.joint: candidate
+        for candidate in found.cell.candidates
+        if (candidate.name, candidate.option) == OTHER_FORM
+    }
     for k, term in enumerate(found.best.terms):
         joint = term.effect.joint
         if not term.present or term.effect.name != OTHER_FORM[0] or joint not in kept:
             continue
         others = tuple(
-            replace(one, present=one.present and one.effect.key != (GAIN, joint)) for one in found.best.terms
+            replace(other, present=other.present and other.effect.key != (GAIN, joint)) for other in found.best.terms
         )
-        if sum(one.present for one in others) == sum(one.present for one in found.best.terms):
+        if sum(other.present for other in others) == sum(before.present for before in found.best.terms):
             continue
         terms = (*others[:k], replace(term, effect=kept[joint]), *others[k + 1 :])
         tried = solve(found.cell, (), terms)
-        if any(one.present and one.effect.key == (GAIN, joint) for one in tried.best.terms):
+        if any(other.present and other.effect.key == (GAIN, joint) for other in tried.best.terms):
             continue
         if score_at(tried.best.lin, found.trust) > score_at(found.best.lin, found.trust):
             found = tried
