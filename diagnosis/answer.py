@@ -103,19 +103,19 @@ def _budget(found: Budget) -> dict[str, Any]:
         "left_mm": _mm(found.left_mm),
         "columns": [
             {
-                "column": one.name,
-                "before_mm": _mm(one.before_mm),
-                "after_mm": _mm(one.after_mm),
-                "floor_mm": _mm(one.floor_mm),
-                "measured": one.measured,
+                "column": column.name,
+                "before_mm": _mm(column.before_mm),
+                "after_mm": _mm(column.after_mm),
+                "floor_mm": _mm(column.floor_mm),
+                "measured": column.measured,
             }
-            for one in found.columns
+            for column in found.columns
         ],
         "effects": [_line(line, found.machine) for line in found.lines],
         "unexplained_mm": [
-            {"stage": one.stage, "joint": one.joint, "mm": _mm(one.after_mm)}
-            for one in found.stages
-            if one.verdict in ("partly", "unexplained")
+            {"stage": stage.stage, "joint": stage.joint, "mm": _mm(stage.after_mm)}
+            for stage in found.stages
+            if stage.verdict in ("partly", "unexplained")
         ],
     }
 
@@ -134,7 +134,7 @@ def _line(line: Line, machine: tuple[Term, ...]) -> dict[str, Any]:
         "probability": rounded(line.probability),
         "status": line.status,
         "used": None if used is None else _used(used),
-        "equals": [[_key(one) for one in members] for members in evidence.equals],
+        "equals": [[_key(member) for member in members] for members in evidence.equals],
         "evidence": {
             "gain_nats": rounded(evidence.gain_nats),
             "size_over_sd": rounded(evidence.z),
@@ -149,7 +149,10 @@ def _line(line: Line, machine: tuple[Term, ...]) -> dict[str, Any]:
 def _used(term: Term) -> dict[str, Any]:
     """A machine file's numbers of an effect, fitted without the doubtful ones."""
     table = _effect_table(term.effect, np.stack([term.theta] * 3, axis=1))
-    return {name: {"value": one["value"], "unit": one["unit"]} for name, one in table["parameters"].items()}
+    return {
+        name: {"value": parameter["value"], "unit": parameter["unit"]}
+        for name, parameter in table["parameters"].items()
+    }
 
 
 def _effect(line: Line) -> dict[str, Any]:
@@ -157,21 +160,21 @@ def _effect(line: Line) -> dict[str, Any]:
     return _effect_table(term.effect, np.stack([term.theta, low, high], axis=1))
 
 
-def _effect_table(one: Candidate, numbers: Array) -> dict[str, Any]:
+def _effect_table(candidate: Candidate, numbers: Array) -> dict[str, Any]:
     """An effect with its numbers (slots, 3): value and 90 % limits."""
-    effect = effect_of(one.name)
+    effect = effect_of(candidate.name)
     parameters: dict[str, Any] = {}
-    vector = len({slot.parameter for slot in one.slots}) < len(one.slots)
+    vector = len({slot.parameter for slot in candidate.slots}) < len(candidate.slots)
     if vector and effect.direction is not None:
-        parameters = _vector(one.slots[0].parameter, effect.size.unit, effect.direction, numbers)
+        parameters = _vector(candidate.slots[0].parameter, effect.size.unit, effect.direction, numbers)
     else:
-        for slot, number in zip(one.slots, numbers, strict=True):
+        for slot, number in zip(candidate.slots, numbers, strict=True):
             parameters[slot.parameter] = _number(number, slot.spec.unit)
-    for slot, value in one.fixed:
+    for slot, value in candidate.fixed:
         parameters[slot.parameter] = {"value": value, "unit": "1", "low": value, "high": value}
-    if one.option and effect.choice is not None:
-        parameters[effect.choice.name] = {"value": one.option, "unit": "", "low": None, "high": None}
-    return {"name": one.name, "joint": one.joint, "stage": one.stage, "parameters": parameters}
+    if candidate.option and effect.choice is not None:
+        parameters[effect.choice.name] = {"value": candidate.option, "unit": "", "low": None, "high": None}
+    return {"name": candidate.name, "joint": candidate.joint, "stage": candidate.stage, "parameters": parameters}
 
 
 def _number(number: Array, unit: str) -> dict[str, Any]:
@@ -211,7 +214,7 @@ def _key(term: Term) -> dict[str, Any]:
 
 
 def _keys(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [{"name": one["name"], "joint": one["joint"]} for one in effects]
+    return [{"name": effect["name"], "joint": effect["joint"]} for effect in effects]
 
 
 def _mm(value: float | None) -> float | None:
@@ -241,7 +244,7 @@ def _shrink(found: Budget) -> dict[str, Any]:
         }
         for _, row, _ in parts
     ]
-    sums = [sums for one, _, sums in parts if one.fit.k] or [sums for _, _, sums in parts]
+    sums = [sums for gap, _, sums in parts if gap.fit.k] or [sums for _, _, sums in parts]
     if not sums:
         return {"overall": {}, "stages": stages}
     whole = together(sums)
@@ -287,15 +290,15 @@ def _detection_limits(found: Budget) -> Iterator[dict[str, Any]]:
 def _missing(found: Budget) -> list[dict[str, str]]:
     whole, nominal = found.whole, found.whole.nominal
     out = [
-        {"signal": one.stage, "costs": f"{one.stage} is not measured: {one.why}"}
-        for one in found.stages
-        if one.verdict == "not_measured"
+        {"signal": stage.stage, "costs": f"{stage.stage} is not measured: {stage.why}"}
+        for stage in found.stages
+        if stage.verdict == "not_measured"
     ]
     if whole.log_unused:
         text = "no segment of run.toml lies in the PLC's log: nothing of it was replayed; correct the segments' times"
         out.append({"signal": "PLC's log", "costs": text})
     out += [{"signal": why.split(":")[0], "costs": why} for _, why in found.before.merged]
-    out += [{"signal": part, "costs": text} for part, text in whole.lacking]
+    out += [{"signal": part, "costs": text} for part, text in whole.missing_parts]
     if nominal is not None and whole.tables is not None:
         out += [{"signal": "points", "costs": text} for text in left_out(nominal, whole.tables)]
     guessed = [fit.cell.label for fit in found.fits if not fit.cell.floor_known]
@@ -335,9 +338,11 @@ def _open_pairs(found: Budget) -> list[list[Pair]]:
     return sorted(out, key=lambda pairs: -pairs[0].weight)
 
 
-def _first_apart(one: Fit, other: Fit) -> Key | None:
+def _first_apart(first: Fit, other: Fit) -> Key | None:
     """The first effect that only `one` has."""
-    return next((effect.key for effect in one.hypothesis if effect.key not in {x.key for x in other.hypothesis}), None)
+    return next(
+        (effect.key for effect in first.hypothesis if effect.key not in {x.key for x in other.hypothesis}), None
+    )
 
 
 def _spread(fit: WholeFit) -> float:

@@ -63,7 +63,7 @@ def misses(whole: Read, machines: Sequence[tuple[str, str]]) -> tuple[Miss, ...]
                 "nothing recorded can drive a simulation: it needs encoders and the reference, as sent or received"
             )
         out.append(_by_encoders(name, nominal, runs))
-        seen = _by_camera(name, whole.tables, nominal, [one for _, one in runs])
+        seen = _by_camera(name, whole.tables, nominal, [run for _, run in runs])
         out += [seen] if seen is not None else []
     return tuple(out)
 
@@ -97,7 +97,7 @@ def _by_encoders(name: str, nominal: Nominal, runs: list[tuple[Stretch, Stretch]
 
 
 def _by_camera(name: str, tables: Tables | None, nominal: Nominal, simulated: list[Stretch]) -> Miss | None:
-    """Where the object seems to be by the simulated machine; about its mean, since nobody knows where it is."""
+    """Where the object seems to be by the simulated machine; about its mean, since its true place is unknown."""
     if tables is None or tables.markers is None or nominal.camera is None or nominal.arm is None:
         return None
     if nominal.T_tcp_cam_left is None or not simulated:
@@ -124,7 +124,7 @@ def _eyes(nominal: Nominal, base: ParameterSets) -> Nominal:
     if nominal.camera is None:
         return nominal
     size = 1.0 + float(base.machine[0, MARKER_SIZE])
-    markers: tuple[Marker, ...] = tuple(replace(one, side_m=one.side_m * size) for one in nominal.markers)
+    markers: tuple[Marker, ...] = tuple(replace(marker, side_m=marker.side_m * size) for marker in nominal.markers)
     return replace(nominal, camera=true_camera(base, nominal.camera), markers=markers)
 
 

@@ -24,7 +24,7 @@ from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array
 
-MERGED_UNDER = "actuator"  # the last of the stages that no valve command tells apart
+MERGED_UNDER = "actuator"  # the last of the stages that no valve command separates
 STAGE_UNITS = {"link": "rad", "controller": "1", "actuator": "rad/s"}
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 POSTURES = 25
@@ -70,7 +70,7 @@ def localise(whole: Read) -> Localisation:
     replayer, places = replayer_of(nominal, whole.stretches), []
     lever = levers_mm(nominal, whole.stretches)
     if replayer is not None:
-        prepared = [replayer.prepare(one) for one in whole.stretches]
+        prepared = [replayer.prepare(stretch) for stretch in whole.stretches]
         for stage in STAGE_UNITS:
             places += _dynamic(replayer, stage, prepared, groups, sets, lever)
         places += _dynamic(replayer, MERGED_UNDER, merged_drives(replayer, whole.stretches), groups, sets, lever)
@@ -87,18 +87,18 @@ def _dynamic(
     lever: Array,
 ) -> list[Place]:
     errors: dict[str, Array] = {}
-    for one in prepared:
-        error = stage_error(replayer, stage, one, sets)
+    for entry in prepared:
+        error = stage_error(replayer, stage, entry, sets)
         if error is not None:
-            errors[one.stretch.name] = error
-    judged = [one.stretch for one in prepared if one.stretch.name in errors]
+            errors[entry.stretch.name] = error
+    judged = [entry.stretch for entry in prepared if entry.stretch.name in errors]
     if not judged:
         return []
     floor = np.hypot(_floor(stage, groups, errors), _remainder(replayer.nominal, stage))
     carried = _to_radians(replayer, stage) * lever
     places: list[Place] = []
     for j in range(replayer.nominal.n):
-        values = [_regime_values(one, errors[one.name][:, j], j) for one in judged]
+        values = [_regime_values(stretch, errors[stretch.name][:, j], j) for stretch in judged]
         for regime in dict.fromkeys(name for by_name in values for name in by_name):
             pooled = np.concatenate([by_name[regime] for by_name in values if regime in by_name])
             if not np.isfinite(pooled).all():
@@ -114,7 +114,7 @@ def _remainder(nominal: Nominal, stage: str) -> Array:
     """What the baseline leaves of a stage, in the unit of its error (n,)."""
     records = [nominal.remainder(stage, j + 1) for j in range(nominal.n)]
     per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
-    return per_second * np.array([one.rms if one is not None else 0.0 for one in records])
+    return per_second * np.array([record.rms if record is not None else 0.0 for record in records])
 
 
 def stage_error(replayer: Replayer, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
@@ -132,9 +132,9 @@ def _floor(stage: str, groups: dict[str, tuple[Stretch, ...]], errors: dict[str,
     """RMS deviation (n,) of the repeats' errors from their mean; without repeats, from their second differences."""
     squares: list[Array] = []
     for members in groups.values():
-        known = tuple(one for one in members if one.name in errors)
+        known = tuple(member for member in members if member.name in errors)
         if len(known) > 1:
-            laid = overlaid(tuple(_at_20_hz(one) for one in known), [errors[one.name] for one in known])
+            laid = overlaid(tuple(_at_20_hz(stretch) for stretch in known), [errors[stretch.name] for stretch in known])
             squares.append(np.mean((laid - laid.mean(axis=0)) ** 2, axis=(0, 1)) * len(known) / (len(known) - 1.0))
     if squares:
         return np.sqrt(np.mean(squares, axis=0))
@@ -181,7 +181,7 @@ def levers_mm(nominal: Nominal, stretches: tuple[Stretch, ...]) -> Array:
     """RMS motion of the tcp per joint angle (n,) [mm/rad] over the recorded postures; 1000 without an arm."""
     if nominal.arm is None or not stretches:
         return np.full(nominal.n, 1e3)
-    found = [one.enc if one.enc is not None else one.ref for one in stretches]
+    found = [stretch.enc if stretch.enc is not None else stretch.ref for stretch in stretches]
     stack = np.concatenate([q[np.isfinite(q).all(axis=1)] for q in found if q is not None])
     if len(stack) == 0:
         return np.full(nominal.n, 1e3)
@@ -189,7 +189,7 @@ def levers_mm(nominal: Nominal, stretches: tuple[Stretch, ...]) -> Array:
     sets = neutral_sets(nominal.n)
     at = tcp_poses(nominal.arm, sets, qs)[:, :3, 3]
     moved = [tcp_poses(nominal.arm, sets, qs + MOVE_RAD * row)[:, :3, 3] for row in np.eye(nominal.n)]
-    return np.array([1e3 * np.sqrt(np.mean(np.sum((one - at) ** 2, axis=1))) / MOVE_RAD for one in moved])
+    return np.array([1e3 * np.sqrt(np.mean(np.sum((shifted - at) ** 2, axis=1))) / MOVE_RAD for shifted in moved])
 
 
 def _structure(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
@@ -226,10 +226,10 @@ def _camera(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
 def _encoders_at(stretches: tuple[Stretch, ...], t_s: Array, n: int) -> tuple[Array, NDArray[np.bool_]]:
     """Encoders (m, n) at these times, and whether a stretch holds them (m,)."""
     q, inside = np.full((len(t_s), n), np.nan), np.zeros(len(t_s), dtype=bool)
-    for one in stretches:
-        if one.enc is not None:
-            now = (t_s >= one.t_s[0]) & (t_s <= one.t_s[-1])
-            q[now] = np.stack([np.interp(t_s[now], one.t_s, column) for column in one.enc.T], axis=1)
+    for stretch in stretches:
+        if stretch.enc is not None:
+            now = (t_s >= stretch.t_s[0]) & (t_s <= stretch.t_s[-1])
+            q[now] = np.stack([np.interp(t_s[now], stretch.t_s, column) for column in stretch.enc.T], axis=1)
             inside |= now
     return q, np.asarray(inside & np.isfinite(q).all(axis=1), dtype=bool)
 
@@ -266,10 +266,10 @@ def _part(place: Place, whole: list[Place], moved: Mapping[str, float], total: f
     """A place's share: its stage's, by its part of the stage's motion; in equal parts where nothing stands out."""
     if total <= 0.0 or place.stage not in moved:
         return 0.0
-    of_stage = sum(one.tcp_mm for one in whole if one.stage == place.stage)
+    of_stage = sum(other.tcp_mm for other in whole if other.stage == place.stage)
     if of_stage > 0.0:
         return moved[place.stage] / total * place.tcp_mm / of_stage
-    return moved[place.stage] / total / sum(one.stage == place.stage for one in whole)
+    return moved[place.stage] / total / sum(other.stage == place.stage for other in whole)
 
 
 def totals_of(places: tuple[Place, ...]) -> tuple[Place, ...]:
@@ -281,42 +281,42 @@ def totals_of(places: tuple[Place, ...]) -> tuple[Place, ...]:
     """
     out = []
     for stage in dict.fromkeys(place.stage for place in places):
-        all_of = [one for one in places if one.stage == stage and one.regime not in PARTS]
-        for unit in dict.fromkeys(_counted_under(one, all_of) for one in all_of):
-            together = [one for one in all_of if _counted_under(one, all_of) == unit]
+        all_of = [place for place in places if place.stage == stage and place.regime not in PARTS]
+        for unit in dict.fromkeys(_counted_under(place, all_of) for place in all_of):
+            together = [place for place in all_of if _counted_under(place, all_of) == unit]
             out.append(_total(stage, unit, together))
     return tuple(sorted(out, key=lambda place: -place.share_frac))
 
 
 def _counted_under(place: Place, of_stage: list[Place]) -> str:
-    """The unit of the total that a place belongs to: a joint's own; of axes the first one's, rotations beside m."""
+    """The unit of the total that a place belongs to: a joint's own; of axes the first one's, rotations as well as m."""
     return place.unit if place.joint is not None else of_stage[0].unit
 
 
 def _total(stage: str, unit: str, together: list[Place]) -> Place:
-    same = [one for one in together if one.unit == unit]
-    count = len(same) if same[0].axis is None else len({one.regime for one in same})
-    gap = math.sqrt(sum(one.gap**2 for one in same) / count)
-    floor = math.sqrt(sum(one.floor**2 for one in same) / count)
-    tcp_mm, share = math.hypot(*(one.tcp_mm for one in together)), sum(one.share_frac for one in together)
+    same = [place for place in together if place.unit == unit]
+    count = len(same) if same[0].axis is None else len({place.regime for place in same})
+    gap = math.sqrt(sum(place.gap**2 for place in same) / count)
+    floor = math.sqrt(sum(place.floor**2 for place in same) / count)
+    tcp_mm, share = math.hypot(*(place.tcp_mm for place in together)), sum(place.share_frac for place in together)
     return Place(stage, None, None, "all", gap, floor, unit, tcp_mm, share)
 
 
 def merged_stages(whole: Read) -> tuple[tuple[tuple[str, ...], str], ...]:
-    """Neighbouring stages that this recording cannot tell apart, and the missing signal that merges them."""
+    """Neighbouring stages that this recording cannot distinguish, and the missing signal that merges them."""
     tables = whole.tables
     some = whole.stretches
     if tables is None:
         return ()
     merged: list[tuple[tuple[str, ...], str]] = []
-    if some and not any(one.enc is not None for one in some):
+    if some and not any(stretch.enc is not None for stretch in some):
         merged.append((("controller", "actuator"), "no q in plc.csv: how the joints moved is not known"))
-    has_ref, has_u = any(one.ref is not None for one in some), any(one.u is not None for one in some)
-    if some and not any(one.sent is not None for one in some):
+    has_ref, has_u = any(stretch.ref is not None for stretch in some), any(stretch.u is not None for stretch in some)
+    if some and not any(stretch.sent is not None for stretch in some):
         merged.append((("time", "link"), "no sent.csv: the link is not seen"))
     if some and not has_ref:
         merged.append((("link", "controller", "actuator"), "no q_ref in plc.csv: the received reference is not known"))
-    elif some and not all(one.ref_logged for one in some):
+    elif some and not all(stretch.ref_logged for stretch in some):
         text = "no q_ref in plc.csv: what the PLC makes of a datagram's numbers looks like its controller"
         merged.append((("link", "controller"), text))
     if has_ref and not has_u:

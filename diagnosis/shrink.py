@@ -43,11 +43,11 @@ class Shrink:
     closed: Closed
 
 
-def shrinks(one: HeldOut) -> list[tuple[Shrink, Squares]]:
+def shrinks(held_out: HeldOut) -> list[tuple[Shrink, Squares]]:
     """Of each part of a cell; a plain cell is its own only part."""
-    squares = np.stack([one.before**2, one.after**2], axis=1)
+    squares = np.stack([held_out.before**2, held_out.after**2], axis=1)
     out = []
-    for part, own in one.cell.by_part(squares):
+    for part, own in held_out.cell.by_part(squares):
         block = part.rows.block
         before, after = (np.bincount(block, weights=column).astype(float) for column in own.T)
         sums = Squares(before, after, np.asarray(part.quiet * np.bincount(block), dtype=float), part.rows.count)
@@ -58,8 +58,8 @@ def shrinks(one: HeldOut) -> list[tuple[Shrink, Squares]]:
 def together(parts: Iterable[Squares]) -> Squares:
     """Parts as one."""
     some = tuple(parts)
-    joined = [np.concatenate([getattr(one, name) for one in some]) for name in ("before", "after", "noise")]
-    return Squares(*joined, rows=sum(one.rows for one in some))
+    joined = [np.concatenate([getattr(part, name) for part in some]) for name in ("before", "after", "noise")]
+    return Squares(*joined, rows=sum(part.rows for part in some))
 
 
 def _shrink(part: Cell, sums: Squares) -> Shrink:

@@ -10,7 +10,7 @@ ANGLES = ("tilt_rad", "phase_rad")
 
 
 def slides(sliding: Sequence[bool], j: int) -> bool:
-    """Whether joint j (0-based) slides; what nobody says turns."""
+    """Whether joint j (0-based) slides; one without an entry turns."""
     return j < len(sliding) and sliding[j]
 
 
@@ -25,14 +25,14 @@ def column_of(pattern: str, sliding: Sequence[bool], j: int) -> str:
     return name.replace("_rad", "_m") if slides(sliding, j) else name
 
 
-def in_metres(told: Any, sliding: tuple[bool, ...], joint: int | None = None) -> Any:
+def in_metres(answer: Any, sliding: tuple[bool, ...], joint: int | None = None) -> Any:
     """The same answer with units in m wherever the joint (1-based) that a table belongs to slides."""
-    if isinstance(told, list):
-        return [in_metres(one, sliding, joint) for one in told]
-    if not isinstance(told, dict):
-        return told
-    own = None if told.get("name") in TILTS else told.get("joint", joint)
-    out = {key: value if key in ANGLES else in_metres(value, sliding, own) for key, value in told.items()}
+    if isinstance(answer, list):
+        return [in_metres(item, sliding, joint) for item in answer]
+    if not isinstance(answer, dict):
+        return answer
+    own = None if answer.get("name") in TILTS else answer.get("joint", joint)
+    out = {key: value if key in ANGLES else in_metres(value, sliding, own) for key, value in answer.items()}
     if isinstance(own, int) and isinstance(unit := out.get("unit"), str):
         out["unit"] = unit_of(unit, sliding, own - 1)
     return out

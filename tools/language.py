@@ -23,6 +23,8 @@ LINE_MAX = 160  # characters of a line in docs
 ROW_MAX = 500  # characters of a table row, which cannot be wrapped
 SENTENCE_MAX = 40  # words
 OLD_NAME = re.compile(r"(?:#|//) old name")
+# A mark, and what closes after it: a bracket, a quotation mark, the two stars of bold text.
+SENTENCE_END = r"(?<=[.!?:;])\s+|(?<=[.!?][)*\"])\s+|(?<=[.!?]\*\*)\s+"
 SUBJECT_MAX = 72  # characters of a commit subject, git's convention
 
 _NOT_IN_A_NAME = r"(?<![A-Za-z]){}(?![A-Za-z])"  # an underscore ends a word, so that identifiers are read as well
@@ -40,7 +42,7 @@ WORDS = [
         (r"[Aa]t once", "immediately; simultaneously"),
         (r"[Uu]ndisturbed", "baseline"),
         (r"(?<![Tt]here )(?:is|are) none", "is not one of, is not"),
-        (r"(?<![Tt]here )is no(?! (?:longer|more|less))", "is not a, is without"),
+        (r"(?<![Tt]here )is no(?! (?:longer|more|less|further|better|worse|larger|smaller))", "is not a, is without"),
         (r"[Mm]end(?:s|ed|ing)?|[Cc]ure[sd]?", "fix"),
         (r"[Ww]ish(?:es|ed)?", "request, requested"),
         (r"asked for", "requested"),
@@ -106,7 +108,7 @@ def long_sentences_in(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _too_long(paragraph: str) -> Iterator[str]:
-    for sentence in re.split(r"(?<=[.!?:;])\s+", re.sub(r"`[^`]*`", "code", paragraph)):
+    for sentence in re.split(SENTENCE_END, re.sub(r"`[^`]*`", "code", paragraph)):
         words = len(sentence.split())
         if words > SENTENCE_MAX:
             yield f"sentence of {words} words ('{sentence[:40]}...') -> at most {SENTENCE_MAX}"

@@ -1,1 +1,1 @@
-"""A machine's usual state, fitted on undisturbed recordings: effects, forms, what searches find there."""
+"""A machine's baseline, fitted on recordings without a fault: effects, forms, what searches find there."""

@@ -1,4 +1,4 @@
-"""The baseline of a machine: effects that belong to it undisturbed, and what they leave of the model's form.
+"""The baseline of a machine: effects that it has without a fault, and what they leave of the model's form.
 
 Fitted on some recordings, judged on others. Why a remainder at all: docs/decisions/0011-baseline.md.
 """
@@ -22,7 +22,7 @@ from diagnosis.whole_model.solve import fit_of, solve, trusted
 from machine.effects.entries import EffectEntry
 from machine.remainder import Remainder
 
-# What each effect gains on recordings of the undisturbed machine, by chance and by what its model is wrong by.
+# What each effect gains on baseline recordings, by chance and by the error of the machine's model.
 Gains = dict[tuple[str, int | None], dict[str, float]]
 
 
@@ -72,7 +72,7 @@ class Baseline:
 
 
 def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = lambda _text: None) -> Baseline:
-    """A baseline from undisturbed recordings of one machine.
+    """A baseline from recordings of one machine without a fault.
 
     Raises: DiagnosisError: fewer than one recording to fit or two to judge, or nothing in them to replay.
     """
@@ -85,41 +85,41 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     entries = _sized(wholes, _settled(fitted, progress), progress)
     progress("what the model is wrong by on all recordings alike")
     forms = _forms(wholes, entries)
-    foretold = _foretold(wholes, entries, forms)[len(fitted) :]
+    predicted = _predicted(wholes, entries, forms)[len(fitted) :]
     progress("what is left on the other recordings")
-    seen = _beside(checked, entries, foretold)
+    seen = _with_predicted(checked, entries, predicted)
     left = remainders_of(seen)
     progress("what its numbers wander by from day to day")
-    left = with_wanders(left, _beside(checked, entries, foretold, left))
+    left = with_wanders(left, _with_predicted(checked, entries, predicted, left))
     remainders = _with_forms(left, forms)
-    remainders = with_mosts(remainders, [with_baseline(one, entries, remainders) for one in wholes])
+    remainders = with_mosts(remainders, [with_baseline(recording, entries, remainders) for recording in wholes])
     progress("what each effect gains on the other recordings")
-    gains = usual_gains(_beside(checked, entries, foretold, left))
+    gains = usual_gains(_with_predicted(checked, entries, predicted, left))
     return Baseline(entries, with_usual(remainders, gains, len(checked)), _judged(checked, seen, entries))
 
 
 def with_usual(remainders: tuple[Remainder, ...], gains: Gains, days: int) -> tuple[Remainder, ...]:
     """Remainders with what each effect gains there; of few recordings the most of any joint counts for all of them."""
     out = []
-    for one in remainders:
-        joints = [joint for stage, joint in gains if stage == one.stage and one.on == ""]
-        if days >= JUDGED_ENOUGH and one.joint in joints:
-            joints = [one.joint]
+    for remainder in remainders:
+        joints = [joint for stage, joint in gains if stage == remainder.stage and remainder.on == ""]
+        if days >= JUDGED_ENOUGH and remainder.joint in joints:
+            joints = [remainder.joint]
         most: dict[str, float] = {}
-        for own in (gains[one.stage, joint] for joint in joints):
+        for own in (gains[remainder.stage, joint] for joint in joints):
             most = {name: max(nats, most.get(name, 0.0)) for name, nats in {**most, **own}.items()}
-        out.append(replace(one, usual=tuple(most.items())))
+        out.append(replace(remainder, usual=tuple(most.items())))
     behind = [(stage, own) for (stage, _), own in gains.items() if stage not in DRIVEN_STAGES]
     return (*out, *(Remainder(stage, None, "", 0.0, 0.0, usual=tuple(own.items())) for stage, own in behind))
 
 
 def _forms(wholes: list[Read], entries: tuple[EffectEntry, ...]) -> tuple[Remainder, ...]:
     """What the effects leave of all recordings alike, each weighed by what it is left with."""
-    left = remainders_of([with_baseline(one, entries, ()) for one in wholes])
-    return forms_of([with_baseline(one, entries, left) for one in wholes])
+    left = remainders_of([with_baseline(recording, entries, ()) for recording in wholes])
+    return forms_of([with_baseline(recording, entries, left) for recording in wholes])
 
 
-def _foretold(
+def _predicted(
     wholes: list[Read], entries: tuple[EffectEntry, ...], forms: tuple[Remainder, ...]
 ) -> list[tuple[Remainder, ...]]:
     """For each recording the form that the others have; with few of them the form of all.
@@ -129,47 +129,53 @@ def _foretold(
     """
     if len(wholes) < FOLDS * TOGETHER_MIN:
         return [forms for _ in wholes]
-    apart = [_forms([one for k, one in enumerate(wholes) if k % FOLDS != fold], entries) for fold in range(FOLDS)]
+    apart = [
+        _forms([recording for k, recording in enumerate(wholes) if k % FOLDS != fold], entries) for fold in range(FOLDS)
+    ]
     return [apart[k % FOLDS] for k in range(len(wholes))]
 
 
-def _beside(
+def _with_predicted(
     wholes: list[Read],
     entries: tuple[EffectEntry, ...],
-    foretold: list[tuple[Remainder, ...]],
+    predicted: list[tuple[Remainder, ...]],
     left: tuple[Remainder, ...] | None = None,
 ) -> list[Read]:
-    """Recordings with these effects, each with the form that is foretold of it, and with what that leaves if known."""
-    own = [forms if left is None else _with_forms(left, forms) for forms in foretold]
-    return [with_baseline(one, entries, remainders) for one, remainders in zip(wholes, own, strict=True)]
+    """Recordings with these effects, each with the form predicted for it, and with what that leaves if known."""
+    own = [forms if left is None else _with_forms(left, forms) for forms in predicted]
+    return [with_baseline(recording, entries, remainders) for recording, remainders in zip(wholes, own, strict=True)]
 
 
 def _with_forms(remainders: tuple[Remainder, ...], forms: tuple[Remainder, ...]) -> tuple[Remainder, ...]:
-    known = {(one.stage, one.joint, one.on): one.form for one in forms}
-    return tuple(replace(one, form=known.get((one.stage, one.joint, one.on), ())) for one in remainders)
+    known = {(form.stage, form.joint, form.on): form.form for form in forms}
+    return tuple(
+        replace(remainder, form=known.get((remainder.stage, remainder.joint, remainder.on), ()))
+        for remainder in remainders
+    )
 
 
 def _settled(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
     """Effects of each cell by the floor that they leave themselves, fitted again until their names stay.
 
-    Why: the oil swings by several floors. Weighed by the noise alone, that swing decides what is worth fitting; by the
-    filter that whitens it, and by what each kind of measurement is left with, small effects beside it are seen.
+    Why: the oil oscillates by several floors. Weighed by the noise alone, that oscillation decides what is worth
+    fitting. Weighed by the filter that whitens it, and by what each kind of measurement is left with, smaller effects
+    are seen as well.
     """
     entries: tuple[EffectEntry, ...] = ()
     remainders: tuple[Remainder, ...] = ()
     found: dict[str, Fit] = {}
     for number in range(1, PASSES + 1):
-        before = [(one.name, one.joint) for one in entries]
-        groups = _grouped([with_baseline(one, (), remainders) for one in fitted])
+        before = [(effect.name, effect.joint) for effect in entries]
+        groups = _grouped([with_baseline(recording, (), remainders) for recording in fitted])
         if not groups:
             raise DiagnosisError("no stage of these recordings can be replayed; see `longreach recording check`")
         for label, cell in groups.items():
             progress(f"fitting {label}, pass {number} of at most {PASSES}")
             found[label] = _whole(cell)
-        entries = tuple(entry for one in found.values() for entry in entries_of(one))
-        if [(one.name, one.joint) for one in entries] == before:
+        entries = tuple(entry for fitting in found.values() for entry in entries_of(fitting))
+        if [(effect.name, effect.joint) for effect in entries] == before:
             break
-        remainders = remainders_of([with_baseline(one, entries, ()) for one in fitted])
+        remainders = remainders_of([with_baseline(recording, entries, ()) for recording in fitted])
     return found
 
 
@@ -185,10 +191,10 @@ def _sized(wholes: list[Read], fits: dict[str, Fit], progress: Progress) -> tupl
     Why on those, too, that judge: three recordings know a flow gain to half a percent, and every later one would show
     the rest as a name. Two dozen numbers gain a nat each by it; it is the names that have to stand the test.
     """
-    first = tuple(entry for one in fits.values() for entry in entries_of(one))
-    remainders = remainders_of([with_baseline(one, first, ()) for one in wholes])
+    first = tuple(entry for fitting in fits.values() for entry in entries_of(fitting))
+    remainders = remainders_of([with_baseline(recording, first, ()) for recording in wholes])
     found: list[EffectEntry] = []
-    for label, cell in _grouped([with_baseline(one, (), remainders) for one in wholes]).items():
+    for label, cell in _grouped([with_baseline(recording, (), remainders) for recording in wholes]).items():
         if label in fits and fits[label].hypothesis:
             progress(f"sizes of {label} on {len(wholes)} recordings")
             found += entries_of(fit(cell, fits[label].hypothesis, fits[label].theta, ROUNDS))
@@ -209,7 +215,7 @@ def _judged(checked: list[Read], seen: list[Read], effects: tuple[EffectEntry, .
 
     Args: seen: the same recordings, with the effects and with the form that the others have.
     """
-    before, after = _grouped([with_baseline(one, (), ()) for one in checked]), _grouped(seen)
+    before, after = _grouped([with_baseline(recording, (), ()) for recording in checked]), _grouped(seen)
     return tuple(
         CellBaseline(label, effects, _rms(before[label]), _rms(after[label])) for label in before if label in after
     )

@@ -7,7 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.point_residual import PointResidual
-from diagnosis.cells.behind import behind_cells, fitting, measurement_of, told_behind, without
+from diagnosis.cells.behind import behind_cells, fitting, measurement_of, shown_behind, without
 from diagnosis.cells.dynamic import stage_cells
 from diagnosis.cells.own_step import at_its_step
 from diagnosis.errors import DiagnosisError
@@ -44,7 +44,7 @@ def cells_of(whole: Read) -> list[Cell]:
         replayer = at_its_step(replayer, whole.stretches, base)
         for stage in DRIVEN_STAGES:
             cells += with_known(stage_cells(stage, replayer, whole.stretches, base, base), nominal)
-    return fitting(without(cells, told_behind(behind)) + behind, nominal)
+    return fitting(without(cells, shown_behind(behind)) + behind, nominal)
 
 
 def with_baseline(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:
@@ -70,14 +70,20 @@ def forms_of(wholes: list[Read]) -> tuple[Remainder, ...]:
 def with_wanders(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[Remainder, ...]:
     """Remainders with what their joints' numbers wander by over recordings that these remainders belong to."""
     found = {place: wander_of(cells) for place, cells in _by_place(wholes).items()}
-    return tuple(replace(one, wander=found.get((one.stage, one.joint, one.on), ())) for one in remainders)
+    return tuple(
+        replace(remainder, wander=found.get((remainder.stage, remainder.joint, remainder.on), ()))
+        for remainder in remainders
+    )
 
 
 def with_mosts(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[Remainder, ...]:
     """Remainders with the most that their forms say of any of these recordings, which these remainders belong to."""
     cells = _by_place(wholes)
-    places = [(one, cells.get((one.stage, one.joint, one.on), [])) for one in remainders]
-    return tuple(replace(one, form_most=most_of(own, one.form)) if one.form else one for one, own in places)
+    places = [(remainder, cells.get((remainder.stage, remainder.joint, remainder.on), [])) for remainder in remainders]
+    return tuple(
+        replace(remainder, form_most=most_of(own, remainder.form)) if remainder.form else remainder
+        for remainder, own in places
+    )
 
 
 def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:
@@ -104,20 +110,21 @@ def _plain(cells: list[Cell], where: Remainder) -> Remainder:
     """Remainder [m or px] of points or corners, in all and by axis: nothing is whitened there."""
     if where.stage == "camera":
         return _of_corners(cells, where)
-    found, noise, swings = [], [], []
+    found, noise, variances = [], [], []
     for cell in cells:
         seen = cell.whitened
         if isinstance(seen, PointResidual):
-            own, swing = variances_of_points(seen.metres(cell.base)[0].reshape(-1, AXES), seen.noise)
+            own, oscillation = variances_of_points(seen.metres(cell.base)[0].reshape(-1, AXES), seen.noise)
             found.append(own)
             noise.append(seen.noise.own**2)
-            swings.append([max(swing, 0.0)])
+            variances.append([max(oscillation, 0.0)])
     if not found:
         return where
     by_axis = np.sqrt(common_excess(np.array(found), np.array(noise)))
     left = float(np.sqrt(np.mean(by_axis**2)))
-    swing_rad = float(np.sqrt(common_excess(np.array(swings), np.zeros((len(swings), 1)))[0]))
-    return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis), oscillation_rad=swing_rad)
+    oscillation_rad = float(np.sqrt(common_excess(np.array(variances), np.zeros((len(variances), 1)))[0]))
+    own_axes = tuple(float(x) for x in by_axis)
+    return replace(where, sigma=left, rms=left, by_axis=own_axes, oscillation_rad=oscillation_rad)
 
 
 def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
@@ -146,7 +153,7 @@ def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
         for cell, replay in zip(cells, replays, strict=True):
             sets = _own_joints(cell, replay)
             runs = [part_increments(stage, part, sets)[0][0][SKIPPED:, column] for part in replay.parts]
-            noise = [one[:, 0] for one in _noise(stage, cell, replay, column)]
+            noise = [rows[:, 0] for rows in _noise(stage, cell, replay, column)]
             totals.append(moments(runs))
             noises.append(moments(noise) if noise else np.zeros_like(totals[-1]))
         ar, sigma, rms = common_process(np.array(totals), np.array(noises))
@@ -168,8 +175,8 @@ def common_process(totals: Array, noises: Array) -> tuple[Array, float, float]:
 
     Model: remainder and noise are independent, so that their moments add; recordings weigh as in `common_excess`. What
            chance leaves that no process has is made one by a little white noise; where it is much, the moments are not
-           read over many lags. Least squares, not the autocovariances: stretches are short, and a slow swing would
-           come out as damped by their ends.
+           read over many lags. Least squares, not the autocovariances: stretches are short, and their ends would make
+           a slow oscillation look damped.
     Args:  totals, noises: (recordings, p + 1, p + 1), moments in all and of noise alone.
     """
     order = totals.shape[1] - 1
@@ -202,6 +209,6 @@ def _noise(stage: str, cell: Cell, replay: Replay, column: int) -> list[Array]:
     if len(members) < 2:
         return []
     sets = _own_joints(cell, replay)
-    steps = [part_increments(stage, by_name[one.name], sets)[0][0][SKIPPED:, [column]] for one in members]
-    rows = min(len(one) for one in steps)
-    return deviations(np.stack([one[:rows] for one in steps])) if rows > ORDER_LEFT + 20 else []
+    steps = [part_increments(stage, by_name[member.name], sets)[0][0][SKIPPED:, [column]] for member in members]
+    rows = min(len(step) for step in steps)
+    return deviations(np.stack([step[:rows] for step in steps])) if rows > ORDER_LEFT + 20 else []

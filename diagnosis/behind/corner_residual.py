@@ -48,8 +48,8 @@ class Frames:
 class CornerResidual:
     """Whitened corners (sets, N): measured less foreseen, the OOI's place in the base fitted each time.
 
-    `untimed`: so is by how much the camera's stamps are late, since nobody gave its clock's offset. `layout`: noise of
-    the markers' places on their object by `layout_m` each, the same in all frames.
+    `untimed`: the delay of the camera's stamps is fitted as well, since its clock's offset is not given. `layout`:
+    noise of the markers' places on their object by `layout_m` each, the same in all frames.
     """
 
     nominal: Nominal
@@ -82,9 +82,9 @@ class CornerResidual:
         Ts = self.poses(base, plain, 0, 0.0)
         here = self.difference(plain, 0, Ts, None, self.T_base_ooi)
         columns = []
-        for k, one in enumerate(markers):
-            for row in np.diag(np.repeat((self.layout_m, 2.0 * self.layout_m / one.side_m), 3)):
-                moved = replace(one, T_on_marker=one.T_on_marker @ small_motion(row))
+        for k, marker in enumerate(markers):
+            for row in np.diag(np.repeat((self.layout_m, 2.0 * self.layout_m / marker.side_m), 3)):
+                moved = replace(marker, T_on_marker=marker.T_on_marker @ small_motion(row))
                 other = replace(self, frames=replace(self.frames, markers=(*markers[:k], moved, *markers[k + 1 :])))
                 columns.append(other.difference(plain, 0, Ts, None, self.T_base_ooi) - here)
         return replace(self, layout=day_noise(self.placeless(np.array(columns).T)))
@@ -182,8 +182,8 @@ def small_motion(x: Array) -> Array:
 
 
 def nuisance_of(placed: CornerResidual, base: ParameterSets) -> Array:
-    """Change of the residual with the OOI's place (N, 6), per m and rad in its own axes; where nobody knows its clock
-    (N, 7) with that, per s.
+    """Change of the residual with the OOI's place (N, 6), per m and rad in its own axes; where the clock's offset is
+    unknown (N, 7) with that, per s.
     """
     plain = without_encoders(base)
     Ts = placed.poses(base, plain, 0, 0.0)
@@ -191,4 +191,4 @@ def nuisance_of(placed: CornerResidual, base: ParameterSets) -> Array:
     steps = [placed.difference(plain, 0, Ts, None, placed.T_base_ooi @ small_motion(NUDGE * row)) for row in np.eye(6)]
     if placed.untimed:
         steps.append(placed.difference(plain, 0, placed.poses(base, plain, 0, NUDGE), None, placed.T_base_ooi))
-    return np.array([(one - at) / NUDGE for one in steps]).T
+    return np.array([(step - at) / NUDGE for step in steps]).T

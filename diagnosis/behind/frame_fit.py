@@ -1,4 +1,4 @@
-"""A tracker's frame and points' places on their links, both unknown, by least squares: the global minimum, at once.
+"""A tracker's frame and points' places on their links, both unknown, by least squares: the global minimum.
 
 Model: R p_i + t = R_i x_k + d_i. For any R the best t and x_k are linear in it, and what is left is a quadratic form of
        R's nine entries: minimised over rotations from many starts, which costs next to nothing.
@@ -76,7 +76,7 @@ def best_rotation(form: Form) -> Array:
 
 
 def _polished(form: Form, R: Array) -> Array:
-    """A rotation (3, 3) by plain Newton steps: values of the form no longer tell which is better there.
+    """A rotation (3, 3) by plain Newton steps: values of the form no longer show which is better there.
 
     Why: a residual that is left makes Gauss-Newton slow, and derivatives of the fit are taken by small differences.
     """

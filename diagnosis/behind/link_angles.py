@@ -26,40 +26,43 @@ REMEMBERED = 36  # of a joint: both sides of its play, too
 CROSSED = 2.0  # of a play, that a joint goes for its first side to be a matter of where it began
 SIDES = (-1.0, 0.0, 1.0)
 COURSE_S = 0.01  # between two angles of a course: between them 0.01 mm of the tip at 0.2 rad/s^2
-FOLLOWED_S = 0.1  # between logged rows: of a longer one neither play's turns nor a swing are seen
+FOLLOWED_S = 0.1  # between logged rows: a longer one shows neither play's reversals nor an oscillation
 ENCODER_COLUMNS = (kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE)
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The encoders' course through one stretch: t_s (m,), enc (m, n). `step_s`: between its rows, for play and swing;
-    None where rows are too rare to follow them: neither is modelled then. `coarse_rad`: steps of the encoders that are
-    seen behind them, 0 of finer ones.
+    """The encoders' course through one stretch: t_s (m,), enc (m, n). `step_s`: between its rows, for play and
+    oscillation; None where rows are too rare to follow them: neither is modelled then. `coarse_rad`: steps of the
+    encoders that are seen behind them, 0 of finer ones.
     """
 
     t_s: Array
     enc: Array
     step_s: float | None
     coarse_rad: tuple[float, ...] = ()
-    courses: dict[tuple[int, float, bytes], Array] = field(default_factory=dict, compare=False)  # behind play and swing
+    # Link-side angles, behind play and oscillation.
+    courses: dict[tuple[int, float, bytes], Array] = field(default_factory=dict, compare=False)
 
 
 def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
     """The course of every stretch that has encoders throughout."""
     out = []
-    for one in stretches:
-        if one.enc is None or not np.isfinite(one.enc).any(axis=0).all():
+    for stretch in stretches:
+        if stretch.enc is None or not np.isfinite(stretch.enc).any(axis=0).all():
             continue
-        skip = max(1, int(COURSE_S / one.dt_s + 1e-9))
-        step_s = one.dt_s * skip if one.dt_s <= FOLLOWED_S else None
-        coarse = coarse_steps(np.zeros(one.enc.shape[1]) if one.enc_step is None else one.enc_step)
-        quiet = np.ascontiguousarray(quieted(unstepped(filled(one.enc), coarse, one.dt_s), one.dt_s)[::skip])
-        out.append(Path(one.t_s[::skip], quiet, step_s, tuple(coarse.tolist())))
+        skip = max(1, int(COURSE_S / stretch.dt_s + 1e-9))
+        step_s = stretch.dt_s * skip if stretch.dt_s <= FOLLOWED_S else None
+        coarse = coarse_steps(np.zeros(stretch.enc.shape[1]) if stretch.enc_step is None else stretch.enc_step)
+        quiet = np.ascontiguousarray(
+            quieted(unstepped(filled(stretch.enc), coarse, stretch.dt_s), stretch.dt_s)[::skip]
+        )
+        out.append(Path(stretch.t_s[::skip], quiet, step_s, tuple(coarse.tolist())))
     return tuple(out)
 
 
 def followed(paths: tuple[Path, ...]) -> bool:
-    """Whether the courses are logged often enough for play and swing."""
+    """Whether the courses are logged often enough for play and oscillation."""
     return bool(paths) and all(path.step_s is not None for path in paths)
 
 
@@ -72,11 +75,13 @@ def coarsest(paths: tuple[Path, ...], n: int) -> Array:
 def candidates_behind(joints: tuple[int, ...], paths: tuple[Path, ...]) -> tuple[Candidate, ...]:
     """The arm's effects that points and corners along these courses can show.
 
-    Why: a swing behind a coarse encoder smooths its stairs, and would be named for that.
+    Why: an oscillation behind a coarse encoder smooths its stairs, and would be blamed for that.
     """
     coarse = np.nonzero(coarsest(paths, max(joints, default=0)))[0] + 1
     return tuple(
-        one for one in arm_candidates(joints, followed(paths)) if one.name not in SWINGS or one.joint not in coarse
+        candidate
+        for candidate in arm_candidates(joints, followed(paths))
+        if candidate.name not in SWINGS or candidate.joint not in coarse
     )
 
 
@@ -137,8 +142,8 @@ def _interpolate(at_s: Array, values: Array, path_of: NDArray[np.int64], path: i
 
 
 def _behind_joint(path: Path, step_s: float, effects: Array, j: int, key: bytes, side: float) -> Array:
-    """Link-side angles of joint j (0-based), which has play or swing, at the path's rows (m,); joint by joint, since
-    most sets differ in one.
+    """Link-side angles of joint j (0-based), which has play or oscillates, at the path's rows (m,); joint by joint,
+    since most sets differ in one.
     """
     if side and np.ptp(path.enc[:, j]) < CROSSED * effects[kernel.BACKLASH]:
         side = 0.0

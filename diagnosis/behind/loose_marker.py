@@ -25,10 +25,10 @@ class Loose:
     moved_px: float
     own_px: float
 
-    def told(self, marker_id: int) -> str:
-        """What a reader is told."""
+    def message(self, marker_id: int) -> str:
+        """The text for the report."""
         sizes = f"{self.moved_px:.2g} px, noise {self.own_px:.2g} px"
-        return f"goes with marker {marker_id}, which moves beside the others ({sizes}): fasten it"
+        return f"goes with marker {marker_id}, which moves against the others ({sizes}): fasten it"
 
 
 def loose_marker(visits: list[Array], markers: int) -> Loose | None:

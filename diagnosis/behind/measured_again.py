@@ -11,7 +11,7 @@ from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 SAME_POSE_RAD = 2e-3
-DIRECTION_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is no noise
+DIRECTION_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is not noise
 FEW_AT_REST, FEW_IN_MOTION = 4, 8  # points measured again for a floor at all: in motion some are so by chance
 ENOUGH = 12  # for one of each axis
 MOST_SHARED = 0.9  # of a pose's variance, by all its points: some of it is each one's own
@@ -64,13 +64,13 @@ def measured_again(rough: PointResidual, base: ParameterSets) -> MeasuredAgain |
     squares, dof = of_point.sum(axis=0), int(again.sum())
     if dof < (FEW_IN_MOTION if rough.paths else FEW_AT_REST):
         return None
-    told = [(point.joint, point.name) for point in points]
-    loose = "" if rough.paths else loose_point(of_point.sum(axis=1), again, *zip(*told, strict=True))
+    places = [(point.joint, point.name) for point in points]
+    loose = "" if rough.paths else loose_point(of_point.sum(axis=1), again, *zip(*places, strict=True))
     sigma = np.sqrt(squares / dof if dof >= ENOUGH else np.full(3, squares.mean() / dof))
     together = 0.0 if loose else _shared(deviation[repeated], rough.noise.instants[repeated])
-    beside = dof / float(again.max())  # points measured in a pose
+    per_pose = dof / float(again.max())  # points measured in a pose
     common_m = float(np.sqrt(together) * sigma.min())
-    independent = 3.0 * dof / (1.0 + (beside - 1.0) * together)
+    independent = 3.0 * dof / (1.0 + (per_pose - 1.0) * together)
     return MeasuredAgain(sigma, common_m, round(independent), 3 * dof, loose)
 
 

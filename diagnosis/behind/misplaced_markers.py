@@ -16,13 +16,13 @@ from machine.rotations import Array
 
 LOOKS_MIN, LOOKS_MAX = 5, 60
 APART_M = 0.03  # of a print: no object bends so far
-TIMES = 3.0  # how much nearer the corners have to lie by what is told: a stereo pair's depth is noisy
+TIMES = 3.0  # how much nearer the corners have to lie by the correction stated: a stereo pair's depth is noisy
 
 Layout = dict[int, Array]
 
 
 def misplaced_markers(tables: Tables, nominal: Nominal) -> list[Finding]:
-    """What is told by looks at two markers or more of one object, each in both eyes."""
+    """Misplaced markers, by looks at two or more markers of one object, each in both eyes."""
     return _on(tables, nominal, "tool") + _on(tables, nominal, "ooi")
 
 

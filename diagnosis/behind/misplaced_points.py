@@ -15,7 +15,7 @@ from machine.poses import inverse_pose
 from machine.rotations import geodesic_angle
 
 APART_M = 0.02  # points nearer to where they belong are where they belong, faults aside
-TIMES = 5.0  # how much nearer they have to lie by what is told
+TIMES = 5.0  # how much nearer they have to lie by the correction stated
 TURNED_RAD, MOVED_M = 0.35, 0.2  # of a frame: no base tilts so far nor settles, no encoder's zero is so far off
 MIRRORS = (("x", np.diag([-1.0, 1.0, 1.0])), ("y", np.diag([1.0, -1.0, 1.0])), ("z", np.diag([1.0, 1.0, -1.0])))
 

@@ -1,6 +1,6 @@
 """Points at rest that no model of the arm comes near: a wrong row, a prism that was hit, a pose not yet reached.
 
-Why: one of them half a metre off widens the noise of all others, and what they would have told is lost in it.
+Why: one of them half a metre off widens the noise of all others, and what they would have shown is lost in it.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from machine.rotations import Array
 
 MIXED_SHARE = 0.25  # of the numbers: a mixture of more directions may follow any point
 TIMES = 20.0  # the others' own scatter about the mixture
-TIMES_TYPICAL = 0.3  # the others' distance from the nominal model: what is small beside it may be a mixture's curvature
+TIMES_TYPICAL = 0.3  # the others' distance from the nominal model: what is small against it may be mere curvature
 LEAST_M = 2e-4
 SCATTER_MIN_M = 1e-6
 POINTS_MIN = 20
@@ -32,7 +32,7 @@ ALONE = 2.0  # times the farthest that stays: nearer ones are the tail of what a
 ROUNDS = 12
 REWEIGHED = 12
 MEDIAN_OF_THREE = 1.538  # median length of three normal numbers
-TOLD = 3
+NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +50,14 @@ class _Off:
         return self.away > max(least, AT_ONCE * float(self.away.max()))
 
     def alone(self, rest: "_Off") -> bool:
-        """Whether the outside points are far from all that stay, of which `rest` tells."""
+        """Whether the outside points are far from all that stay; `rest` describes these."""
         return float(self.away[self.outside].min()) > ALONE * float(rest.away.max())
 
 
 def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, list[Finding]]:
     """Points at rest without those that lie outside, which are named.
 
-    Model: one linear step in all effects at once, points weighed by 1 / (1 + (distance / scatter)^2) in turn; outside
+    Model: one linear step in all effects together, points weighed by 1 / (1 + (distance / scatter)^2) in turn; outside
            is what lies twenty scatters away. The farthest are taken out and the rest is looked at again, since a frame
            that was fitted through them moves all others, until a twentieth of all would be out. Those that were taken
            out last come back while they are not twice as far as what stays.
@@ -91,7 +91,7 @@ def _off(nominal: Nominal, data: PointData) -> _Off | None:
     def residual(sets: ParameterSets) -> Array:
         turned = (replace(data, q=true_angles(sets, data.q, k)) for k in range(sets.sets))
         plain = without_encoders(sets)
-        return np.array([fit_points(nominal, plain, one, k).residual.ravel() for k, one in enumerate(turned)])
+        return np.array([fit_points(nominal, plain, points, k).residual.ravel() for k, points in enumerate(turned)])
 
     joints = tuple(range(1, nominal.n + 1))
     r0, u = mixtures(residual, pack_under(nominal.baseline, nominal.n), arm_candidates(joints, moving=False))
@@ -108,10 +108,10 @@ def _off(nominal: Nominal, data: PointData) -> _Off | None:
 
 def _finding(table: PointTable, away: Array) -> Finding:
     worst = [k for k in np.argsort(-away, kind="stable") if away[k] > 0.0]
-    told = ", ".join(f"{table.names[k]} in pose {table.t_s[k]:.0f} by {away[k]:.3g} m" for k in worst[:TOLD])
-    more = f" and {len(worst) - TOLD} more" if len(worst) > TOLD else ""
+    worst_points = ", ".join(f"{table.names[k]} in pose {table.t_s[k]:.0f} by {away[k]:.3g} m" for k in worst[:NAMED])
+    more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
     text = (
-        f"{len(worst)} of {len(away)} points lie where no model of this arm puts them, beside the others' scatter: "
-        f"{told}{more}; they are left out: measure those poses again"
+        f"{len(worst)} of {len(away)} points lie where no model of this arm puts them, beyond the others' scatter: "
+        f"{worst_points}{more}; they are left out: measure those poses again"
     )
     return Finding("outlying_points", "problem", "static.csv", text, len(worst))

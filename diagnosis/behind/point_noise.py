@@ -20,7 +20,7 @@ from diagnosis.search.candidates import Candidate
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-LARGER = 2.0  # than what no mixture of effects explains: what differs so from repeat to repeat is no scatter
+LARGER = 2.0  # than what no mixture of effects explains: what differs so from repeat to repeat is not scatter
 DRIFT_TIMES = 2.0  # of the noise: trackers drift by as much as they scatter
 TENTHS, ALIKE_LEAST = 10, 1.8  # of independent instants one recording in a thousand shows more
 
@@ -49,8 +49,8 @@ def point_scatter(
 ) -> PointScatter:
     """Of points whose residual [m] is `rough`.
 
-    Args: candidates: effects whose mixtures explain what is no noise; repeats: what repeats of one command show;
-          has_baseline: whether the machine file says how these points scatter beside their model.
+    Args: candidates: effects whose mixtures explain what is not noise; repeats: what repeats of one command show;
+          has_baseline: whether the machine file says how these points scatter about their model.
     """
     found = _at_rest(rough, base, candidates, has_baseline)
     if not has_baseline and rough.paths:
@@ -96,12 +96,12 @@ def noise_by_repeats(
     nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: ParameterSets, stretches: tuple[Stretch, ...]
 ) -> RepeatedPoints | None:
     """What repeats of one command say of tracked points; None where there are none, or a baseline knows better."""
-    groups = [one for one in repeat_groups(stretches).values() if reference_spread(one) <= DIFFER_MAX_RAD]
+    groups = [group for group in repeat_groups(stretches).values() if reference_spread(group) <= DIFFER_MAX_RAD]
     at = inside(paths, data.when)
     if not groups or (at < 0).all() or nominal.remainder("structure", on="tracker") is not None:
         return None
     rough = unweighed(nominal, data, paths, at)
-    runs = tuple(tuple((one.t_segment_s, float(one.t_s[0]), float(one.t_s[-1])) for one in group) for group in groups)
+    runs = tuple(tuple((run.t_segment_s, float(run.t_s[0]), float(run.t_s[-1])) for run in group) for group in groups)
     return repeated_points(rough(base)[0].reshape(-1, 3), rough.data.which, rough.data.when, runs)
 
 
@@ -118,7 +118,7 @@ def _alike_in_time(rough: PointResidual, base: ParameterSets, noise_m: float) ->
     """For how many instants one speaks, where what is measured drifts: 1 where they differ by chance.
 
     Model: variance of the means of tenths of the recording, over that of means of as many independent instants. What
-           is several times larger than the noise is no drift of a tracker.
+           is several times larger than the noise is not a tracker's drift.
     Why:   a tracker drifts by a tenth of a millimetre in a minute, and a length that is 0.08 mm off follows the drift.
            What an effect does goes with the motion, which tenths of a recording have alike.
     """

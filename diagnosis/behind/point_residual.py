@@ -23,7 +23,7 @@ NUDGE_RAD = 1e-4
 class PointResidual:
     """Residuals (sets, 3 m) of measured points in units of the floor; unknown frame and places are fitted each time.
 
-    Axes: radial, tangential and up about the base's upright, since a slewing arm swings across far more than it bends.
+    Axes: radial, tangential and up about the base's upright, since a slewing arm oscillates across more than it bends.
     `known`: (3 m,) [m], what the machine's model is known to be wrong by. `t_start_s`: of the recording, where the
     tracker's clock may be off (see `true_times`); None where that is the camera's.
     """
@@ -65,7 +65,7 @@ class PointResidual:
             modelled(self.nominal, plain, replace(data, q=data.q + more_rad), found.places) - here
             for more_rad in NUDGE_RAD * np.eye(self.nominal.n)
         ]
-        return np.array([_about_upright(replace(found, residual=one / NUDGE_RAD), self.data.xyz) for one in moved])
+        return np.array([_about_upright(replace(found, residual=shift / NUDGE_RAD), self.data.xyz) for shift in moved])
 
     def _angles(self, sets: ParameterSets, which: int, side: float = 0.0) -> Array:
         if not self.paths:
@@ -76,7 +76,7 @@ class PointResidual:
     def _sided(self, sets: ParameterSets, plain: ParameterSets, which: int) -> Array:
         """Angles (m, n) with each course begun on that side of the plays that its points are nearer to.
 
-        Why: until a joint has gone through its play nobody knows where in it the link stands. Begun in the middle,
+        Why: until a joint has gone through its play, it is unknown where in it the link stands. Begun in the middle,
              fifteen points of three hundred spoke against a play that was there.
         """
         if not self.paths or not sets.joint[which, :, kernel.BACKLASH].any():
@@ -84,7 +84,7 @@ class PointResidual:
         sided = np.stack([self._angles(sets, which, side) for side in SIDES])
         unsure = np.ptp(sided, axis=0).max(axis=1) > 0.0
         off = [fit_points(self.nominal, plain, replace(self.data, q=q), which).residual[unsure] for q in sided]
-        by_path = [np.bincount(self.at[unsure], (one**2).sum(axis=1), len(self.paths)) for one in off]
+        by_path = [np.bincount(self.at[unsure], (residual**2).sum(axis=1), len(self.paths)) for residual in off]
         nearest = np.argmin(by_path, axis=0)[self.at]
         return sided[nearest, np.arange(len(nearest))]
 

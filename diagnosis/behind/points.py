@@ -55,11 +55,11 @@ def tracked_data(nominal: Nominal, table: PointTable, stretches: tuple[Stretch, 
 def tracked_angles(nominal: Nominal, table: PointTable, stretches: tuple[Stretch, ...]) -> Array:
     """The encoders' angles (m, n) when each point was measured; NaN where they were not logged."""
     q = np.full((len(table.t_s), nominal.n), np.nan)
-    for one in stretches:
-        if one.enc is None:
+    for stretch in stretches:
+        if stretch.enc is None:
             continue
-        inside = (table.t_s >= one.t_s[0]) & (table.t_s <= one.t_s[-1])
-        q[inside] = np.stack([np.interp(table.t_s[inside], one.t_s, column) for column in one.enc.T], axis=1)
+        inside = (table.t_s >= stretch.t_s[0]) & (table.t_s <= stretch.t_s[-1])
+        q[inside] = np.stack([np.interp(table.t_s[inside], stretch.t_s, column) for column in stretch.enc.T], axis=1)
     return q
 
 

@@ -1,7 +1,7 @@
 """Encoders without their own noise: the course that points and corners are held against.
 
-Why: whatever smooths an encoder's noise (a swing of 13 Hz behind the joint does) brings the arm's model nearer to a
-quiet tracker, and would be named for it.
+Why: whatever smooths an encoder's noise (an oscillation of 13 Hz behind the joint does) brings the arm's model nearer
+to a quiet tracker, and would be blamed for it.
 """
 
 from math import comb

@@ -23,10 +23,10 @@ def saturated_noise(
     """Standard deviations of each row's own noise, and of what the rows of one group share.
 
     Args:  groups: (N,) of the rows: one instant, one axis; taken: numbers that the residual's own fit took from them.
-    Model: what is left by one linear step in all effects at once, its degrees of freedom counted; the mean product of
+    Model: what is left by one linear step in all effects together, its degrees of freedom counted; the mean product of
            two rows of a group is what they share.
-    Why:   not the residual of a model under test: that would hide the gap. And a hand that stands 3 mm beside its
-           model takes all its markers with it: counted one by one such a pose would speak as often as it has markers.
+    Why:   not the residual of a model under test: that would hide the gap. And a hand that stands 3 mm off its model
+           takes all its markers with it: counted one by one such a pose would speak as often as it has markers.
     """
     left, dof = unexplained(residual, base, candidates, taken)
     S, Q, n = np.bincount(groups, weights=left), np.bincount(groups, weights=left**2), np.bincount(groups)
@@ -60,11 +60,11 @@ def mixtures(
     """The residual (N,) without effects, and orthonormal directions (N, k), strongest first, that small ones span."""
     r0 = residual(base)[0]
     columns = []
-    for one in candidates:
-        theta = np.array([0.0 if slot.neutral == 0.0 else slot.start for slot in one.slots])
-        for k, slot in enumerate(one.slots):
+    for candidate in candidates:
+        theta = np.array([0.0 if slot.neutral == 0.0 else slot.start for slot in candidate.slots])
+        for k, slot in enumerate(candidate.slots):
             theta[k] = 0.2 * slot.start if slot.neutral == 0.0 else slot.start
-            columns.append(residual(put(base, (one,), theta[None]))[0] - r0)
+            columns.append(residual(put(base, (candidate,), theta[None]))[0] - r0)
             theta[k] = 0.0 if slot.neutral == 0.0 else slot.start
     A = np.array(columns).T
     A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-15)

@@ -14,7 +14,7 @@ ROWS_MIN = 8
 
 def seen_rows(nominal: Nominal, table: MarkerTable, on: Literal["tool", "ooi"]) -> NDArray[np.bool_]:
     """Rows (m,) of a marker on that object, by a known eye, with a time and at least one corner."""
-    known = [one.marker_id for one in nominal.markers if one.on == on]
+    known = [marker.marker_id for marker in nominal.markers if marker.on == on]
     whole = np.asarray(np.isfinite(table.corners).all(axis=2), dtype=bool)
     corner = np.any(whole, axis=1)
     return np.asarray(np.isin(table.ids, known) & (table.eye >= 0) & np.isfinite(table.t_s) & corner, dtype=bool)

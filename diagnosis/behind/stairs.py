@@ -1,6 +1,7 @@
 """A coarse encoder's stairs as the ramp that they stand for: what points behind the joint are held against.
 
-Why: 0.8 mrad are 2 mm of a boom's tip, ten times a tracker's noise; a damped swing smooths them, and was named for it.
+Why: 0.8 mrad are 2 mm of a boom's tip, ten times a tracker's noise. A damped oscillation smooths them, and was blamed
+for that.
 """
 
 import numpy as np
@@ -9,7 +10,7 @@ from machine.rotations import Array
 
 COARSE_RAD = 2e-4  # a finer one is next to nothing at any tip
 LEFT = 0.06  # of a step: RMS error of a ramp that repeats, which meet the same stairs, do not show; a stair has 0.29
-STANDS_S = 0.5  # between two changes: of a longer one nobody knows when the joint went on
+STANDS_S = 0.5  # between two changes: in a longer one it is unknown when the joint went on
 
 
 def unstepped(enc: Array, steps_rad: Array, dt_s: float) -> Array:

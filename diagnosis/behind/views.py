@@ -17,7 +17,7 @@ from machine.effects.structure import tcp_poses
 from machine.markers import object_corners
 from machine.rotations import Array, rotvec_from_rotation
 
-DISPARITY_MIN = 1e-4  # of a focal length: farther than 1200 m at 0.12 m is no marker
+DISPARITY_MIN = 1e-4  # of a focal length: farther than 1200 m at 0.12 m is not a marker
 TIME_TOLERANCE_S = 1e-6
 
 
@@ -46,7 +46,7 @@ def views_of(nominal: Nominal, table: MarkerTable, on: Literal["tool", "ooi"]) -
 
 
 def pairs_of(table: MarkerTable, wanted: Collection[int]) -> Iterator[tuple[float, list[int], Array, Array]]:
-    """Pictures taken at once: time, ids of wanted markers that both eyes have, their corners (4 k, 2) by eye [px]."""
+    """Pairs of one instant: time, ids of wanted markers that both eyes have, their corners (4 k, 2) by eye [px]."""
     order = np.argsort(table.t_s, kind="stable")
     cuts = np.nonzero(np.diff(table.t_s[order]) > TIME_TOLERANCE_S)[0] + 1
     for rows in np.split(order, cuts):

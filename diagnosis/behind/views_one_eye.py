@@ -14,7 +14,7 @@ from machine.rotations import Array
 
 def one_eye_views(nominal: Nominal, table: MarkerTable, on: Literal["tool", "ooi"]) -> Views:
     """The object's pose in the left camera by the largest of its markers that the left eye sees in each frame."""
-    markers = {one.marker_id: one for one in nominal.markers if one.on == on}
+    markers = {marker.marker_id: marker for marker in nominal.markers if marker.on == on}
     if nominal.camera is None or not markers:
         return Views(np.zeros(0), np.zeros((0, 4, 4)))
     wanted = np.array([int(i) in markers for i in table.ids]) & (table.eye == 0) & np.isfinite(table.t_s)

@@ -49,7 +49,7 @@ OF_A_TURN = ("encoder_eccentricity",)
 def behind_cells(whole: Read, base: ParameterSets, with_odometry: bool = False) -> list[Cell]:
     """What was measured behind the encoders: one cell, or none.
 
-    `with_odometry`: what it usually leaves is in no baseline, so that beside one it is left alone.
+    `with_odometry`: what it usually leaves is in no baseline, so it is left alone where there is one.
     """
     nominal = whole.nominal
     paths = paths_of(whole.stretches)
@@ -71,8 +71,8 @@ def joined(parts: list[Cell]) -> Cell:
     """
     candidates: dict[tuple[object, ...], Candidate] = {}
     for part in parts:
-        for one in part.candidates:
-            candidates.setdefault((one.key, one.option, one.fixed), one)
+        for candidate in part.candidates:
+            candidates.setdefault((candidate.key, candidate.option, candidate.fixed), candidate)
     pieces = [_Remembered(part.whitened, *_columns(part)) for part in parts]
 
     def whitened(sets: ParameterSets) -> Array:
@@ -100,13 +100,13 @@ def joined(parts: list[Cell]) -> Cell:
 def _rows(rows: list[Rows]) -> Rows:
     def shifted(name: str) -> NDArray[np.int64]:
         out, first = [], 0
-        for one in rows:
-            numbers = getattr(one, name)
+        for row in rows:
+            numbers = getattr(row, name)
             out.append(numbers + first)
             first += int(numbers.max(initial=-1)) + 1
         return np.concatenate(out).astype(np.int64)
 
-    fold = np.concatenate([one.fold for one in rows]).astype(np.int64)
+    fold = np.concatenate([row.fold for row in rows]).astype(np.int64)
     return Rows(fold, shifted("block"), shifted("series"), shifted("channel"), alike=shifted("together"))
 
 
@@ -161,14 +161,14 @@ def measurement_of(part: Cell) -> str:
     return ""
 
 
-def told_behind(cells: list[Cell]) -> tuple[str, ...]:
+def shown_behind(cells: list[Cell]) -> tuple[str, ...]:
     """The encoders' effects that these cells show: actuators leave them to what was measured behind."""
-    seen = {one.name for cell in cells for one in cell.candidates}
+    seen = {candidate.name for cell in cells for candidate in cell.candidates}
     return tuple(name for name in SEEN_BY_ENCODER if name in seen)
 
 
 def without(cells: list[Cell], names: tuple[str, ...]) -> list[Cell]:
-    """Cells whose library lacks these effects."""
+    """Cells whose library is without these effects."""
     return _kept(cells, lambda one: one.name not in names) if names else cells
 
 
@@ -179,7 +179,8 @@ def fitting(cells: list[Cell], nominal: Nominal) -> list[Cell]:
     if nominal.arm is not None:
         torque_nm = weight_nm(nominal.arm)
         cells = [
-            replace(cell, candidates=tuple(on_an_arm(one, torque_nm) for one in cell.candidates)) for cell in cells
+            replace(cell, candidates=tuple(on_an_arm(candidate, torque_nm) for candidate in cell.candidates))
+            for cell in cells
         ]
     if not any(nominal.sliding):
         return cells
@@ -188,4 +189,7 @@ def fitting(cells: list[Cell], nominal: Nominal) -> list[Cell]:
 
 
 def _kept(cells: list[Cell], wanted: Callable[[Candidate], bool]) -> list[Cell]:
-    return [replace(cell, candidates=tuple(one for one in cell.candidates if wanted(one))) for cell in cells]
+    return [
+        replace(cell, candidates=tuple(candidate for candidate in cell.candidates if wanted(candidate)))
+        for cell in cells
+    ]

@@ -27,16 +27,16 @@ from machine.effects.layout import ParameterSets
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array
 
-# By how much a camera's stamps are late where nobody gave its clock's offset: pictures move with the joints.
+# How late a camera's stamps are where its clock's offset is not given: pictures move with the joints.
 CLOCK = "clock_offset"
-UNTOLD = (CLOCK, "camera_latency")
+UNDETERMINED = (CLOCK, "camera_latency")
 SPAN_S, STEP_S = 0.3, 0.005
 FINER, ROUNDS = 10, 2
 
 
 def late_by_motion_s(cell: Cell) -> float:
-    """By how much the camera's stamps are late by what is seen while the arm moves; 0 where nothing tells."""
-    clock = next((one for one in cell.candidates if one.name == CLOCK), None)
+    """How late the camera's stamps are, by what is seen while the arm moves; 0 where nothing shows it."""
+    clock = next((candidate for candidate in cell.candidates if candidate.name == CLOCK), None)
     if clock is None:
         return 0.0
     best, step = 0.0, STEP_S
@@ -90,8 +90,8 @@ def frames_of(
     nominal: Nominal, table: MarkerTable, on: Literal["tool", "ooi"], paths: tuple[Path, ...]
 ) -> Frames | None:
     """At most 160 frames, spread evenly over those that lie within stretches."""
-    markers = tuple(one for one in nominal.markers if one.on == on)
-    number = {one.marker_id: k for k, one in enumerate(markers)}
+    markers = tuple(marker for marker in nominal.markers if marker.on == on)
+    number = {marker.marker_id: k for k, marker in enumerate(markers)}
     usable = seen_rows(nominal, table, on)
     if on == "ooi":
         usable &= inside(paths, table.t_s, MARGIN_S) >= 0
@@ -105,7 +105,7 @@ def frames_of(
     for k, group in enumerate(chosen):
         for row in groups[group]:
             pixels[k, table.eye[row], number[int(table.ids[row])]] = table.corners[row]
-    pixels[np.isnan(pixels).any(axis=-1)] = np.nan  # half of a corner is no place in the image
+    pixels[np.isnan(pixels).any(axis=-1)] = np.nan  # half of a corner is not a place in the image
     return Frames.of(np.array([table.t_s[groups[k][0]] for k in chosen]), pixels, markers)
 
 
@@ -130,11 +130,11 @@ def _cell(
     if on == "ooi":
         candidates = candidates_behind(joints, paths) + candidates
         candidates += candidates_of("time", joints, True)
-        candidates = tuple(one for one in candidates if one.name not in OF_TOOL)
+        candidates = tuple(candidate for candidate in candidates if candidate.name not in OF_TOOL)
     else:
-        candidates = tuple(one for one in candidates if one.name not in TIMED)
-    untold = ("odometry_scale", *(UNTOLD if untimed else ()))
-    candidates = tuple(one for one in candidates if one.name not in untold)
+        candidates = tuple(candidate for candidate in candidates if candidate.name not in TIMED)
+    undetermined = ("odometry_scale", *(UNDETERMINED if untimed else ()))
+    candidates = tuple(candidate for candidate in candidates if candidate.name not in undetermined)
     visits = _visits(placed, base)
     known = noise_of_visits(visits, 1 if on == "tool" else VISITED_MIN)
     loose = loose_marker(visits, len(frames.markers))
@@ -164,7 +164,7 @@ def _cell(
             floor_known=known is not None,
             regressors=(("time", t_s),),
             t_s=t_s,
-            restless="" if loose is None else loose.told(frames.markers[loose.number].marker_id),
+            restless="" if loose is None else loose.message(frames.markers[loose.number].marker_id),
         )
     ]
 

@@ -69,7 +69,7 @@ def _signals(q: Array, u: Array, t: Array, j: int, moves: float) -> dict[str, Ar
 
 
 UNIT = {"link": "rad", "controller": "1", "actuator": "rad/s"}
-MIXED_UNIT = "noise floors"  # of joints that turn beside joints that slide
+MIXED_UNIT = "noise floors"  # where some joints turn and others slide
 
 
 def stage_cells(
@@ -79,24 +79,24 @@ def stage_cells(
 
     Args: course: what is known of the stages before, for the inputs' course between logged rows.
     """
-    prepared = [replayer.prepare(one, course) for one in stretches]
-    some = [one for one in prepared if stage in one.drives and measured_output(stage, one.stretch) is not None]
+    prepared = [replayer.prepare(stretch, course) for stretch in stretches]
+    some = [entry for entry in prepared if stage in entry.drives and measured_output(stage, entry.stretch) is not None]
     if not some:
         return []
     floor = stage_floor(replayer, stage, some, base)
-    seen = [j for j in range(replayer.nominal.n) if all(_recorded(stage, one, j) for one in some)]
+    seen = [j for j in range(replayer.nominal.n) if all(_recorded(stage, entry, j) for entry in some)]
     groups = [tuple(seen)] if stage == "link" else [(j,) for j in seen]
     cells = (cell_of(stage, joints, some, floor, base, replayer) for joints in groups if joints)
-    return [replace(one, course=course) for one in cells]
+    return [replace(cell, course=course) for cell in cells]
 
 
 def coupled_cell(
     replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets, course: ParameterSets
 ) -> Cell | None:
-    """All joints' actuators at once, for what couples them: the pump's sharing."""
-    some = [one for one in (replayer.prepare(s, course) for s in stretches) if "actuator" in one.drives]
+    """All joints' actuators together, for what couples them: the pump's sharing."""
+    some = [entry for entry in (replayer.prepare(s, course) for s in stretches) if "actuator" in entry.drives]
     n = replayer.nominal.n
-    if not some or n < 2 or not all(_recorded("actuator", one, j) for one in some for j in range(n)):
+    if not some or n < 2 or not all(_recorded("actuator", entry, j) for entry in some for j in range(n)):
         return None
     floor = stage_floor(replayer, "actuator", some, base)
     cell = cell_of("actuator", tuple(range(n)), some, floor, base, replayer)
@@ -119,16 +119,16 @@ def cell_of(
     """One cell of a stage: these joints (0-based) over all prepared stretches."""
     chosen = list(joints)
     white = floor.whitener.only(chosen)
-    parts = tuple(part_of(stage, one, chosen, replayer) for one in prepared)
+    parts = tuple(part_of(stage, entry, chosen, replayer) for entry in prepared)
     replay = Replay(stage, joints, parts, white)
     kinds = [part.stretch.kind for part in parts]
     per_channel = [white_rows(part, white.order) for part in parts]
     blocks_by_part, folds_by_part = layout_of(kinds, per_channel)
-    spread = [np.tile(one, len(chosen)) for one in blocks_by_part]
-    folds = [np.tile(one, len(chosen)) for one in folds_by_part]
+    spread = [np.tile(numbers, len(chosen)) for numbers in blocks_by_part]
+    folds = [np.tile(numbers, len(chosen)) for numbers in folds_by_part]
     channel = [np.repeat(np.arange(len(chosen)), rows) for rows in per_channel]
-    series = [k * len(chosen) + one for k, one in enumerate(channel)]
-    rows = Rows(*(np.concatenate(one).astype(np.int64) for one in (folds, spread, series, channel)))
+    series = [k * len(chosen) + numbers for k, numbers in enumerate(channel)]
+    rows = Rows(*(np.concatenate(numbers).astype(np.int64) for numbers in (folds, spread, series, channel)))
     per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
     units = {unit_of(UNIT[stage], replayer.nominal.sliding, j) for j in joints}
     one_unit = len(units) == 1
@@ -160,11 +160,11 @@ def cell_of(
 
 
 def usual_of(known: Sequence[Remainder | None]) -> tuple[tuple[str, float], ...] | None:
-    """What each effect gains on undisturbed recordings, the most of any joint [nats]; None without a baseline."""
-    some = [one for one in known if one is not None]
+    """What each effect gains on baseline recordings, the most of any joint [nats]; None without a baseline."""
+    some = [record for record in known if record is not None]
     most: dict[str, float] = {}
-    for one in some:
-        for name, nats in one.usual:
+    for record in some:
+        for name, nats in record.usual:
             most[name] = max(most.get(name, 0.0), nats)
     return tuple(most.items()) if some else None
 
@@ -183,16 +183,19 @@ def _candidates(
     machine = stage == "link"
     found = candidates_of(stage, joints, machine)  # pyright: ignore[reportArgumentType]
     if stage == "link":
-        found = read_off(found, tuple(one.stretch for one in prepared))
+        found = read_off(found, tuple(entry.stretch for entry in prepared))
         plant = replayer.plant
         cycles = (plant.cycle_s, plant.transport_delay_s)
-        found = tuple(replace(one, cycles=cycles) if one.name == "transport_delay" else one for one in found)
+        found = tuple(
+            replace(candidate, cycles=cycles) if candidate.name == "transport_delay" else candidate
+            for candidate in found
+        )
     if stage == "controller":
-        found = reached(found, tuple(one.stretch for one in prepared))
+        found = reached(found, tuple(entry.stretch for entry in prepared))
     if stage == "actuator":
-        found = tuple(one for one in found if one.name != DROOP) + named(SEEN_BY_ENCODER, joints)
+        found = tuple(candidate for candidate in found if candidate.name != DROOP) + named(SEEN_BY_ENCODER, joints)
     loaded = replayer.torque_reference
-    return tuple(one for one in found if possible(one, replayer, loaded))
+    return tuple(candidate for candidate in found if possible(candidate, replayer, loaded))
 
 
 def possible(one: Candidate, replayer: Replayer, loaded: Array | None) -> bool:

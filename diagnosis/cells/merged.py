@@ -40,8 +40,12 @@ def merged_cells(
 def _candidates(merge: Merge, joints: tuple[int, ...], replayer: Replayer) -> tuple[Candidate, ...]:
     """What may be wrong with joints (0-based), each by itself; of the link, too, where it is among what merges."""
     found = tuple(
-        one
+        candidate
         for stage in merge.stages
-        for one in candidates_of(stage, tuple(j + 1 for j in joints), stage == "link")  # pyright: ignore[reportArgumentType]
+        for candidate in candidates_of(stage, tuple(j + 1 for j in joints), stage == "link")  # pyright: ignore[reportArgumentType]
     )
-    return tuple(one for one in found if one.name != DROOP and possible(one, replayer, replayer.torque_reference))
+    return tuple(
+        candidate
+        for candidate in found
+        if candidate.name != DROOP and possible(candidate, replayer, replayer.torque_reference)
+    )

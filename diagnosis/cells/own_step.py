@@ -1,7 +1,7 @@
 """How finely a machine, or its simulator, was stepped: no gap, since the nominal model allows any step up to 1 ms.
 
 Where encoders are quiet the model's own step shows, and would be named as a small gain or lag. Joints on which nothing
-else is wrong tell it, the same for all; where none does, the model's step is kept.
+else is wrong show it, the same for all; where none does, the model's step is kept.
 """
 
 from dataclasses import dataclass, replace
@@ -33,21 +33,21 @@ class Share:
 
 
 def at_its_step(replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets) -> Replayer:
-    """The replayer with the machine's own step, as far as its undisturbed joints tell it for sure."""
+    """The replayer with the machine's own step, as far as its joints without a fault show it for sure."""
     if all(replayer.learnt("actuator", j) for j in range(replayer.nominal.n)):
         return replayer
     cells = stage_cells("actuator", replayer, stretches, base, base)
-    shares = [share_of(one) for one in cells if one.joint and not replayer.learnt("actuator", one.joint - 1)]
-    return replace(replayer, finer=agreed([one for one in shares if one is not None]))
+    shares = [share_of(cell) for cell in cells if cell.joint and not replayer.learnt("actuator", cell.joint - 1)]
+    return replace(replayer, finer=agreed([share for share in shares if share is not None]))
 
 
 def agreed(shares: list[Share]) -> float:
     """What joints say together: the median by what each knows, as far as it is believed; 0 where none is clean."""
-    clean = [one for one in shares if one.left < CLEAN and -PAST <= one.value <= 1.0 + PAST]
+    clean = [share for share in shares if share.left < CLEAN and -PAST <= share.value <= 1.0 + PAST]
     if not clean:
         return 0.0
     clean.sort(key=lambda one: one.value)
-    known = np.cumsum([one.sigma**-2 for one in clean])
+    known = np.cumsum([share.sigma**-2 for share in clean])
     return believed(clean[int(np.searchsorted(known, known[-1] / 2.0))])
 
 
@@ -59,10 +59,10 @@ def believed(share: Share) -> float:
 
 
 def share_of(cell: Cell) -> Share | None:
-    """Least squares over a joint's stretches, beside a shift and another course of the command in each.
+    """Least squares over a joint's stretches, together with a shift and another course of the command in each.
 
-    Where the noise was never measured, what is left is the noise, and only a share that it leaves sure is told: of a
-    joint with a fault such a share lies far from any way a machine can have gone.
+    Where the noise was never measured, what is left is the noise, and only a share that it leaves sure is returned: of
+    a joint with a fault such a share lies far from any way a machine can have gone.
     """
     replay = cell.whitened
     if not isinstance(replay, Replay):
@@ -73,14 +73,14 @@ def share_of(cell: Cell) -> Share | None:
         steps, shift = part_increments("actuator", part, sets)
         column = increments(by_steps(part), part.stretch.dt_s)[None]
         rows = min(steps.shape[1], column.shape[1])
-        signals = [one[:, :rows] for one in (steps, column, shift, *(one[None] for one in part.between))]
-        white = [whiten_sets(replay.whitener, one)[:, SKIPPED:] for one in signals]
-        left, along, *beside = ((one * trust(part, replay.whitener))[0, :, 0] for one in white)
-        if len(left) <= len(beside):
+        signals = [signal[:, :rows] for signal in (steps, column, shift, *(course[None] for course in part.between))]
+        white = [whiten_sets(replay.whitener, signal)[:, SKIPPED:] for signal in signals]
+        left, along, *nuisance = ((signal * trust(part, replay.whitener))[0, :, 0] for signal in white)
+        if len(left) <= len(nuisance):
             continue
-        left, along = _without(np.stack([left, along], axis=1), np.stack(beside, axis=1)).T
+        left, along = _without(np.stack([left, along], axis=1), np.stack(nuisance, axis=1)).T
         both, own = both + float(left @ along), own + float(along @ along)
-        energy, free = energy + float(left @ left), free + len(left) - len(beside)
+        energy, free = energy + float(left @ left), free + len(left) - len(nuisance)
     if own <= 0.0 or free <= 0:
         return None
     rest = max(energy - both**2 / own, 0.0) / free

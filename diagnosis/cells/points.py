@@ -32,19 +32,19 @@ def point_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None
     cells = []
     static = static_data(nominal, tables.static) if tables.static is not None else None
     if static is not None and len(static.xyz) >= ROWS_MIN:
-        cells.append(_told(_cell(nominal, _thinned(static), (), base), nominal, static))
+        cells.append(_with_loose_point(_cell(nominal, _thinned(static), (), base), nominal, static))
     tracked = tracked_data(nominal, tables.tracker, whole.stretches) if tables.tracker is not None else None
     if tracked is not None and len(tracked.xyz) >= ROWS_MIN:
         courses = paths_of(whole.stretches) if paths is None else paths
         repeats = noise_by_repeats(nominal, tracked, courses, base, whole.stretches)
         cell = _cell(nominal, _thinned(tracked), courses, base, repeats, clocked=tables.markers is None)
-        cells.append(_told(cell, nominal, tracked))
+        cells.append(_with_loose_point(cell, nominal, tracked))
     return cells
 
 
-def _told(cell: Cell, nominal: Nominal, data: PointData) -> Cell:
+def _with_loose_point(cell: Cell, nominal: Nominal, data: PointData) -> Cell:
     """The cell, with the point that is loose on its link, if one is."""
-    joints, names = [one.joint for one in nominal.points], [one.name for one in nominal.points]
+    joints, names = [point.joint for point in nominal.points], [point.name for point in nominal.points]
     return replace(cell, restless=cell.restless or off_its_link(data.xyz, data.which, data.when, joints, names))
 
 
@@ -82,9 +82,9 @@ def _cell(
     record = nominal.remainder("structure", on="tracker" if paths else "static")
     found = point_scatter(rough, base, candidates, repeats, record is not None)
     sigma = np.hypot(np.maximum(found.own, SIGMA_MIN_M), axes_of(record, 3))
-    swing_rad = record.oscillation_rad if record is not None else 0.0
+    oscillation_rad = record.oscillation_rad if record is not None else 0.0
     reach_m = rough.reach_m(base)
-    noise = replace(rough.noise, own=sigma, swing_rad=swing_rad, reach_m=reach_m, common_m=found.common_m)
+    noise = replace(rough.noise, own=sigma, oscillation_rad=oscillation_rad, reach_m=reach_m, common_m=found.common_m)
     rows = rows_of(m, 3)
     q = {f"joint {j}": np.repeat(data.q[:, j - 1], 3) for j in joints}
     return Cell(

@@ -1,7 +1,7 @@
 """When each datagram took effect, as far as the log's rows bound it, and which of them never came.
 
 A datagram waits for the PLC's next cycle, the network takes a millisecond more or less, and two computers' clocks drift
-apart by twenty millionths: none of it is a fault. A link that is replayed as if every reference had come on the dot
+apart by twenty millionths: none of it is a fault. A link that is replayed as if every reference had come on schedule
 leaves that in the link, and through it in controllers and actuators.
 """
 
@@ -22,7 +22,7 @@ from diagnosis.datagrams.lost import (
 )
 from machine.rotations import Array
 
-ALLOWED_S = 5e-4  # a steady delay below it is no delay, but the wait for the next cycle
+ALLOWED_S = 5e-4  # a steady delay below it is not one, but the wait for the next cycle
 FINE_CYCLE_S = 1.5e-3  # where each cycle is logged and longer than this, rows themselves show when a datagram came
 RATE_MAX = 2e-4  # by which two clocks may run apart
 DRIFT_USUAL = 1.5e-4  # of two crystals
@@ -32,7 +32,7 @@ NOW_AND_THEN = 2e-3  # of the datagrams: what is late more often is a fault, or 
 MISSES = 0.01  # of the rows, that may contradict a line more than they contradict the best one
 ROWS_MIN = 50
 SEARCHED_ROWS = 4000
-RATES_MAX = 500  # tried to either side: one stamp a year away is no drift
+RATES_MAX = 500  # tried to either side: one stamp a year away is not a drift
 FINER = 8
 WIDER = 1.5
 
@@ -41,11 +41,11 @@ WIDER = 1.5
 class Arrivals:
     """Datagrams as they were sent, (k,) each, and as the rows show them.
 
-    `t_s`: when it was sent, on the PLC's clock, moved by what its arrival was beside the link's steady delay.
-    `earliest_s`, `latest_s`: between which two rows it came, infinite where none tell. `lost`: it never came; `judged`:
-    a row tells whether it did. None where no numbers were logged. `beside_s`: by how much they lie beside a steady
-    delay, RMS, and the clocks' drift `rate`. `unsure_s`: by how much arrivals that no row shows may lie beside `t_s`, a
-    deviation.
+    `t_s`: when it was sent, on the PLC's clock, moved by how far its arrival was off the link's steady delay.
+    `earliest_s`, `latest_s`: between which two rows it came, infinite where none show it. `lost`: it never came;
+    `judged`: a row shows whether it did. None where no numbers were logged. `jitter_s`: how far they lie off a steady
+    delay, RMS, and the clocks' drift `rate`. `unsure_s`: how far arrivals that no row shows may lie off `t_s`, a
+    standard deviation.
     """
 
     t_s: Array
@@ -53,7 +53,7 @@ class Arrivals:
     latest_s: Array
     lost: Mask | None
     judged: Mask | None
-    beside_s: float = 0.0
+    jitter_s: float = 0.0
     rate: float = 0.0
     unsure_s: float = 0.0
 
@@ -109,17 +109,17 @@ def arrivals(
     nominal_s: float,
     clock_known: bool = True,
 ) -> Arrivals:
-    """When each datagram took effect beside a steady delay.
+    """When each datagram took effect, after a steady delay and its own jitter.
 
     Args:    sent: when (k,) [s] on the PLC's clock, and number (k,). rows: when (m,) [s], and the number of the last
              datagram received, negative where not logged. cycle_s: the PLC's. nominal_s: delay of the machine file.
              clock_known: whether the two clocks' offset is; without, a steady delay is whatever it may be at the least.
     Model:   the delay that contradicts the fewest rows, the one nearest to the machine file's; with clocks that run
-             apart only where that halves the contradictions. A delay below ALLOWED_S is none. What stays is moved into
-             the interval in which the rows saw the datagram appear, if that is no further away than a cycle and a
+             apart only where that halves the contradictions. A delay below ALLOWED_S counts as 0. What stays is moved
+             into the interval in which the rows saw the datagram appear, if that is no further away than a cycle and a
              sending period: beyond, it is a fault of the link.
     """
-    known = on_the_dot(sent, rows)
+    known = on_schedule(sent, rows)
     bounds = _bounds(sent, rows)
     if bounds is None:
         return known
@@ -147,7 +147,7 @@ def arrivals(
     with_next = np.zeros(len(came), dtype=bool)
     if known.lost is not None and late_enough(known.lost, came, (bounds.t_s, bounds.shown)):
         lost, with_next = with_next, known.lost
-    earliest, latest = _rows_beside(bounds, len(came), cycle_s)
+    earliest, latest = _rows_around(bounds, len(came), cycle_s)
     moved = _into(earliest, latest, came)
     moved[(np.abs(moved) > most_s) & ~with_next] = 0.0
     if lost is not None:
@@ -157,21 +157,21 @@ def arrivals(
     t_s = np.maximum.accumulate(came + moved - nominal_s - named)
     waited = _cycle_of(came + moved, bounds, cycle_s) - _cycle_of(came, bounds, cycle_s)
     some = np.mean(waited != 0.0) > MISSES  # a segment's first datagram may have been there before
-    beside_s = cycle_s * float(np.sqrt(np.mean(waited**2))) if some else 0.0
+    jitter_s = cycle_s * float(np.sqrt(np.mean(waited**2))) if some else 0.0
     share = float(np.mean(lost[judged])) if lost is not None and judged is not None and judged.any() else 0.0
-    # For the next cycle each waits up to one, on the dot or not: what a network adds is often a tenth of a millisecond.
-    unsure_s = float(np.linalg.norm([beside_s, cycle_s, np.sqrt(share * (1.0 - share)) * period_s]))
-    return Arrivals(t_s, earliest, latest, lost, judged, beside_s, delay.rate, unsure_s)
+    # Each waits up to one cycle for the next, punctual or not: what a network adds is often a tenth of a millisecond.
+    unsure_s = float(np.linalg.norm([jitter_s, cycle_s, np.sqrt(share * (1.0 - share)) * period_s]))
+    return Arrivals(t_s, earliest, latest, lost, judged, jitter_s, delay.rate, unsure_s)
 
 
-def on_the_dot(sent: Numbered, rows: Numbered) -> Arrivals:
-    """Datagrams that came when they were sent, as far as anybody knows."""
+def on_schedule(sent: Numbered, rows: Numbered) -> Arrivals:
+    """Datagrams taken to have come when they were sent."""
     nowhere = np.full(len(sent[0]), np.inf)
     return Arrivals(sent[0], -nowhere, nowhere, *never_received(sent, rows))
 
 
 def _now_and_then(known: Arrivals, bounds: _Bounds, cycle_s: float, nominal_s: float) -> Arrivals:
-    """Where every cycle has a row: all on the dot but for the few that a row showed one later than they were due.
+    """Where every cycle has a row: all on schedule but for the few that a row showed one later than they were due.
 
     Counted in rows, whatever their stamps are. One that no row shows is lost, or came with the next one: not late.
     """
@@ -180,7 +180,7 @@ def _now_and_then(known: Arrivals, bounds: _Bounds, cycle_s: float, nominal_s: f
         delay = _drifting(bounds, nominal_s, delay)
         if delay.rate:
             drifted = known.t_s + delay.least_s - nominal_s + delay.rate * (known.t_s - bounds.middle_s)
-            _, shown_s = _rows_beside(bounds, len(drifted), cycle_s)
+            _, shown_s = _rows_around(bounds, len(drifted), cycle_s)
             taken = np.where(np.abs(shown_s - drifted - nominal_s) < cycle_s, shown_s - nominal_s, drifted)
             known = replace(known, t_s=np.maximum.accumulate(taken), rate=delay.rate)
             delay = replace(delay, least_s=nominal_s, most_s=nominal_s)
@@ -246,7 +246,7 @@ def _drifting(bounds: _Bounds, nominal_s: float, steady: _Delay) -> _Delay:
     clearly fewer than a steady delay; else that delay.
 
     Why: two clocks that run apart by seventy millionths are five milliseconds apart after a minute, and every 20 ms a
-         datagram tells no better: that was a delay.
+         datagram shows no more: that was taken for a delay.
     """
     step = DRIFT_USUAL / DRIFTS
     for rate in sorted((step * k for k in range(-DRIFTS, DRIFTS + 1) if k), key=abs):
@@ -288,7 +288,7 @@ def _cycle_of(t_s: Array, bounds: _Bounds, cycle_s: float) -> Array:
     return np.ceil((t_s - bounds.t_s[0] - 0.1 * EPS_S) / cycle_s)
 
 
-def _rows_beside(bounds: _Bounds, count: int, cycle_s: float) -> tuple[Array, Array]:
+def _rows_around(bounds: _Bounds, count: int, cycle_s: float) -> tuple[Array, Array]:
     """The cycle after the last row that does not show a datagram yet (k,), and the first row that does, or a later one.
 
     Infinite where there is none.
@@ -300,7 +300,7 @@ def _rows_beside(bounds: _Bounds, count: int, cycle_s: float) -> tuple[Array, Ar
 
 
 def _into(earliest: Array, latest: Array, came: Array) -> Array:
-    """By how much each arrival (k,) lies beside the two rows between which the log saw it appear."""
+    """By how much each arrival (k,) lies outside the two rows between which the log saw it appear."""
     moved = np.where(np.isfinite(earliest + latest), np.clip(came, earliest, latest) - came, 0.0)
     moved[np.abs(moved) < EPS_S] = 0.0
     return moved

@@ -1,6 +1,6 @@
-"""The PC's and the camera's clocks against the PLC's, also where nobody gave their offset.
+"""The PC's and the camera's clocks against the PLC's, also where their offset is not given.
 
-Numbers of datagrams tell it but for the link's delay; the rest is told by how pictures move (`cells/camera_clock.py`).
+Numbers of datagrams give it but for the link's delay; how pictures move gives the rest (`cells/camera_clock.py`).
 """
 
 import numpy as np
@@ -10,12 +10,12 @@ from diagnosis.log.tables import Tables
 
 
 def guessed(tables: Tables) -> bool:
-    """Whether the offset between PLC and PC is not given, and numbers of datagrams tell it but for a constant."""
+    """Whether the offset between PLC and PC is not given, and numbers of datagrams give it but for a constant."""
     return tables.run.plc_to_pc_offset_s is None and sent_clock(tables, []) is not None
 
 
 def plc_to_pc_s(tables: Tables) -> float:
-    """t_pc = t_plc + this, as well as is known; what nothing tells counts as 0."""
+    """t_pc = t_plc + this, as well as is known; 0 where nothing shows it."""
     given = tables.run.plc_to_pc_offset_s
     if given is not None:
         return given
@@ -24,5 +24,5 @@ def plc_to_pc_s(tables: Tables) -> float:
 
 
 def camera_to_plc_s(tables: Tables) -> float:
-    """t_plc = t_camera + this, as well as is known; what nothing tells counts as 0."""
+    """t_plc = t_camera + this, as well as is known; 0 where nothing shows it."""
     return (tables.run.camera_to_pc_offset_s or 0.0) - plc_to_pc_s(tables)

@@ -11,18 +11,18 @@ Mask = NDArray[np.bool_]
 
 EPS_S = 1e-6  # two times nearer than this are one, written twice
 LOGGED_OFTEN = 0.7  # of a sending period: a log row that comes later may have skipped a datagram
-JITTER_SHARE = 0.25  # of datagrams just due: fewer that are missing are lost, where nothing else tells
+JITTER_SHARE = 0.25  # of datagrams just due: fewer that are missing are lost, where nothing else shows it
 LOST_MAX = 0.5  # of what was due: where more is missing, no steady delay holds
 ROWS_MIN = 50
 WIDER = 1.5
 DEVIATIONS = 3.0
-ROWS_A_DATAGRAM = 2  # fewer do not tell how late one was
+ROWS_A_DATAGRAM = 2  # fewer do not show how late one was
 
 
 def never_received(sent: Numbered, rows: Numbered) -> tuple[Mask | None, Mask | None]:
-    """Datagrams (k,) whose number no row has, although rows come often enough, and all of which rows tell.
+    """Datagrams (k,) whose number no row has, although rows come often enough, and those that rows can judge.
 
-    None where a row comes less often than a datagram, or numbers are missing: then a gap in them tells nothing.
+    None where a row comes less often than a datagram, or numbers are missing: then a gap in them means nothing.
     """
     (t_sent, number), (t_row, seq) = sent, rows
     if len(number) < 2 or len(seq) < 2 or (seq < 0).any() or (np.diff(number) <= 0).any():

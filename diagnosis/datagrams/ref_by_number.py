@@ -12,7 +12,7 @@ FOUND_MIN = 0.99  # of the rows between the first and the last that have a datag
 
 
 def with_reference(tables: Tables) -> tuple[Tables, list[Finding]]:
-    """The tables with q_ref as sent in the datagram that each row names; unchanged where it was logged or none tells.
+    """The tables with q_ref as sent in the datagram of each row; unchanged where it was logged or none is named.
 
     What the PLC made of the numbers (rounding, a rate limit) is not seen then: it looks like the controller.
     """
@@ -21,7 +21,7 @@ def with_reference(tables: Tables) -> tuple[Tables, list[Finding]]:
         return tables, []
     known = np.nonzero((sent.seq >= 0) & np.isfinite(sent.q).all(axis=1))[0]
     numbers, first = np.unique(sent.seq[known], return_index=True)
-    if len(numbers) < len(known) or len(numbers) == 0:  # numbers that begin again tell nothing
+    if len(numbers) < len(known) or len(numbers) == 0:  # numbers that begin again are ambiguous
         return tables, []
     at = np.minimum(np.searchsorted(numbers, plc.seq), len(numbers) - 1)
     found = numbers[at] == plc.seq

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.datagrams.arrivals import Arrivals, arrivals, on_the_dot
+from diagnosis.datagrams.arrivals import Arrivals, arrivals, on_schedule
 from diagnosis.log.findings import Finding
 from diagnosis.log.quality import ROWS_MIN
 from diagnosis.log.tables import Tables
 from machine.effects.dynamics import Actuators
 from machine.rotations import Array
 
-# Which datagram a log row holds, where nobody logged numbers: the one with the row's own reference.
+# Which datagram a log row holds, where numbers were not logged: the one with the row's own reference.
 OFF_RAD = 1e-9
 LATEST_S = 0.5  # of a datagram: an older one with the same values is chance
 EARLY = 2  # datagrams later than a row's time, for clocks that are a little off
@@ -51,16 +51,16 @@ def _equal(a: Array, b: Array) -> NDArray[np.bool_]:
 
 EARLY_MIN_S = 1e-6  # a datagram arrives before it was sent, by more than rounding: the offset given is wrong
 EARLY_MAX_S = 0.02  # beyond it the numbers are wrong, not the clocks
-BESIDE_S = 1e-4  # arrivals that are further beside a steady delay, RMS, are told
-RATE_TOLD = 5e-6  # so is a drift of the clocks
+JITTER_S = 1e-4  # arrivals that are further off a steady delay, RMS, are reported
+RATE_REPORTED = 5e-6  # so is a drift of the clocks
 
 
 @dataclass(frozen=True, slots=True)
 class Sent:
     """The reference as sent, on the PLC's clock: t_s (k,), q (k, n); begins before the stretch does.
 
-    `within_s` (2, k): between which times it came, by the log rows; None: nobody knows. `lost` (k,): datagrams that
-    never arrived; None where the log cannot tell. `judged` (k,): those of which it tells; None: all. `unsure_s`: by how
+    `within_s` (2, k): between which times it came, by the log rows; None: unknown. `lost` (k,): datagrams that
+    never arrived; None where the log cannot show it. `judged` (k,): those that it judges; None: all. `unsure_s`: by how
     much those that no log row shows may have come at other times, a deviation.
     """
 
@@ -84,7 +84,7 @@ class SentClock:
 def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
     """The offset between the PC's and the PLC's clock; estimated from sequence numbers where not given.
 
-    Model: without an offset the fastest datagram is taken to have arrived at once: delays are known but for a constant.
+    Model: without an offset the fastest datagram is taken to arrive with no delay: delays are known but for a constant.
            So it is with one by which datagrams arrive a little before they were sent.
     """
     if tables.sent is None:
@@ -121,7 +121,7 @@ def _meet(tables: Tables, offset_s: float) -> bool:
     """Whether datagrams were sent, by this offset, while the PLC logged, or shortly before."""
     if tables.sent is None or tables.plc is None:
         return True
-    sent, rows = (one[np.isfinite(one)] for one in (tables.sent.t_s - offset_s, tables.plc.t_s))
+    sent, rows = (t_s[np.isfinite(t_s)] for t_s in (tables.sent.t_s - offset_s, tables.plc.t_s))
     if not len(sent) or not len(rows):
         return True
     return bool(sent.min() <= rows.max() and sent.max() >= rows.min() - EARLY_MAX_S)
@@ -137,13 +137,13 @@ def arrivals_of(tables: Tables, plant: Actuators | None, findings: list[Finding]
         number = by_value((rows[0], tables.plc.ref), (sent[0], tables.sent.q))
         sent, rows = (sent[0], np.arange(len(sent[0]))), (rows[0], number)
     if plant is None:
-        return on_the_dot(sent, rows)
+        return on_schedule(sent, rows)
     came = arrivals(sent, rows, plant.cycle_s, plant.transport_delay_s, clock.known)
-    if came.beside_s > BESIDE_S or abs(came.rate) > RATE_TOLD:
-        drift = f", and the clocks drift by {1e6 * came.rate:.0f} ppm" if abs(came.rate) > RATE_TOLD else ""
+    if came.jitter_s > JITTER_S or abs(came.rate) > RATE_REPORTED:
+        drift = f", and the clocks drift by {1e6 * came.rate:.0f} ppm" if abs(came.rate) > RATE_REPORTED else ""
         text = (
-            f"datagrams reach the PLC {1e3 * came.beside_s:.2g} ms (RMS) beside a steady delay{drift}: each is "
-            "replayed as the rows show it; delays and lags that short cannot be told"
+            f"datagrams reach the PLC {1e3 * came.jitter_s:.2g} ms (RMS) off a steady delay{drift}: each is "
+            "replayed as the rows show it; delays and lags that short cannot be measured"
         )
         findings.append(Finding("uneven_arrivals", "note", "plc.csv", text))
     return came

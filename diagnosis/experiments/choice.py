@@ -20,9 +20,9 @@ from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 Key = tuple[str, int | None]  # an effect and its joint
-ENOUGH_NATS = 30.0  # beyond it two hypotheses are told apart; more is not better, sooner is
+ENOUGH_NATS = 30.0  # beyond it two hypotheses are distinguished; more is not better, sooner is
 POOL_SEED = 5
-TOLD_NATS = 0.5 * EQUAL_T  # of a pair: an experiment that gives less of all of them is none
+SEPARATES_NATS = 0.5 * EQUAL_T  # of a pair: an experiment that gives less of each of them separates nothing
 CELLS_MAX = 3  # asked about
 MINUTES_COST = 0.01  # nats a minute: of equals the shorter one
 SEEN_BEHIND = ("encoder_scale", "encoder_eccentricity")
@@ -70,21 +70,21 @@ def experiment_for(whole: Read, cells: list[list[Pair]], settled: bool) -> dict[
 def _proposed(whole: Read, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any]:
     """The experiment that best separates one cell's open pairs."""
     library = _library(whole, nominal, pairs)
-    table = {one.name: [_nats(whole, pair, one) for pair in pairs] for one in library}
-    able = [one for one in library if max(table[one.name]) >= TOLD_NATS]
-    best = max(able, key=lambda one: _worth(pairs, table[one.name], one), default=None)
+    table = {experiment.name: [_nats(whole, pair, experiment) for pair in pairs] for experiment in library}
+    able = [experiment for experiment in library if max(table[experiment.name]) >= SEPARATES_NATS]
+    best = max(able, key=lambda experiment: _worth(pairs, table[experiment.name], experiment), default=None)
     if best is None:
         return _nothing(pairs[0], table)
-    told = next(number for number, nats in enumerate(table[best.name]) if nats >= TOLD_NATS)  # the weightiest of them
+    first = next(k for k, nats in enumerate(table[best.name]) if nats >= SEPARATES_NATS)  # the weightiest of them
     return {
         "what": best.name,
         "minutes": round(best.minutes, 2),
-        "separates": _told(pairs[told]),
-        "expected_nats": _digits(table[best.name][told]),
-        "alternatives": {name: _digits(row[told]) for name, row in table.items()},
-        "why": f"the recording does not tell {_word(pairs[told].names[0])} from {_word(pairs[told].names[1])}",
+        "separates": _pair_members(pairs[first]),
+        "expected_nats": _digits(table[best.name][first]),
+        "alternatives": {name: _digits(row[first]) for name, row in table.items()},
+        "why": f"the recording does not distinguish {_word(pairs[first].names[0])} from {_word(pairs[first].names[1])}",
         "pairs": [
-            {"separates": _told(pair), "expected_nats": _digits(nats)}
+            {"separates": _pair_members(pair), "expected_nats": _digits(nats)}
             for pair, nats in zip(pairs, table[best.name], strict=True)
         ],
         "execute": described(best, nominal.sliding),
@@ -100,7 +100,7 @@ def _library(whole: Read, nominal: Nominal, pairs: list[Pair]) -> tuple[Experime
         joints = _joints(pairs, nominal.n)
         return motions(nominal, centre, joints, extremes(nominal, cell.base, near, joints))
     parts = [part.whitened for part in cell.parts or (cell,)]
-    seen = next((one for one in parts if isinstance(one, CornerResidual) and one.on == "ooi"), None)
+    seen = next((residual for residual in parts if isinstance(residual, CornerResidual) and residual.on == "ooi"), None)
     if seen is None:
         return looks(nominal, cell.base, near, None)
     kept = near[visible(nominal, cell.base, near, seen.T_base_ooi)]
@@ -110,7 +110,7 @@ def _library(whole: Read, nominal: Nominal, pairs: list[Pair]) -> tuple[Experime
 def middle(whole: Read) -> Array:
     """The posture (n,) around which the recording was made."""
     nominal = whole.nominal
-    recorded = [one.enc for one in whole.stretches if one.enc is not None]
+    recorded = [stretch.enc for stretch in whole.stretches if stretch.enc is not None]
     static = whole.tables.static if whole.tables is not None else None
     if not recorded and static is not None and static.q is not None:
         recorded = [static.q]
@@ -144,7 +144,7 @@ def _nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
 
 def _worth(pairs: list[Pair], nats: list[float], experiment: Experiment) -> float:
     """Nats that count, weighed over the pairs, less what the machine's time costs."""
-    gained = sum(pair.weight * min(one, ENOUGH_NATS) for pair, one in zip(pairs, nats, strict=True))
+    gained = sum(pair.weight * min(nats_of, ENOUGH_NATS) for pair, nats_of in zip(pairs, nats, strict=True))
     return gained / sum(pair.weight for pair in pairs) - MINUTES_COST * experiment.minutes
 
 
@@ -159,15 +159,15 @@ def _nothing(pair: Pair, table: dict[str, list[float]]) -> dict[str, Any]:
     return {
         "what": "look at a marker, or track a point, from ten postures" if behind else None,
         "minutes": 5.0 if behind else None,
-        "separates": _told(pair),
+        "separates": _pair_members(pair),
         "expected_nats": None,
         "alternatives": {name: _digits(row[0]) for name, row in table.items()},
-        "why": f"no motion tells {names} by what was logged; needed: {signal}",
+        "why": f"no motion distinguishes {names} by what was logged; needed: {signal}",
         "signal": signal,
     }
 
 
-def _told(pair: Pair) -> list[dict[str, Any]]:
+def _pair_members(pair: Pair) -> list[dict[str, Any]]:
     return [{"name": name[0], "joint": name[1]} for name in pair.names if name is not None]
 
 

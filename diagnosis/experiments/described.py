@@ -21,9 +21,9 @@ def described(experiment: Experiment, sliding: tuple[bool, ...] = ()) -> dict[st
     `t_knot_s`: between two knots; the course between them is the cubic spline with zero speed at both ends.
     `joint_units`: of every joint's numbers in `start_rad` and `q_rad`, where some joint slides: these are in m.
     """
-    told = _described(experiment)
+    description = _described(experiment)
     units = [unit_of("rad", sliding, j) for j in range(len(sliding))]
-    return {**told, "joint_units": units} if any(sliding) else told
+    return {**description, "joint_units": units} if any(sliding) else description
 
 
 def _described(experiment: Experiment) -> dict[str, Any]:

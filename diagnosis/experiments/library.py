@@ -124,7 +124,7 @@ def _driven(nominal: Nominal, centre: Array, joints: tuple[int, ...], shape: Sha
         course = _within(_size(nominal, j) * fade * shape(t, j), speed_limits(nominal)[j])
         up, down = high[j] - q[0, j], q[0, j] - low[j]
         share = min(1.0, up / max(float(course.max()), 1e-9), down / max(float(-course.min()), 1e-9))
-        q[:, j] += share * course  # scaled, not clipped: a corner at the range's end is no motion for a machine
+        q[:, j] += share * course  # scaled, not clipped: no machine can follow a corner at the range's end
     return q
 
 

@@ -31,7 +31,7 @@ def pool(nominal: Nominal, centre: Array, rng: np.random.Generator) -> Array:
 
 def visible(nominal: Nominal, sets: ParameterSets, qs: Array, T_base_ooi: Array) -> NDArray[np.bool_]:
     """From which postures some marker of the object is whole in an eye (m,)."""
-    markers = tuple(one for one in nominal.markers if one.on == "ooi")
+    markers = tuple(marker for marker in nominal.markers if marker.on == "ooi")
     if nominal.arm is None or nominal.camera is None or nominal.T_tcp_cam_left is None or not markers:
         return np.zeros(len(qs), dtype=bool)
     Ts = np.linalg.inv(tcp_poses(nominal.arm, sets, qs) @ nominal.T_tcp_cam_left) @ T_base_ooi

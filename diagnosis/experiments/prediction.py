@@ -1,4 +1,4 @@
-"""What an experiment would show: its residuals under a hypothesis, foretold with the recording's own floor."""
+"""What an experiment would show: its residuals under a hypothesis, predicted with the recording's own floor."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -63,7 +63,7 @@ def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets
     replayer = replayer_of(whole.nominal, whole.stretches) if whole.nominal is not None else None
     if not isinstance(replay, Replay) or replayer is None or not replayer.nominal.has_controller:
         return None
-    stretch = _foretold(whole, replayer, motion, truth)
+    stretch = _predicted(whole, replayer, motion, truth)
     merge = merge_of(whole.stretches)
     if merge is not None and cell.stage == "actuator":
         prepared = merged(replayer, stretch, merge, cell.base)
@@ -76,7 +76,7 @@ def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets
     return there.whitened
 
 
-def _foretold(whole: Read, replayer: Replayer, motion: Motion, truth: ParameterSets) -> Stretch:
+def _predicted(whole: Read, replayer: Replayer, motion: Motion, truth: ParameterSets) -> Stretch:
     """The log of a motion: the signals that the recording has, at its rate."""
     like = whole.stretches[0]
     plant = replayer.at_rate(like.dt_s)
@@ -95,11 +95,11 @@ def _foretold(whole: Read, replayer: Replayer, motion: Motion, truth: ParameterS
 def rows_of_postures(whole: Read, cell: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
     """Residuals of the cell's looks or points together with those from more postures; None where it has neither."""
     parts = cell.parts or (cell,)
-    extended = [_extended(one, postures, truth) for one in parts]
-    if all(one is None for one in extended):
+    extended = [_extended(part, postures, truth) for part in parts]
+    if all(residual is None for residual in extended):
         return None
-    rows = [one.whitened if more is None else more for one, more in zip(parts, extended, strict=True)]
-    return lambda sets: np.concatenate([one(sets) for one in rows], axis=1)
+    rows = [part.whitened if more is None else more for part, more in zip(parts, extended, strict=True)]
+    return lambda sets: np.concatenate([row(sets) for row in rows], axis=1)
 
 
 def _extended(part: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
@@ -111,7 +111,7 @@ def _extended(part: Cell, postures: Postures, truth: ParameterSets) -> Rows | No
 
 
 def _more_frames(seen: CornerResidual, base: ParameterSets, postures: Postures, truth: ParameterSets) -> Rows | None:
-    """Corners of the recording and, as `truth` foretells them, from more postures; the object has one place in both."""
+    """Corners of the recording and, as `truth` predicts them, from more postures; the object has one place in both."""
     camera = seen.nominal.camera
     if camera is None:
         return None
@@ -155,7 +155,7 @@ def _in_picture(pixels: Array, width: int, height: int) -> Array:
 
 
 def _more_points(measured: PointResidual, postures: Postures, truth: ParameterSets) -> Rows | None:
-    """Points of the recording and, as `truth` foretells them, from more postures."""
+    """Points of the recording and, as `truth` predicts them, from more postures."""
     nominal, data = measured.nominal, measured.data
     known = [k for k, point in enumerate(nominal.points) if point.xyz_m is not None and (data.which == k).any()]
     if nominal.arm is None or nominal.T_base_tracker is None or not known:

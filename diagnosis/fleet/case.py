@@ -24,7 +24,9 @@ def diagnosed(path: str, machine_file: str | None = None) -> dict[str, Any]:
     """
     whole = read(Path(path), None if machine_file is None else Path(machine_file))
     out: dict[str, Any] = {"format_version": FORMAT, "recording": Path(path).name, **_whose(whole)}
-    findings = [{"code": one.code, "severity": one.severity, "text": str(one)} for one in whole.findings]
+    findings = [
+        {"code": finding.code, "severity": finding.severity, "text": str(finding)} for finding in whole.findings
+    ]
     if not whole.usable:
         return {**out, "status": "unusable", "findings": findings}
     try:
@@ -36,10 +38,10 @@ def diagnosed(path: str, machine_file: str | None = None) -> dict[str, Any]:
 def fingerprint(path: Path, machine_file: Path | None, version: str) -> str:
     """SHA-256 over everything that an answer depends on, so that a saved one is taken only while it still holds."""
     digest = hashlib.sha256(version.encode())
-    files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
-    for one in [*files, *([machine_file] if machine_file is not None else [])]:
-        digest.update(os.fsencode(one.name) + b"\0")
-        digest.update(_digest(one))
+    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+    for file in [*files, *([machine_file] if machine_file is not None else [])]:
+        digest.update(os.fsencode(file.name) + b"\0")
+        digest.update(_digest(file))
     return digest.hexdigest()
 
 
@@ -69,7 +71,7 @@ def _whose(whole: Read) -> dict[str, Any]:
 
 
 def _machine_table(text: str) -> dict[str, Any]:
-    """The [machine] table of a machine file's text; nothing of one that is no TOML."""
+    """The [machine] table of a machine file's text; empty where the text is not TOML."""
     try:
         table = tomllib.loads(text).get("machine", {})
     except tomllib.TOMLDecodeError:

@@ -10,14 +10,14 @@ WORDS = {"none": "✓ none", "effects": "! effects", "outside": "✗ outside", "
 
 def fleet_page(fleet: Fleet, name: str) -> str:
     """Shared effects first, then drift, then machine by machine."""
-    total = sum(len(one) for one in fleet.verdicts.values())
+    total = sum(len(verdicts) for verdicts in fleet.verdicts.values())
     facts = f"{len(fleet.machines)} machines, {total} recordings diagnosed, {len(fleet.unusable)} not usable"
     if fleet.no_serial:
-        facts += f". {fleet.no_serial} tell no serial: those of one folder count as one machine's; {SERIAL}"
+        facts += f". {fleet.no_serial} state no serial: those of one folder count as one machine's; {SERIAL}"
     body = [
         f"<h1>Sim-to-real gap of a fleet: {escape(name)}</h1><p>{escape(facts)}.</p>",
-        _section("Effects that machines share", [_shared(one) for one in fleet.shared], SHARED),
-        _section("Drift", [_drift(one) for one in fleet.drifts], DRIFT),
+        _section("Effects that machines share", [_shared(effect) for effect in fleet.shared], SHARED),
+        _section("Drift", [_drift(drift) for drift in fleet.drifts], DRIFT),
         _section("Machine by machine", [(m, _verdicts(fleet.verdicts[m])) for m in fleet.machines], MACHINES),
         _section("Every size found", [_found(fleet, k) for k in range(len(fleet.found))], FOUND),
         _section("Not usable", list(fleet.unusable), ("recording", "why")),
@@ -32,14 +32,27 @@ MACHINES = ("machine", "verdicts in the order of time")
 FOUND = ("machine", "recording", "effect", "joint", "size", "90 %", "unit")
 
 
-def _shared(one: Shared) -> tuple[str, ...]:
-    return one.name, _joint(one.joint), f"{len(one.machines)}: {', '.join(one.machines)}", ", ".join(one.without)
+def _shared(shared: Shared) -> tuple[str, ...]:
+    return (
+        shared.name,
+        _joint(shared.joint),
+        f"{len(shared.machines)}: {', '.join(shared.machines)}",
+        ", ".join(shared.without),
+    )
 
 
-def _drift(one: Drift) -> tuple[str, ...]:
-    limits = f"{one.low:.3g} to {one.high:.3g}"
-    word = "drifts" if one.drifts else "no drift told"
-    return one.machine, one.name, _joint(one.joint), f"{one.per_day:.3g} {one.unit}", limits, str(one.n), word
+def _drift(drift: Drift) -> tuple[str, ...]:
+    limits = f"{drift.low:.3g} to {drift.high:.3g}"
+    word = "drifts" if drift.drifts else "no drift found"
+    return (
+        drift.machine,
+        drift.name,
+        _joint(drift.joint),
+        f"{drift.per_day:.3g} {drift.unit}",
+        limits,
+        str(drift.n),
+        word,
+    )
 
 
 def _verdicts(verdicts: tuple[tuple[str, str], ...]) -> str:
@@ -47,9 +60,17 @@ def _verdicts(verdicts: tuple[tuple[str, str], ...]) -> str:
 
 
 def _found(fleet: Fleet, k: int) -> tuple[str, ...]:
-    one = fleet.found[k]
-    limits = f"{one.low:.4g} to {one.high:.4g}"
-    return one.machine, one.recording, one.name, _joint(one.joint), f"{one.value:.4g}", limits, one.unit
+    finding = fleet.found[k]
+    limits = f"{finding.low:.4g} to {finding.high:.4g}"
+    return (
+        finding.machine,
+        finding.recording,
+        finding.name,
+        _joint(finding.joint),
+        f"{finding.value:.4g}",
+        limits,
+        finding.unit,
+    )
 
 
 def _joint(joint: int | None) -> str:

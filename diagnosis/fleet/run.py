@@ -11,13 +11,13 @@ from diagnosis.fleet.case import diagnosed, fingerprint
 from diagnosis.fleet.workers import Workers
 from recording.files import write_durably
 
-Told = Callable[[str, int, int], None]
+Report = Callable[[str, int, int], None]
 
 
 def recordings_below(folder: Path) -> list[Path]:
     """MCAP files and CSV folders (those with a run.toml) below a folder, in name order."""
     files = sorted(folder.rglob("*.mcap"))
-    folders = sorted(one.parent for one in folder.rglob("run.toml"))
+    folders = sorted(settings.parent for settings in folder.rglob("run.toml"))
     return sorted({*files, *folders})
 
 
@@ -27,7 +27,7 @@ def diagnose_all(
     executor: Executor,
     version: str,
     machine_file: Path | None = None,
-    told: Told = lambda _name, _done, _total: None,
+    report: Report = lambda _name, _done, _total: None,
     at_once: int = 64,
     renewed: Callable[[], Executor] | None = None,
     base: Path | None = None,
@@ -51,23 +51,23 @@ def diagnose_all(
     file = None if machine_file is None else str(machine_file.resolve())
     paired = zip(names, paths, strict=True)
     todo = [(name, (str(path.resolve()), file)) for name, path in paired if name not in results]
-    for name, one in Workers(executor, renewed).run(diagnosed, todo, at_once):
-        results[name] = result = _result(called[name], one)
+    for name, future in Workers(executor, renewed).run(diagnosed, todo, at_once):
+        results[name] = result = _result(called[name], future)
         _save(saved / f"{name}.json", marks[name], result)
-        told(called[name], len(results), len(names))
+        report(called[name], len(results), len(names))
     return [results[name] for name in names]
 
 
-def _result(name: str, one: Future[dict[str, Any]]) -> dict[str, Any]:
+def _result(name: str, future: Future[dict[str, Any]]) -> dict[str, Any]:
     """A worker that died takes one recording along, not the fleet."""
-    error = one.exception()
+    error = future.exception()
     if error is not None:
         return {"status": "failed", "recording": name, "reason": f"{type(error).__name__}: {error}"}
-    return {**one.result(), "recording": name}
+    return {**future.result(), "recording": name}
 
 
 def _name(path: Path, base: Path | None) -> str:
-    """What a recording's answer is kept as: of its own place only, so that one more beside it renames none."""
+    """What a recording's answer is kept as: of its own place only, so that one more in the folder renames none."""
     place = path.resolve() if base is None else path.relative_to(base)
     return f"{path.name.removesuffix('.mcap')}-{hashlib.sha256(place.as_posix().encode()).hexdigest()[:8]}"
 

@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 
-# Names that a recording cannot tell apart count as one for whoever reads the answer.
+# Effects that a recording cannot distinguish count as one for the reader of the answer.
 Key = tuple[str, int | None]
 
 
 def equals_of(result: dict[str, Any], effect: dict[str, Any]) -> list[dict[str, Any]]:
-    """What this recording cannot tell from an effect."""
+    """What this recording cannot distinguish from an effect."""
     own = _key(effect)
-    classes = [members for members in result["indistinguishable"] if own in {_key(one) for one in members}]
-    return [one for members in classes for one in members if _key(one) != own]
+    classes = [members for members in result["indistinguishable"] if own in {_key(member) for member in members}]
+    return [member for members in classes for member in members if _key(member) != own]
 
 
-def _key(one: dict[str, Any]) -> Key:
-    return one["name"], one["joint"]
+def _key(effect: dict[str, Any]) -> Key:
+    return effect["name"], effect["joint"]
 
 
 Z_90 = 1.645
@@ -68,14 +68,14 @@ class Drift:
 
     @property
     def drifts(self) -> bool:
-        """Whether the slope is told apart from none."""
+        """Whether the slope is significant."""
         return self.low > 0.0 or self.high < 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """The whole: verdicts by machine in the order of time, what is shared, what drifts, what could not be used; of how
-    many recordings no serial tells whose they are.
+    """The whole: verdicts by machine in the order of time, what is shared, what drifts, what could not be used; for how
+    many recordings no serial shows whose they are.
     """
 
     machines: tuple[str, ...]
@@ -89,50 +89,52 @@ class Fleet:
 
 def summary_of(results: Sequence[dict[str, Any]]) -> Fleet:
     """Of the dictionaries that `diagnosed` gives."""
-    good = [one for one in results if one["status"] == "diagnosed"]
-    good.sort(key=lambda one: (machine_of(one), one["started_utc"], one["recording"]))
-    found = tuple(item for one in good for item in _found(one))
-    machines = tuple(dict.fromkeys(machine_of(one) for one in good))
+    good = [result for result in results if result["status"] == "diagnosed"]
+    good.sort(key=lambda result: (machine_of(result), result["started_utc"], result["recording"]))
+    found = tuple(item for result in good for item in _found(result))
+    machines = tuple(dict.fromkeys(machine_of(result) for result in good))
     verdicts = {
-        machine: tuple((one["recording"], one["answer"]["verdict"]) for one in good if machine_of(one) == machine)
+        machine: tuple(
+            (result["recording"], result["answer"]["verdict"]) for result in good if machine_of(result) == machine
+        )
         for machine in machines
     }
-    bad = tuple((one.get("recording", "?"), _why(one)) for one in results if one["status"] != "diagnosed")
-    nameless = sum(not one["serial"] for one in good)
+    bad = tuple((result.get("recording", "?"), _why(result)) for result in results if result["status"] != "diagnosed")
+    nameless = sum(not result["serial"] for result in good)
     return Fleet(machines, verdicts, found, _shared(good, found), _drifts(found), bad, nameless)
 
 
-def machine_of(one: dict[str, Any]) -> str:
+def machine_of(result: dict[str, Any]) -> str:
     """Name and serial number; without a serial, name and folder: cranes of one kind are not one machine, and the
     recordings of one folder are taken as one's. The recording's own name where the machine file has none.
     """
-    if one["serial"]:
-        return f"{one['machine']} {one['serial']}".strip()
-    return f"{one['machine']} in {one['folder']}" if one["machine"] else one["recording"]
+    if result["serial"]:
+        return f"{result['machine']} {result['serial']}".strip()
+    return f"{result['machine']} in {result['folder']}" if result["machine"] else result["recording"]
 
 
-def _why(one: dict[str, Any]) -> str:
-    fatal = [finding["text"] for finding in one.get("findings", []) if finding["severity"] == "fatal"]
-    return one.get("reason") or "; ".join(fatal) or one["status"]
+def _why(result: dict[str, Any]) -> str:
+    fatal = [finding["text"] for finding in result.get("findings", []) if finding["severity"] == "fatal"]
+    return result.get("reason") or "; ".join(fatal) or result["status"]
 
 
-def _found(one: dict[str, Any]) -> list[Found]:
+def _found(result: dict[str, Any]) -> list[Found]:
     """Confirmed effects of a recording."""
     out = []
-    for effect in _confirmed(one["answer"]):
+    for effect in _confirmed(result["answer"]):
         sized = [
             (name, x) for name, x in effect["parameters"].items() if x["low"] is not None and x["high"] is not None
         ]
         if sized:
             name, x = sized[0]
             size = (name, x["unit"], float(x["value"]), float(x["low"]), float(x["high"]))
-            when = _days(one["started_utc"])
-            out.append(Found(machine_of(one), one["recording"], effect["name"], effect["joint"], *size, when))
+            when = _days(result["started_utc"])
+            out.append(Found(machine_of(result), result["recording"], effect["name"], effect["joint"], *size, when))
     return out
 
 
 def _confirmed(answer: dict[str, Any]) -> list[dict[str, Any]]:
-    return [one for one in answer["budget"]["effects"] if one["status"] == "confirmed"]
+    return [effect for effect in answer["budget"]["effects"] if effect["status"] == "confirmed"]
 
 
 def _days(text: str) -> float | None:
@@ -146,31 +148,35 @@ def _days(text: str) -> float | None:
 def _shared(good: list[dict[str, Any]], found: tuple[Found, ...]) -> tuple[Shared, ...]:
     """Effects by how many machines have them; a machine is without one only if its size there would have been seen."""
     out = []
-    for key in dict.fromkeys((one.name, one.joint) for one in found):
-        mine = [one for one in found if (one.name, one.joint) == key]
-        having = tuple(dict.fromkeys(one.machine for one in mine))
-        size = float(np.median([abs(one.value) for one in mine]))
-        able = [machine_of(one) for one in good if _could_see(one, key, size)]
+    for key in dict.fromkeys((finding.name, finding.joint) for finding in found):
+        mine = [finding for finding in found if (finding.name, finding.joint) == key]
+        having = tuple(dict.fromkeys(finding.machine for finding in mine))
+        size = float(np.median([abs(finding.value) for finding in mine]))
+        able = [machine_of(result) for result in good if _could_see(result, key, size)]
         out.append(Shared(*key, having, tuple(name for name in dict.fromkeys(able) if name not in having)))
-    return tuple(sorted(out, key=lambda one: (-len(one.machines), one.name, one.joint or 0)))
+    return tuple(sorted(out, key=lambda shared: (-len(shared.machines), shared.name, shared.joint or 0)))
 
 
-def _could_see(one: dict[str, Any], key: tuple[str, int | None], size: float) -> bool:
-    answer = one["answer"]
+def _could_see(result: dict[str, Any], key: tuple[str, int | None], size: float) -> bool:
+    answer = result["answer"]
     if answer["verdict"] not in ("none", "effects", "partly"):
         return False
     named = _confirmed(answer)
     if key in {(other["name"], other["joint"]) for effect in named for other in equals_of(answer, effect)}:
-        return False  # it may be what was named there: that recording cannot tell the two apart
+        return False  # it may be what was named there: that recording cannot distinguish the two
     limit = {(x["name"], x["joint"]): x["size"] for x in answer["detection_limits"]}.get(key)
     return limit is not None and limit <= size
 
 
 def _drifts(found: tuple[Found, ...]) -> tuple[Drift, ...]:
     out = []
-    for key in dict.fromkeys((one.machine, one.name, one.joint) for one in found):
-        mine = [one for one in found if (one.machine, one.name, one.joint) == key and one.t_days is not None]
-        if len({one.t_days for one in mine}) >= DRIFT_MIN:
+    for key in dict.fromkeys((finding.machine, finding.name, finding.joint) for finding in found):
+        mine = [
+            finding
+            for finding in found
+            if (finding.machine, finding.name, finding.joint) == key and finding.t_days is not None
+        ]
+        if len({finding.t_days for finding in mine}) >= DRIFT_MIN:
             out.append(_drift(mine))
     return tuple(out)
 
@@ -183,9 +189,9 @@ def _drift(mine: list[Found]) -> Drift:
     """
     from scipy.stats import t as student
 
-    t = np.array([one.t_days or 0.0 for one in mine])
-    y = np.array([one.value for one in mine])
-    width = np.array([max(one.high - one.low, 1e-12) for one in mine])
+    t = np.array([finding.t_days or 0.0 for finding in mine])
+    y = np.array([finding.value for finding in mine])
+    width = np.array([max(finding.high - finding.low, 1e-12) for finding in mine])
     w = 1.0 / (width / (2.0 * Z_90)) ** 2
     A = np.stack([np.ones_like(t), t - t.mean()], axis=1)
     covariance = np.linalg.inv(A.T @ (w[:, None] * A))

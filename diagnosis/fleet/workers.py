@@ -1,6 +1,6 @@
 """Work over an executor whose workers may die: a death takes one piece of work along, not the others.
 
-A pool of processes breaks as a whole when one of them dies (out of memory, a crash in compiled code), and nobody says
+A pool of processes breaks as a whole when one of them dies (out of memory, a crash in compiled code), and nothing says
 which piece of work it was.
 """
 
@@ -57,16 +57,16 @@ class Workers:
                 task = left.popleft()
                 running[self._handed_out(work, task[1])] = task
             done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for one in [future for future in running if future in done]:
-                task = running.pop(one)
-                if _died(one):
-                    dead.append((task, one))
+            for finished in [future for future in running if future in done]:
+                task = running.pop(finished)
+                if _died(finished):
+                    dead.append((task, finished))
                 else:
-                    yield task[0], one
+                    yield task[0], finished
         if not dead or self._renew():
             return [task for task, _ in dead]
-        for (name, _), one in dead:
-            yield name, one
+        for (name, _), failed in dead:
+            yield name, failed
         return []
 
     def _handed_out(self, work: Work, arguments: tuple[Any, ...]) -> Answer:
@@ -79,5 +79,5 @@ class Workers:
             return failed
 
 
-def _died(one: Answer) -> bool:
-    return isinstance(one.exception(), BrokenExecutor)
+def _died(answer: Answer) -> bool:
+    return isinstance(answer.exception(), BrokenExecutor)

@@ -1,1 +1,1 @@
-"""What is known of an undisturbed machine beyond its named effects: its form, and how its numbers wander."""
+"""What is known of a machine's baseline beyond its effects: its form, and how its numbers wander."""

@@ -65,14 +65,14 @@ def _gathered(x: Array, kept: float) -> Array:
 
 def courses_of(cell: Cell, replay: Replay, modelled: list[Array], channel: int) -> list[Course]:
     """One joint of a replay through each stretch. `modelled`: by `modelled_of`."""
-    return [_course(cell, replay, *one, channel) for one in zip(replay.parts, modelled, strict=True)]
+    return [_course(cell, replay, *piece, channel) for piece in zip(replay.parts, modelled, strict=True)]
 
 
 def modelled_of(cell: Cell, replay: Replay) -> list[Array]:
     """The stage's own output through each stretch (m, joints)."""
     chosen = ParameterSets(np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]), cell.base.machine)
     runs = (simulate(part.plant, chosen, part.drive, LAST[cell.stage]) for part in replay.parts)
-    return [np.asarray(getattr(one, OUTPUT[cell.stage])[0]) for one in runs]
+    return [np.asarray(getattr(run, OUTPUT[cell.stage])[0]) for run in runs]
 
 
 def _course(cell: Cell, replay: Replay, part: Part, outputs: Array, channel: int) -> Course:
@@ -85,7 +85,7 @@ def _course(cell: Cell, replay: Replay, part: Part, outputs: Array, channel: int
     if cell.stage == "link":
         drive = np.gradient(modelled, stretch.dt_s)
     load = part.drive.load[:m, channel] if len(part.drive.load) >= m else np.zeros(m)
-    t_s, began_s = stretch.t_s[:m], min(one.stretch.t_s[0] for one in replay.parts)
+    t_s, began_s = stretch.t_s[:m], min(other.stretch.t_s[0] for other in replay.parts)
     others = np.delete(u, j, axis=1)
     return Course(stretch.dt_s, t_s - t_s[0], modelled, drive, load, others, t_s - began_s)
 
@@ -103,7 +103,7 @@ def hats(x: Array, knots: Array) -> Array:
 
 
 def moving_families(c: Course) -> dict[str, Array]:
-    """Of an actuator: families that go with how the joint moves, not only with what it was told to do."""
+    """Of an actuator: families that go with how the joint moves, not only with its command."""
     v, du, size = c.smooth(c.rate(c.q)), c.rate(c.smooth(c.drive)), np.abs(c.drive)
     busy = np.abs(c.others).sum(axis=1)
     turned = np.stack([np.sign(du), np.sign(du) * size], axis=1)
@@ -129,26 +129,26 @@ ECHOES_S = np.arange(1, 21) * 0.05
 LAGS_S = (0.03, 0.1, 0.3, 1.0, 3.0)
 LAG_KNOTS = np.array([-1.0, -0.25, -0.06, 0.0, 0.06, 0.25, 1.0])  # of full command
 SWINGS_HZ = np.geomspace(0.5, 8.0, 9)
-DAMPING = 0.25  # wide enough that a swing between two of the frequencies is a sum of both
-RESPONSES = ("echoes", "catching up", "swings", "uneven swings", "the other joints' swings")
+DAMPING = 0.25  # wide enough that an oscillation between two of the frequencies is a sum of both
+RESPONSES = ("echoes", "catching up", "swings", "uneven swings", "the other joints' swings")  # old name, in baselines
 
 
 def responses(c: Course) -> dict[str, Array]:
     """Of one joint's actuator through a stretch: families (m, k)."""
     u, others = c.drive, list(c.others.T)
-    of_others = [_swings(c, one) for one in others] or [np.zeros((len(u), 0))]
+    of_others = [_oscillations(c, other) for other in others] or [np.zeros((len(u), 0))]
     families = (
         np.stack([np.interp(c.t_s - late_s, c.t_s, u) for late_s in ECHOES_S], axis=1),
         np.concatenate([c.leaking(hats(u, LAG_KNOTS), tau_s) for tau_s in LAGS_S], axis=1),
-        _swings(c, u),
-        _swings(c, u * np.abs(u)),
+        _oscillations(c, u),
+        _oscillations(c, u * np.abs(u)),
         np.concatenate(of_others, axis=1),
     )
     return dict(zip(RESPONSES, families, strict=True))
 
 
-def _swings(c: Course, x: Array) -> Array:
-    """What a signal (m,) sets swinging: both quadratures at each frequency (m, 2 frequencies)."""
+def _oscillations(c: Course, x: Array) -> Array:
+    """The oscillations that a signal (m,) excites: both quadratures at each frequency (m, 2 frequencies)."""
     omega = 2.0 * np.pi * SWINGS_HZ
     poles = omega * (-DAMPING + 1j * np.sqrt(1.0 - DAMPING**2))
     kept = np.exp(poles * c.dt_s)

@@ -1,9 +1,9 @@
-"""What an undisturbed machine's model is wrong by, as a function of what drives it: the baseline's nameless part.
+"""What the model of a machine without a fault is wrong by, as a function of what drives it: the baseline's form.
 
 A velocity actuator stands for oil, friction and bending booms. What that leaves is mostly the same every day: fitted
 on some recordings, functions of the command, its change, the angle and the load, and the responses that come later
-(`families/responses.py`), foretell most of what they explain of another one. Taken as known, it hides no fault and
-looks like none. It is fixed by the undisturbed recordings: a diagnosis fits nothing of it.
+(`known/courses.py`), predict most of what they explain of another one. Taken as known, it hides no fault and
+looks like none. It is fixed by the baseline recordings: a diagnosis fits nothing of it.
 """
 
 from collections.abc import Callable
@@ -43,7 +43,7 @@ NEARLY = 0.85  # of the best gain
 WORTH_NATS = 1.0  # a recording: a family that adds less is not worth its numbers
 LEAST_NATS = 12.0  # over all recordings: twice the margin of a name
 EXCEEDED_TIMES = 1.5  # the most that some recordings showed is exceeded by one more in every dozen
-TOGETHER_MIN = 3  # recordings: one of two would be foretold by a single one
+TOGETHER_MIN = 3  # recordings: one of two would be predicted by a single one
 
 
 def with_form(cells: list[Cell], nominal: Nominal) -> list[Cell]:
@@ -71,8 +71,8 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
     left out.
     """
     records = [nominal.remainder(cell.stage, joint + 1) for joint in replay.joints]
-    forms = [() if one is None else one.form for one in records]
-    most = [0.0 if one is None else one.form_most for one in records]
+    forms = [() if record is None else record.form for record in records]
+    most = [0.0 if record is None else record.form_most for record in records]
     if not any(forms):
         return replay
     measured, modelled = [part.measured.copy() for part in replay.parts], modelled_of(cell, replay)
@@ -81,14 +81,14 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
         if not form:
             continue
         courses = courses_of(cell, replay, modelled, channel)
-        known = [_fitting(one, form, f"{cell.stage} {joint + 1}") for one in _families(courses)]
+        known = [_fitting(course_columns, form, f"{cell.stage} {joint + 1}") for course_columns in _families(courses)]
         if most[channel] and _power(replay, channel, known) > EXCEEDED_TIMES * most[channel]:
             continue
         for own, said, otherwise, course in zip(measured, known, moved, courses, strict=True):
             own[: len(said), channel] -= said
             otherwise[channel] = Otherwise.of(course, form)
     pieces = zip(replay.parts, measured, moved, strict=True)
-    parts = tuple(replace(part, measured=own, moved=tuple(one)) for part, own, one in pieces)
+    parts = tuple(replace(part, measured=own, moved=tuple(moved)) for part, own, moved in pieces)
     return replace(replay, parts=parts)
 
 
@@ -96,8 +96,8 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
 class Otherwise:
     """What a joint's form says beyond what was taken off (`said`), of a joint that moves otherwise than modelled.
 
-    Why: a joint that sticks moves in jumps where its command is smooth. Taken from the undisturbed model, a form then
-    speaks of a motion that never was: three quarters of what stiction of 0.2 left was that.
+    Why: a joint that sticks moves in jumps where its command is smooth. Taken from the model without a fault, a form
+    then speaks of a motion that never was: three quarters of what stiction of 0.2 left was that.
     """
 
     course: Course
@@ -106,9 +106,9 @@ class Otherwise:
 
     @classmethod
     def of(cls, course: Course, form: Form) -> "Otherwise":
-        """Of a stretch whose undisturbed model runs along `course`."""
+        """Of a stretch along whose `course` the model without a fault runs."""
         families = moving_families(course)
-        own = tuple(one for one in form if one[0] in families)
+        own = tuple(entry for entry in form if entry[0] in families)
         return cls(course, own, _fitting(families, own, "a joint"))
 
     def __call__(self, q: Array) -> Array:
@@ -117,7 +117,7 @@ class Otherwise:
 
 
 def _families(courses: list[Course]) -> list[dict[str, Array]]:
-    """Of one joint's actuator, for each stretch: what it answers at once, and what it still answers later (m, k)."""
+    """Of one joint's actuator, for each stretch: its immediate response, and its later one (m, k)."""
     return [
         {"the valve command": course.whole(hats(course.drive, KNOTS)), **moving_families(course), **responses(course)}
         for course in courses
@@ -130,7 +130,7 @@ def _power(replay: Replay, channel: int, signals: list[Array]) -> float:
     Why: asked about motions unlike those that it was fitted to, a form says much more than of any of those.
     """
     pieces = zip(replay.parts, signals, strict=True)
-    white = [white_columns(replay.whitener, channel, part.stretch.dt_s, one[:, None]) for part, one in pieces]
+    white = [white_columns(replay.whitener, channel, part.stretch.dt_s, added[:, None]) for part, added in pieces]
     return float(np.mean(np.concatenate(white) ** 2))
 
 
@@ -141,7 +141,7 @@ def most_of(cells: list[Cell], form: Form) -> float:
         replay = cell.whitened
         if isinstance(replay, Replay):
             families = _families(courses_of(cell, replay, modelled_of(cell, replay), 0))
-            found.append(_power(replay, 0, [_fitting(one, form, cell.label) for one in families]))
+            found.append(_power(replay, 0, [_fitting(family, form, cell.label) for family in families]))
     return max(found)
 
 
@@ -186,23 +186,26 @@ class _Pile:
 
     def solved(self, ridge: float, without: int | None = None) -> Array:
         """The numbers (k,) of all recordings but one."""
-        used = [one for k, one in enumerate(self.normal) if k != without]
-        H, g = np.sum([one[0] for one in used], axis=0), np.sum([one[1] for one in used], axis=0)
+        used = [equations for k, equations in enumerate(self.normal) if k != without]
+        H, g = (
+            np.sum([equations[0] for equations in used], axis=0),
+            np.sum([equations[1] for equations in used], axis=0),
+        )
         return np.asarray(np.linalg.solve(H + ridge * self.prior, g))
 
     def gain(self, ridge: float) -> float:
-        """What each recording is foretold by the others, over all [nats]."""
+        """How well the others predict each recording, over all [nats]."""
         if len(self.family) == 0:
             return 0.0
         return sum(float((costs(r) - costs(r - B @ self.solved(ridge, k))).sum()) for k, (B, r) in enumerate(self.rows))
 
 
 def form_of(cells: list[Cell]) -> Form:
-    """The form that the same cell of several undisturbed recordings has in common; empty where none is foretold.
+    """The form that the same cell of several baseline recordings has in common; empty where none is predicted.
 
     Model: min sum w (r - B x)^2 + ridge |x|^2 over all recordings, columns of one size. Families that add little to
-           what the others foretell of a recording are dropped by the ridge that foretells most, and then the largest
-           ridge is taken that foretells nearly as much: what data do not ask for would be wrong where they never were.
+           what the others predict of a recording are dropped by the ridge that predicts most. Then the largest ridge
+           is taken that predicts nearly as much: numbers that the data do not need would be wrong outside of them.
     """
     pairs = [(columns, neutral_fit(cell).residual) for cell in cells if (columns := _white(cell))]
     if len(pairs) < TOGETHER_MIN:
@@ -214,7 +217,7 @@ def form_of(cells: list[Cell]) -> Form:
     kept = tuple(range(len(names)))
     while len(kept) > 1:
         fewer = [tuple(k for k in kept if k != out) for out in kept]
-        gain, rest = max((pile.only(one).gain(loose), one) for one in fewer)
+        gain, rest = max((pile.only(families).gain(loose), families) for families in fewer)
         if gain < best - WORTH_NATS * len(pairs):
             break
         best, kept = gain, rest
@@ -256,12 +259,13 @@ def _white(cell: Cell, jumbled: bool = False) -> dict[str, Array]:
         return {}
     courses = courses_of(cell, seen, modelled_of(cell, seen), 0)
     if jumbled:
-        courses = [_jumbled(one) for one in courses]
+        courses = [_jumbled(course) for course in courses]
     pieces = zip(courses, _families(courses), strict=True)
     white = [
-        {name: white_columns(seen.whitener, 0, one.dt_s, families[name]) for name in DRIVEN} for one, families in pieces
+        {name: white_columns(seen.whitener, 0, course.dt_s, families[name]) for name in DRIVEN}
+        for course, families in pieces
     ]
-    return {name: np.concatenate([one[name] for one in white]) for name in DRIVEN}
+    return {name: np.concatenate([columns[name] for columns in white]) for name in DRIVEN}
 
 
 def _jumbled(c: Course) -> Course:

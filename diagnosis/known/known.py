@@ -1,4 +1,4 @@
-"""What is known of an undisturbed machine beyond its named effects, taken into account before anything is searched."""
+"""What is known of a machine's baseline beyond its effects, taken into account before anything is searched."""
 
 from diagnosis.known.form import with_form
 from diagnosis.known.wander import with_wander

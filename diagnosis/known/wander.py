@@ -1,8 +1,8 @@
-"""How far a machine's own numbers wander from one undisturbed day to the next: noise along each number's own direction.
+"""How far a machine's own numbers wander from one day without a fault to the next: noise along each one's direction.
 
 The flow gain that fits one day is half a percent off on the next: oil warms, friction changes. In one recording that
-is no white noise. It adds up as its name does, and the name gains ten times what chance gives. Taken as what it is, a
-variance of that number, it costs this name alone its confidence.
+is not white noise. It adds up as its effect does, and the effect gains ten times what chance gives. Taken as what it
+is, a variance of that number, it costs this effect alone its confidence.
 """
 
 from dataclasses import dataclass, replace
@@ -18,19 +18,19 @@ from diagnosis.search.cell import Cell
 from diagnosis.search.fit import evaluated, neutral_fit
 from machine.rotations import Array
 
-DAYS_MIN = 6  # recordings that can tell
+DAYS_MIN = 6  # recordings that can show it
 WANDERS = 1.5  # mean square of a number over its own error: 1 by chance, seldom more than this
 STEP = 0.004  # of the bound
-FELT = 1.0  # squared floors that the largest size moves: less is no column
+FELT = 1.0  # squared floors that the largest size moves: with less there is no column
 Sizes = tuple[tuple[str, float], ...]
 
 
 def with_wander(cells: list[Cell], nominal: Nominal) -> list[Cell]:
     """Actuators' cells with what their numbers are known to wander by as noise; others as they are."""
-    return [_beside_wander(cell, nominal) for cell in cells]
+    return [_with_wander_of(cell, nominal) for cell in cells]
 
 
-def _beside_wander(cell: Cell, nominal: Nominal) -> Cell:
+def _with_wander_of(cell: Cell, nominal: Nominal) -> Cell:
     replay = cell.whitened
     if not isinstance(replay, Replay) or cell.stage != "actuator":
         return cell
@@ -38,14 +38,14 @@ def _beside_wander(cell: Cell, nominal: Nominal) -> Cell:
     for joint in replay.joints:
         record = nominal.remainder("actuator", joint + 1)
         for name, size in record.wander if record is not None else ():
-            columns += [size * _column(cell, one) for one in named((name,), (joint + 1,))]
+            columns += [size * _column(cell, effect) for effect in named((name,), (joint + 1,))]
     return replace(cell, whitened=replace(replay, day=day_noise(np.stack(columns, axis=1)))) if columns else cell
 
 
-def _column(cell: Cell, one: Candidate) -> Array:
+def _column(cell: Cell, candidate: Candidate) -> Array:
     """How an effect moves the residual (N,), a unit of its size."""
-    step = STEP * one.slots[0].high
-    return (evaluated(cell, (one,), np.array([[step]]))[0] - neutral_fit(cell).residual) / step
+    step = STEP * candidate.slots[0].high
+    return (evaluated(cell, (candidate,), np.array([[step]]))[0] - neutral_fit(cell).residual) / step
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class _Day:
     G: Array
     b: Array
 
-    def beside(self, variances: Array) -> tuple[Array, Array]:
+    def numbers_given(self, variances: Array) -> tuple[Array, Array]:
         """The numbers (k,), each fitted alone, and their variances by noise, where those of `variances` wander."""
         S = np.diag(np.sqrt(variances))
         inner = self.G @ S @ np.linalg.solve(np.eye(len(S)) + S @ self.G @ S, S)
@@ -64,39 +64,44 @@ class _Day:
 
 
 def wander_of(cells: list[Cell]) -> Sizes:
-    """By how much the names of one joint's actuator wander over undisturbed recordings; empty for other cells.
+    """By how much the effects of one joint's actuator wander over baseline recordings; empty for other cells.
 
-    Model: the name that is off most, counted in its own error, gets as variance what its numbers have beyond that
-           error; then the others beside it, as long as one is off by more than chance. One by one, since a wander of
+    Model: the effect that is off most, counted in its own error, gets as variance what its numbers have beyond that
+           error; then the others in addition, as long as one is off by more than chance. One by one, since a wander of
            the flow gain is seen in each of its neighbours.
     """
     if len(cells) < DAYS_MIN or cells[0].stage != "actuator" or cells[0].joint is None:
         return ()
-    names = [one for one in cells[0].candidates if _moves(one) and all(_known(cell, one) for cell in cells)]
+    names = [effect for effect in cells[0].candidates if _moves(effect) and all(_known(cell, effect) for cell in cells)]
     days = [_day(cell, names) for cell in cells]
     felt = [k for k in range(len(names)) if all(day.G[k, k] * names[k].slots[0].high ** 2 > FELT for day in days)]
     names, days = [names[k] for k in felt], [_Day(day.G[np.ix_(felt, felt)], day.b[felt]) for day in days]
     variances = np.zeros(len(names))
     for _ in names:
-        numbers, errors = (np.array(x) for x in zip(*(day.beside(variances) for day in days), strict=True))
+        numbers, errors = (np.array(x) for x in zip(*(day.numbers_given(variances) for day in days), strict=True))
         off = np.where(variances > 0.0, 0.0, np.mean(numbers**2 / errors, axis=0))
         k = int(np.argmax(off))
         if off[k] < WANDERS:
             break
         variances[k] = common_excess(numbers[:, [k]] ** 2, errors[:, [k]])[0]
-    return tuple((one.name, float(np.sqrt(v))) for one, v in zip(names, variances, strict=True) if v > 0.0)
+    return tuple((effect.name, float(np.sqrt(v))) for effect, v in zip(names, variances, strict=True) if v > 0.0)
 
 
-def _moves(one: Candidate) -> bool:
+def _moves(candidate: Candidate) -> bool:
     """Whether an effect has one number, nothing at 0."""
-    return one.stage == "actuator" and len(one.slots) == 1 and not one.fixed and one.slots[0].neutral == 0.0
+    return (
+        candidate.stage == "actuator"
+        and len(candidate.slots) == 1
+        and not candidate.fixed
+        and candidate.slots[0].neutral == 0.0
+    )
 
 
-def _known(cell: Cell, one: Candidate) -> bool:
-    return any(other.key == one.key for other in cell.candidates)
+def _known(cell: Cell, candidate: Candidate) -> bool:
+    return any(other.key == candidate.key for other in cell.candidates)
 
 
 def _day(cell: Cell, names: list[Candidate]) -> _Day:
     r = neutral_fit(cell).residual
-    J = np.stack([_column(cell, one) for one in names], axis=1)
+    J = np.stack([_column(cell, effect) for effect in names], axis=1)
     return _Day(J.T @ J, -J.T @ r)

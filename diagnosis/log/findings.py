@@ -16,7 +16,7 @@ CODES: dict[str, str] = {
     "no_machine_file": "there is no nominal machine to compare with",
     "machine_file": "the machine file cannot be used",
     "machine_mismatch": "the machine file does not describe the arm that was recorded",
-    "unknown_key": "a key of the machine file that nobody reads",
+    "unknown_key": "a key of the machine file that is not read",
     "unknown_column": "a column whose name the format does not know",
     "missing_column": "a column that a stage needs",
     "no_data": "nothing that a stage could be judged by",
@@ -50,7 +50,7 @@ CODES: dict[str, str] = {
     "eyes_exchanged": "the left eye's rows are the right one's",
     "no_run_file": "run.toml is not there",
     "no_segments": "run.toml names no segments",
-    "segments_overlap": "segments share rows, which count once: of repeats that is no second measurement",
+    "segments_overlap": "segments share rows, which count once: shared rows of repeats are not a second measurement",
     "empty_segment": "a segment without rows",
     "no_repeats": "no command was repeated: the noise floor is not known",
     "few_repeats": "too few repeats for a sound noise floor",
@@ -85,5 +85,5 @@ def by_channel(finding: Finding) -> Finding:
     """The same of an MCAP file, which has a channel where a folder has a CSV file."""
     subject, text = finding.subject, finding.text
     for row_type in CSV_ROW_TYPES:
-        subject, text = (one.replace(row_type.file, row_type.topic) for one in (subject, text))
+        subject, text = (part.replace(row_type.file, row_type.topic) for part in (subject, text))
     return replace(finding, subject=subject, text=text)

@@ -44,9 +44,9 @@ def _outside(enc: Array, nominal: Nominal) -> Array:
 
 def _limits(enc: Array, nominal: Nominal) -> list[Finding]:
     shares = _outside(enc, nominal)
-    findings, told = [], set()
+    findings, reported = [], set()
     for j in range(enc.shape[1]):
-        if shares[j, j] < OUTSIDE_MIN or j in told:
+        if shares[j, j] < OUTSIDE_MIN or j in reported:
             continue
         inside = (shares[j] < INSIDE_MAX) & (shares[:, j] < INSIDE_MAX) & (np.diag(shares) >= OUTSIDE_MIN)
         partner = np.nonzero(inside)[0].tolist()
@@ -55,7 +55,7 @@ def _limits(enc: Array, nominal: Nominal) -> list[Finding]:
         reach = f"{name} lies at {np.nanmin(enc[:, j]):.3g} .. {np.nanmax(enc[:, j]):.3g} {unit}"
         text = f"{reach}, outside its limits {low:.3g} .. {high:.3g} {unit}"
         if partner:
-            told.add(partner[0])
+            reported.add(partner[0])
             name = nominal.joint_names[partner[0]]
             text += f", and fits joint {partner[0] + 1} ({name}) instead: the joints' order differs"
             findings.append(Finding("swapped_columns", "fatal", "plc.csv", text))

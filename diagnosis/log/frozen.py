@@ -10,7 +10,7 @@ from machine.rotations import Array
 
 BEFORE = 5  # rows from which the speed is taken
 JUMPED = 1.6  # times the usual step: the first row after a stop makes up for it
-USUAL_SHARE = 0.4  # of all moving rows: a log that is faster than the PLC repeats most of them, and is no fault
+USUAL_SHARE = 0.4  # of all moving rows: a log that is faster than the PLC repeats most of them, and is not faulty
 TOLD_MIN = 10
 STEPS_MIN = 5.0  # of the encoders' own resolution a row: a slow joint repeats its reading without any fault
 

@@ -72,7 +72,7 @@ def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
         text = "holds column names and no rows; record it again, or remove the file"
         return [Finding("no_rows", "problem", path.name, text)]
     patterns = [pattern for _, pattern in csv_fields(row_type)]
-    finders = [column_finder(one) for one in patterns]
+    finders = [column_finder(known) for known in patterns]
     findings = [
         _unknown(path, name, did_you_mean(name, _examples(patterns)))
         for name in names
@@ -91,7 +91,7 @@ def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
 
 
 def _unknown(path: Path, name: str, nearest: str) -> Finding:
-    """A column of somebody's own is no fault; one that nearly has a known name may be that one, misspelt."""
+    """A column of a user's own is allowed; one that nearly has a known name may be that one, misspelt."""
     return Finding(
         "unknown_column", "problem" if nearest else "note", path.name, f"column {name!r} was not read{nearest}"
     )

@@ -33,9 +33,9 @@ POINT = ("joint", "xyz_m")
 
 
 def unknown_keys(tables: Mapping[str, Any]) -> list[Finding]:
-    """Sections and keys that nobody reads, each once with all its places, and the known one that may be meant.
+    """Sections and keys that are not read, each once with all its places, and the known one that may be meant.
 
-    A key of somebody's own is a note; one that nearly has a known name may be that one, and is a problem.
+    A key of a user's own is a note; one that nearly has a known name may be that one, and is a problem.
     """
     found: dict[tuple[str, str], list[str]] = {}
     known_of: dict[tuple[str, str], tuple[str, ...]] = {}
@@ -44,10 +44,10 @@ def unknown_keys(tables: Mapping[str, Any]) -> list[Finding]:
             if key not in known:
                 found.setdefault((section, key), []).append(place)
                 known_of[section, key] = known
-    return [_told(section, key, places, known_of[section, key]) for (section, key), places in found.items()]
+    return [_unknown(section, key, places, known_of[section, key]) for (section, key), places in found.items()]
 
 
-def _told(section: str, key: str, places: list[str], known: tuple[str, ...]) -> Finding:
+def _unknown(section: str, key: str, places: list[str], known: tuple[str, ...]) -> Finding:
     at = " ".join([section, ", ".join(place for place in places if place)]).strip()
     what = f"{at}: key {key!r}" if section else f"section [{key}]"
     meant = did_you_mean(key, known)
@@ -56,7 +56,7 @@ def _told(section: str, key: str, places: list[str], known: tuple[str, ...]) -> 
 
 
 def _sections(tables: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any], tuple[str, ...]]]:
-    """Section, which one of it, its table, the keys that are read; what is no table is told where it is read."""
+    """Section, which one of it, its table, the keys that are read; what is not a table is reported where it is read."""
     yield "", "", tables, SECTIONS
     for section, known in TABLES.items():
         if isinstance(table := tables.get(section), dict):

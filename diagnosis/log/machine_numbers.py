@@ -61,11 +61,11 @@ def vector_of(table: Mapping[str, Any], key: str, size: int, where: str) -> Arra
     subject = f"machine.toml: {where}: {key}"
     if not isinstance(value, list) or len(value) != size:
         raise DiagnosisError(f"{subject} = {_short(value)}; give {size} finite numbers")
-    return np.array([_inside(one, key, f"{subject}[{k}]") for k, one in enumerate(value)])
+    return np.array([_inside(entry, key, f"{subject}[{k}]") for k, entry in enumerate(value)])
 
 
 def pose_of(table: Mapping[str, Any], key: str, where: str) -> Array | None:
-    """A pose (4, 4), written row by row; None where it is not given. Raises: as `number_of`; it is no pose."""
+    """A pose (4, 4), written row by row; None where it is not given. Raises: as `number_of`; it is not a pose."""
     numbers = vector_of(table, key, 16, where)
     if numbers is None:
         return None

@@ -25,17 +25,17 @@ class TrackedPoint:
 def markers_of(tables: Mapping[str, Any]) -> tuple[Marker, ...]:
     """The single markers, and every marker of the grids, which are markers like all others.
 
-    Raises: DiagnosisError: a field that is missing or wrong. MachineError: ids that repeat, or a board that is none.
+    Raises: DiagnosisError: a field that is missing or wrong. MachineError: ids that repeat, or an impossible board.
     """
     section = table_of(tables.get("markers", {}), "[markers]")
-    singles = [_marker(one, f"markers.marker {k}") for k, one in enumerate(list_of(section, "marker"), start=1)]
-    boards = [_board(one, f"markers.board {k}") for k, one in enumerate(list_of(section, "board"), start=1)]
-    check_ids([one.marker_id for one in singles], boards, str(section.get("dictionary", "")))
-    return (*singles, *grid_markers(tuple(board_of(one) for one in boards)))
+    singles = [_marker(section, f"markers.marker {k}") for k, section in enumerate(list_of(section, "marker"), start=1)]
+    boards = [_board(section, f"markers.board {k}") for k, section in enumerate(list_of(section, "board"), start=1)]
+    check_ids([single.marker_id for single in singles], boards, str(section.get("dictionary", "")))
+    return (*singles, *grid_markers(tuple(board_of(board) for board in boards)))
 
 
-def _marker(one: object, where: str) -> Marker:
-    table = table_of(one, where)
+def _marker(section: object, where: str) -> Marker:
+    table = table_of(section, where)
     side, T, on = number_of(table, "side_m", where), pose_of(table, "T_on_marker", where), table.get("on")
     marker_id = table.get("id")
     if side is None or T is None or on not in ("tool", "ooi") or not _is_count(marker_id):
@@ -43,8 +43,8 @@ def _marker(one: object, where: str) -> Marker:
     return Marker(table["id"], side, on, T)
 
 
-def _board(one: object, where: str) -> BoardSection:
-    table = table_of(one, where)
+def _board(section: object, where: str) -> BoardSection:
+    table = table_of(section, where)
     known = {key: value for key, value in table.items() if key in BoardSection.model_fields}
     try:
         return BoardSection.model_validate(known)
@@ -64,8 +64,8 @@ def _is_count(value: object) -> bool:
 def points_of(tables: Mapping[str, Any], n: int) -> tuple[TrackedPoint, ...]:
     """The tracked points on an arm of n joints. Raises: DiagnosisError: a field that is missing or wrong."""
     found = []
-    for name, one in table_of(tables.get("points", {}), "[points]").items():
-        table = table_of(one, f"points.{name}")
+    for name, point in table_of(tables.get("points", {}), "[points]").items():
+        table = table_of(point, f"points.{name}")
         joint, xyz = table.get("joint"), vector_of(table, "xyz_m", 3, f"points.{name}")
         if isinstance(joint, bool) or not isinstance(joint, int) or not 0 <= joint <= n:
             raise DiagnosisError(f"machine.toml: points.{name} needs joint = 0 .. {n}, and xyz_m = [x, y, z] if known")

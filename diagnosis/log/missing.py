@@ -16,9 +16,9 @@ def missing_columns(tables: Tables) -> list[Finding]:
     found = []
     for subject, table in (("static.csv", tables.static), ("tracker.csv", tables.tracker)):
         if table is not None:
-            found += _told(subject, _of_points(table, subject == "static.csv"), "no point can be used")
+            found += _unusable(subject, _of_points(table, subject == "static.csv"), "no point can be used")
     if tables.markers is not None:
-        found += _told("markers.csv", _of_markers(tables.markers), "no marker can be used whole")
+        found += _unusable("markers.csv", _of_markers(tables.markers), "no marker can be used whole")
     if tables.odometry is not None:
         found += _of_odometry(tables.odometry)
     return found
@@ -45,12 +45,13 @@ def _of_markers(table: MarkerTable) -> list[str]:
 
 
 def _of_odometry(table: OdometryTable) -> list[Finding]:
-    found = _told("odometry.csv", _empty(table.position, PLACE), "no path of the camera is known")
-    turned = _told("odometry.csv", _empty(table.quat_wxyz, TURN), "how the camera turned is not known")
-    return found + [Finding(one.code, "note", one.subject, one.text, one.count) for one in turned]  # lengths do without
+    found = _unusable("odometry.csv", _empty(table.position, PLACE), "no path of the camera is known")
+    turned = _unusable("odometry.csv", _empty(table.quat_wxyz, TURN), "how the camera turned is not known")
+    # A note only: lengths need no rotation.
+    return found + [Finding(finding.code, "note", finding.subject, finding.text, finding.count) for finding in turned]
 
 
-def _told(subject: str, columns: list[str], costs: str) -> list[Finding]:
+def _unusable(subject: str, columns: list[str], costs: str) -> list[Finding]:
     if not columns:
         return []
     text = f"{', '.join(columns)}: missing, or empty in every row; {costs}: add it"

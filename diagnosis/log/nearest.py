@@ -1,4 +1,4 @@
-"""A name that is not known beside those that are: which one may have been meant."""
+"""Which known name an unknown one may have meant."""
 
 import difflib
 from collections.abc import Iterable
@@ -9,11 +9,11 @@ PREFIX_MIN = 2  # letters of a name that was cut short
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
     """The likeliest known name: what this one begins, else what is spelt like it, small and capital letters alike."""
-    by_lower = {one.lower(): one for one in sorted(known)}
+    by_lower = {name.lower(): name for name in sorted(known)}
     wanted = name.lower()
     if wanted in by_lower:
         return by_lower[wanted]
-    begun = [one for one in by_lower if len(wanted) >= PREFIX_MIN and one.startswith(wanted)]
+    begun = [name for name in by_lower if len(wanted) >= PREFIX_MIN and name.startswith(wanted)]
     close = difflib.get_close_matches(wanted, list(by_lower), n=1, cutoff=CLOSE)
     found = close or begun
     return by_lower[found[0]] if found else None

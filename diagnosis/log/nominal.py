@@ -106,7 +106,7 @@ class _Reader:
     def __init__(self, tables: dict[str, Any], urdfs: UrdfFiles, n_joints: int | None) -> None:
         self._tables = tables
         self._urdfs = urdfs
-        self._joints = [table_of(one, f"joint {k}") for k, one in enumerate(list_of(tables, "joint"), start=1)]
+        self._joints = [table_of(section, f"joint {k}") for k, section in enumerate(list_of(tables, "joint"), start=1)]
         self._slides = [slides(joint, f"joint {k}") for k, joint in enumerate(self._joints, start=1)]
         self._count = n_joints
         self._absent: list[tuple[str, str]] = []
@@ -168,8 +168,8 @@ class _Reader:
             return tuple(written)
         return tuple(bool(arm.prismatic[k]) if arm.moves[k] else written[k] for k in range(n))
 
-    def _lack(self, part: str, needed: tuple[str, ...]) -> bool:
-        """Whether some joint lacks a field; all that the first such joint lacks is written down."""
+    def _is_missing(self, part: str, needed: tuple[str, ...]) -> bool:
+        """Whether a field is missing in some joint; all missing fields of the first such joint are written down."""
         if not self._joints:
             self._absent.append((part, f"no [[joint]] with {', '.join(needed)}"))
             return True
@@ -189,7 +189,7 @@ class _Reader:
         names, tool = self._names(), pose_of(self._section("tool"), "T_flange_tcp", "[tool]")
         if "urdf" in self._tables:
             return self._urdf_arm(names, tool, gravity)
-        if self._lack("structure", GEOMETRY):
+        if self._is_missing("structure", GEOMETRY):
             return None, names
         rows = [_dh_row(joint, f"joint {k} ({names[k - 1]})") for k, joint in enumerate(self._joints, start=1)]
         mass = np.array(
@@ -198,7 +198,7 @@ class _Reader:
         com = [vector_of(joint, "com_m", 3, name) for joint, name in zip(self._joints, names, strict=True)]
         if any("mass_kg" not in joint for joint in self._joints):
             self._absent.append(("load", f"some joint has no mass_kg: {WEIGHTLESS}"))
-        centres = np.array([np.zeros(3) if one is None else one for one in com])
+        centres = np.array([np.zeros(3) if centre is None else centre for centre in com])
         return arm_from_dh(rows, tool, mass, centres, gravity), names
 
     def _urdf_arm(
@@ -223,9 +223,9 @@ class _Reader:
 
     def _unlimited(self, limits: list[tuple[float, float]], sliding: tuple[bool, ...]) -> str:
         """What it costs that some joints have no limits."""
-        lacking = [k for k, ends in enumerate(limits) if not np.isfinite(ends).all()]
-        wanted = " or ".join(sorted({" and ".join(LIMITS[sliding[k]]) for k in lacking}))
-        which = f"joint{'s' if len(lacking) > 1 else ''} {', '.join(str(k + 1) for k in lacking)}"
+        unlimited = [k for k, ends in enumerate(limits) if not np.isfinite(ends).all()]
+        wanted = " or ".join(sorted({" and ".join(LIMITS[sliding[k]]) for k in unlimited}))
+        which = f"joint{'s' if len(unlimited) > 1 else ''} {', '.join(str(k + 1) for k in unlimited)}"
         text = f"{which}: no {wanted}; the range that the recording shows stands in for it"
         return f"{text}, and sizes of internal_leakage and load_droop go by the largest load in that range"
 
@@ -247,7 +247,7 @@ class _Reader:
         if missing:
             self._absent.append(("actuator", f"[plc] has no {', '.join(missing)}"))
             return None
-        if self._lack("actuator", VALVE):
+        if self._is_missing("actuator", VALVE):
             return None
         rows = []
         for k, joint in enumerate(self._joints, start=1):
@@ -260,7 +260,7 @@ class _Reader:
 
     def _controlled(self, actuators: Actuators) -> bool:
         """Whether every joint has a gain above 0."""
-        if self._lack("controller", ("kp_frac_per_rad",)):
+        if self._is_missing("controller", ("kp_frac_per_rad",)):
             return False
         idle = [k for k, kp in enumerate(actuators.joints[:, 3], start=1) if kp == 0.0]
         if idle:
@@ -294,7 +294,7 @@ class _Reader:
         found = markers_of(self._tables)
         if not found:
             self._absent.append(("camera", "no [[markers.marker]]"))
-        if "T_tcp_tool" not in tool and any(one.on == "tool" for one in found):
+        if "T_tcp_tool" not in tool and any(marker.on == "tool" for marker in found):
             self._absent.append(("camera", "[tool] has no T_tcp_tool: the markers on the tool are not used"))
         hung = "T_tcp_tool" in tool or MOUNT in self._section("camera")
         if hung and "T_flange_tcp" not in tool and "urdf" not in self._tables:  # a URDF's tip is its tcp

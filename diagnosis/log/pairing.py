@@ -15,7 +15,7 @@ BLOCK_S = 0.1
 LAG_MAX_S = 3.0  # a slow position loop trails its reference by a second or two
 OWN_MAX, OTHER_MIN = 0.6, 0.9  # correlation with the own column below, with the other one above: exchanged
 REVERSED_MAX = -0.9
-EITHER = 0.1  # a swing is as like its own opposite half a period later: no sign can be told by so little
+EITHER = 0.1  # an oscillation is as like its own opposite half a period later: so little shows no sign
 FOLLOWS_MIN = 0.5  # of the reference's motion: a joint that moves less may drift its own way
 BLOCKS_MIN = 20  # a correlation over fewer means nothing
 MOVED_SHARE = 0.2  # of the whole recording's motion: a segment of less says nothing about signs
@@ -66,7 +66,7 @@ def _reversed_positions(plc: PlcTable) -> list[Finding]:
     table = _correlations(enc, ref, round(LAG_MAX_S / BLOCK_S))
     table[enc.std(axis=0) < FOLLOWS_MIN * ref.std(axis=0)] = 0.0
     found = _judge("plc.csv", "q_{j}_rad", "q_ref_{j}_rad", table)
-    return [one for one in found if one.code == "reversed_column"]
+    return [finding for finding in found if finding.code == "reversed_column"]
 
 
 def _command_for_encoder(plc: PlcTable) -> list[Finding]:
@@ -110,7 +110,7 @@ def _reversed_in_segments(
     for j, names in wrong.items():
         mine, theirs = f"q_{j + 1}_rad", other.replace("{j}", str(j + 1))
         text = f"{mine} runs against {theirs} in {len(names)} of {len(segments)} segments ({', '.join(names[:3])})"
-        text += ": one of them has the wrong sign there; mend it, or leave these segments out"
+        text += ": one of them has the wrong sign there; fix it, or leave these segments out"
         findings.append(Finding("reversed_column", "fatal", "plc.csv", text, len(names)))
     return findings
 
@@ -123,12 +123,12 @@ def _rows(plc: PlcTable, which: NDArray[np.bool_]) -> PlcTable:
 
 def _judge(subject: str, pattern: str, other: str, table: Array) -> list[Finding]:
     """From correlations (encoder column, other column)."""
-    findings, told = [], set()
+    findings, reported = [], set()
     for j in range(len(table)):
         k = int(np.argmax(table[j]))
         own = table[j, j]
-        if k != j and j not in told and table[j, k] > OTHER_MIN and own < OWN_MAX and table[k, k] < OWN_MAX:
-            told |= {j, k}
+        if k != j and j not in reported and table[j, k] > OTHER_MIN and own < OWN_MAX and table[k, k] < OWN_MAX:
+            reported |= {j, k}
             mine, theirs = pattern.replace("{j}", str(j + 1)), other.replace("{j}", str(k + 1))
             text = (
                 f"{mine} follows {theirs} (correlation {table[j, k]:.2f}) and not its own column ({own:.2f}): joints "
@@ -173,7 +173,8 @@ def _encoder_and_reference(plc: PlcTable) -> Both | None:
 def _correlations(effects: Array, causes: Array, lag_max: int) -> Array:
     """Correlation of largest size over lags 0..lag_max of cause before effect, (columns of effects, of causes).
 
-    Of two of opposite signs and nearly one size the positive one: a swing is like its opposite half a period later.
+    Of two of opposite signs and nearly one size the positive one: an oscillation is like its opposite half a period
+    later.
     """
     high, low = (np.zeros((effects.shape[1], causes.shape[1])) for _ in range(2))
     for lag in range(min(lag_max, len(effects) - BLOCKS_MIN) + 1):

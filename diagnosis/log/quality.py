@@ -44,7 +44,7 @@ def time_findings(
 ) -> list[Finding]:
     """Gaps, jumps of the clock, time that runs backwards.
 
-    Model: a forward step above 1.5 median steps, which those beside it do not make up for, is a jump of the clock
+    Model: a forward step above 1.5 median steps, which its neighbours do not make up for, is a jump of the clock
            where the signals moved on by a few rows' motion only, though they were moving (below 0.3 of speed times
            step); else rows are missing. Where there are segments, nothing is asked of the time between them.
     """
@@ -63,7 +63,7 @@ def time_findings(
         k = int(back[0])
         text = (
             f"time runs backwards {len(back)} times, first by {-steps[k]:.4g} s at {t_s[k]:.10g} s; "
-            "the log is cut there: sort the rows, or mend the clock"
+            "the log is cut there: sort the rows, or fix the clock"
         )
         findings.append(Finding("time_backwards", "problem", subject, text, len(back)))
     jumps, gaps = [], []
@@ -87,12 +87,12 @@ def time_findings(
 
 
 def too_long(steps: Array, median: float, most: float) -> NDArray[np.bool_]:
-    """Steps (m,) of more than so many median ones that the steps beside them do not make up for.
+    """Steps (m,) of more than so many median ones that their neighbours do not make up for.
 
     Why: a row that was stamped late comes after a long step and before a short one, and none is missing.
     """
-    beside = np.concatenate([[median], steps, [median]])
-    three = beside[:-2] + beside[1:-1] + beside[2:]
+    padded = np.concatenate([[median], steps, [median]])
+    three = padded[:-2] + padded[1:-1] + padded[2:]
     return (steps > most * median) & (three > (3.0 + GAP_MORE) * median)
 
 
@@ -101,8 +101,8 @@ def _inside(t_s: Array, segments: Sequence[Segment]) -> NDArray[np.bool_]:
     if not segments:
         return np.ones(len(t_s) - 1, dtype=bool)
     inside = np.zeros(len(t_s) - 1, dtype=bool)
-    for one in segments:
-        inside |= (t_s[:-1] >= one.t_start_plc_s - EDGE_S) & (t_s[1:] <= one.t_end_plc_s + EDGE_S)
+    for segment in segments:
+        inside |= (t_s[:-1] >= segment.t_start_plc_s - EDGE_S) & (t_s[1:] <= segment.t_end_plc_s + EDGE_S)
     return inside
 
 
@@ -117,7 +117,7 @@ def _is_jump(signals: Array | None, k: int, step: float, median: float) -> bool:
     moved = np.linalg.norm(near[-1] - near[-2])
     noise = np.linalg.norm(around.std(axis=0))
     expected = speed * step
-    onwards = JUMP_ROWS * speed * median + 10.0 * noise  # far from there, it moved on while nobody wrote
+    onwards = JUMP_ROWS * speed * median + 10.0 * noise  # far from there, it moved on while nothing was logged
     return bool(expected > max(10.0 * noise, 1e-4) and moved < min(0.3 * expected, onwards))
 
 

@@ -1,4 +1,4 @@
-"""Whether a log's rows were taken as evenly as a machine runs, and only their stamps are uneven: the encoders tell.
+"""Whether a log's rows were taken as evenly as a machine runs, and only their stamps are uneven: the encoders show it.
 
 Why: a PC that stamps the rows of a PLC does it a millisecond early or late. Signals brought to an even rate by such
      stamps are wrong by as much, where the machine goes fast; a healthy one was refused for it.
@@ -21,17 +21,16 @@ def even_grid(t_s: Array) -> Array:
 
 
 def taken_evenly(enc: Array | None, t_s: Array, grid_s: Array) -> bool:
-    """Whether encoders (m, n) stamped t_s (m,) moved as if their rows were at grid_s (m,); False where none can tell.
+    """Whether encoders (m, n) stamped t_s (m,) moved as if their rows were at grid_s (m,); False where none shows it.
 
-    Model: beside the cubic through its four neighbours a row stands off by speed times its stamp's unevenness beside
-           theirs, if the stamps are true, and by nothing of that if the rows were even: the share of it by least
-           squares.
+    Model: a row stands off the cubic through its four neighbours by speed times its stamp's unevenness against theirs,
+           if the stamps are true, and by nothing of that if the rows were even: the share of it by least squares.
     """
     off, step_s = t_s - grid_s, float(grid_s[1] - grid_s[0])
     if enc is None or len(t_s) <= len(BESIDE) or np.abs(off).max() > NEXT_ROW * step_s:
         return False
-    expected = _beside(off[:, None]) * (enc[3:-1] - enc[1:-3]) / (2.0 * step_s)
-    stands = _beside(enc)
+    expected = _off_cubic(off[:, None]) * (enc[3:-1] - enc[1:-3]) / (2.0 * step_s)
+    stands = _off_cubic(enc)
     good = np.isfinite(expected) & np.isfinite(stands)
     x, y = expected[good], stands[good]
     power = float(x @ x)
@@ -42,7 +41,7 @@ def taken_evenly(enc: Array | None, t_s: Array, grid_s: Array) -> bool:
     return share < HALF and SURE * error < 1.0
 
 
-def _beside(values: Array) -> Array:
-    """Each row (m - 4, n) beside the cubic through its neighbours."""
+def _off_cubic(values: Array) -> Array:
+    """Each row (m - 4, n) less the cubic through its neighbours."""
     rows = len(values) - len(BESIDE) + 1
     return np.sum([share * values[k : k + rows] for k, share in enumerate(BESIDE)], axis=0)

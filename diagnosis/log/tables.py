@@ -1,4 +1,4 @@
-"""A recording's rows as arrays, still as they were written: nothing is resampled, sorted or mended here.
+"""A recording's rows as arrays, still as they were written: nothing is resampled, sorted or repaired here.
 
 Numbers beyond 1e9, which no angle, length or pressure reaches, count as infinite.
 """

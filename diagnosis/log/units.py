@@ -10,7 +10,7 @@ from diagnosis.sliding import column_of, slides
 from machine.rotations import Array
 
 LIMIT_MARGIN_RAD = 0.2
-FULL_TURN_RAD = 6.6  # without limits: more than a turn to either side is no joint angle of an arm in radians
+FULL_TURN_RAD = 6.6  # without limits: more than a turn to either side cannot be a joint angle of an arm in radians
 DEGREES_MIN_RAD = 3.3  # below it a value may be either
 DEGREES = (40.0, 80.0)  # a ratio of 57.3, give or take the effects that scale signals
 PERCENT_MIN = 1.5
@@ -35,11 +35,11 @@ def unit_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         if columns:
             found.append(_degrees(subject, pattern, columns, f"reach {largest(values[:, columns]):.4g}"))
         found += _slid_in_millimetres(subject, pattern, values, sliding)
-    if not any(one.code == "degrees" for one in found) and plc is not None:
+    if not any(finding.code == "degrees" for finding in found) and plc is not None:
         found += _degrees_by_comparison(plc, sliding) or _degrees_by_speed(plc, nominal)
     found += [] if plc is None else _percent(plc) + _bar(plc)
     placed = nominal is not None and nominal.T_base_tracker is not None
-    return found + [one for table in (tables.static, tables.tracker) for one in _millimetres(table, placed)]
+    return found + [finding for table in (tables.static, tables.tracker) for finding in _millimetres(table, placed)]
 
 
 def _positions(tables: Tables) -> list[tuple[str, str, Array]]:
@@ -76,7 +76,7 @@ def _milliseconds(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     plc = tables.plc
     if plc is None or len(plc.t_s) < ROWS_MIN:
         return []
-    segments = np.array([(one.t_start_plc_s, one.t_end_plc_s) for one in tables.run.segments])
+    segments = np.array([(segment.t_start_plc_s, segment.t_end_plc_s) for segment in tables.run.segments])
     span_s, wanted_s, who = _span_s(plc.t_s), _span_s(segments), "segments span"
     if nominal is not None and nominal.actuators is not None:
         wanted_s, who = nominal.actuators.log_cycle_s * (len(plc.t_s) - 1), "its rows at the machine file's cycle span"
@@ -87,12 +87,12 @@ def _milliseconds(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         ("odometry.csv", "t_camera_s", tables.odometry),
         ("tracker.csv", "t_plc_s", tables.tracker),
     )
-    beside = [
+    spans = [
         _looks_like(subject, column, _span_s(table.t_s), span_s, "plc.csv spans")
         for subject, column, table in others
         if table is not None and not own
     ]
-    return own + [one for found in beside for one in found]
+    return own + [finding for found in spans for finding in found]
 
 
 def _span_s(t_s: Array) -> float:

@@ -1,4 +1,4 @@
-"""The arm of a machine file that names a URDF: the chain, what the file says beside it, and where the two differ."""
+"""The arm of a machine file that names a URDF: the chain, what the file adds to it, and where the two differ."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from machine.effects.urdf_xml import UrdfJoint, urdf_chain, urdf_joint_names
 from machine.rotations import Array
 
 BESIDE_A_CHAIN = (*GEOMETRY, "dh_convention")  # what a URDF says in a [[joint]]'s place
-WEIGHTLESS = "gravity's torque is not known; a bend is told as an encoder's error"
+WEIGHTLESS = "gravity's torque is not known; a bend is reported as an encoder's error"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,16 +38,16 @@ def urdf_arm(
     T_flange_tcp: Array | None,
     gravity: Array,
 ) -> UrdfArm:
-    """The arm between the links that [urdf] names, with what [[joint]] and [machine] say beside it.
+    """The arm between the links that [urdf] names, with what [[joint]] and [machine] add to it.
 
     Model:  geometry, types and limits are the URDF's; mass_kg and com_m of a [[joint]] go before the URDF's, since a
             crane's masses are known better than its drawing's, and its q_min and q_max before <limit>. A type that
             differs is refused: one of the two files is of another machine.
     Args:   section: [urdf] with base_link, tip_link. joints: every [[joint]]. gravity: (3,) in base_link's axes.
-    Raises: DiagnosisError, MachineError: a file that is no URDF, names or types that cannot belong together.
+    Raises: DiagnosisError, MachineError: a file that is not a URDF, names or types that cannot belong together.
     """
     chain = urdf_chain(text, section["base_link"], section["tip_link"])
-    moving = {one.name: one for one in chain if one.kind != "fixed"}
+    moving = {joint.name: joint for joint in chain if joint.kind != "fixed"}
     wanted = _names(joints, list(moving))
     arm, names = arm_from_chain(chain, wanted, T_flange_tcp, gravity)
     for number, (joint, name) in enumerate(zip(joints, names, strict=False), start=1):
@@ -108,7 +108,7 @@ def _misnamed(names: tuple[str, ...], moving: Mapping[str, UrdfJoint], anywhere:
             continue
         near = nearest(name, held) if name not in anywhere else None
         meant |= {near} if near else set()
-        where = "is not on the URDF's chain" if name in anywhere else "is no joint of the URDF"
+        where = "is not on the URDF's chain" if name in anywhere else "is not in the URDF"
         text = f"joint {number} ({name}) {where} and moves nothing"
         text += f"; did you mean {near!r}?" if near else ""
         severity = "note" if name in anywhere else "problem"
@@ -120,7 +120,7 @@ def _misnamed(names: tuple[str, ...], moving: Mapping[str, UrdfJoint], anywhere:
 
 
 def _unread(joints: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """A second geometry beside the URDF's, which is the one that counts."""
+    """A second geometry next to the URDF's, which is the one that counts."""
     keys = [key for key in BESIDE_A_CHAIN if any(key in joint for joint in joints)]
     if not keys:
         return []

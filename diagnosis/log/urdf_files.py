@@ -24,9 +24,9 @@ class UrdfFiles:
         Raises: DiagnosisError: it is there and cannot be read.
         """
         name = PureWindowsPath(file).name  # cuts at both kinds of slashes
-        for one in self.recorded:
-            if one.name == name:
-                return one.data.decode("utf-8", errors="replace")
+        for file in self.recorded:
+            if file.name == name:
+                return file.data.decode("utf-8", errors="replace")
         path = None if self.folder is None else self.folder / name
         if path is None or not path.is_file():
             return None
@@ -38,11 +38,11 @@ class UrdfFiles:
     def why_none(self, file: str) -> str:
         """That it is not there, where it was looked for, and which URDFs there are."""
         places = "the recording" if self.folder is None else "the recording or next to the machine file"
-        known = sorted({one.name for one in self.recorded if one.name.endswith(ENDING)} | self._beside())
+        known = sorted({file.name for file in self.recorded if file.name.endswith(ENDING)} | self._in_folder())
         there = f"there is {', '.join(known[:SHOWN])}: give its name in [urdf] file" if known else "put it there"
         return f"the URDF {file!r} is not in {places}; {there}"
 
-    def _beside(self) -> set[str]:
+    def _in_folder(self) -> set[str]:
         try:
             return set() if self.folder is None else {path.name for path in self.folder.glob(f"*{ENDING}")}
         except OSError:

@@ -4,7 +4,7 @@ import numpy as np
 
 from machine.rotations import Array
 
-ROUNDS = 20  # of weighing anew; it settles within a few
+ROUNDS = 20  # of weighing again; it settles within a few
 TINY = 1e-30  # keeps weights finite where nothing is measured
 
 

@@ -15,7 +15,7 @@ from machine.rotations import Array
 
 BLOCK_S = 0.05
 ORDER_MAX = 6
-ORDER_LEFT = 20  # of what a baseline leaves: a second, in which a slow swing shows
+ORDER_LEFT = 20  # of what a baseline leaves: a second, in which a slow oscillation shows
 SIGMA_MIN = 1e-12
 RESPONSE = 1000  # increments, 50 s
 STOOD = 1e-9  # two readings closer than this are one [rad or m]
@@ -91,13 +91,13 @@ def floor_of_repeats(repeats: Array, dt_s: float) -> Floor:
         raise DiagnosisError(f"repeats have shape {values.shape}; give finite (R, m, n) with R of 2 or more")
     scale = np.sqrt(len(values) / (len(values) - 1.0))
     deviations = (values - values.mean(axis=0)) * scale
-    steps = [increments(one, dt_s) for one in deviations]
+    steps = [increments(deviation, dt_s) for deviation in deviations]
     if len(steps[0]) < 4 * ORDER_MAX:
         raise DiagnosisError(
             f"repeats are {len(values[0]) * dt_s:.3g} s long; give {4.5 * ORDER_MAX * BLOCK_S:g} s or more"
         )
     whitener = fit_whitener(steps)
-    rms = np.sqrt(np.mean(np.stack([block_means(one, dt_s) for one in deviations]) ** 2, axis=(0, 1)))
+    rms = np.sqrt(np.mean(np.stack([block_means(deviation, dt_s) for deviation in deviations]) ** 2, axis=(0, 1)))
     return Floor(rms, np.sqrt(np.mean(np.stack(steps) ** 2, axis=(0, 1))), whitener, True)
 
 
@@ -202,7 +202,7 @@ def fit_whitener(runs: list[Array]) -> Whitener:
         if score < best_score:
             best, best_score = Whitener(a, np.maximum(sigma, SIGMA_MIN)), score
     if best is None:
-        raise DiagnosisError("increments are not finite; mend the signal first")
+        raise DiagnosisError("increments are not finite; fix the signal first")
     return best
 
 

@@ -17,7 +17,7 @@ class DayNoise:
     def white(self, residuals: Array) -> Array:
         """Residuals (sets, N), white but for this noise, made white: (I + B B')^(-1/2) r.
 
-        Each by itself: sums over several at once round by how many they are, and what changes nothing would change it.
+        Each by itself: rounding of a sum over several depends on how many they are, and a set's result must not.
         """
         return np.array([r - self.directions @ (self.taken * (self.directions.T @ r)) for r in residuals])
 

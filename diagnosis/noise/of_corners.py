@@ -1,6 +1,6 @@
 """The noise of marker corners: each corner's own, and a shift that all corners of one frame share.
 
-Why: where the arm stands 0.3 mm beside its model, every corner of that picture moves together. Counted corner by corner
+Why: where the arm stands 0.3 mm off its model, every corner of that picture moves together. Counted corner by corner
 such a frame would speak with the weight of forty measurements, and any small effect that bends a few frames would win.
 """
 

@@ -1,7 +1,7 @@
-"""The noise of measured points: each one's own along radius, across and up, a swing of the slew that all points of one
-instant share, and a shift that they share.
+"""The noise of measured points: each one's own along radius, across and up, an oscillation of the slew that all points
+of one instant share, and a shift that they share.
 
-Why: a slewing arm swings, and all its points go across with it, each by its reach. Counted point by point such an
+Why: a slewing arm oscillates, and all its points go across with it, each by its reach. Counted point by point such an
 instant would speak three times, and any small effect at the slew would win.
 """
 
@@ -17,12 +17,12 @@ ACROSS = 1  # of radial, tangential, up
 
 @dataclass(frozen=True, slots=True)
 class PointNoise:
-    """Standard deviations `own` (3,) [m], `swing_rad` and, of the shift, `common_m`; of each point `reach_m` (m,) and
-    its instant's number.
+    """Standard deviations `own` (3,) [m], `oscillation_rad` and, of the shift, `common_m`; of each point `reach_m` (m,)
+    and its instant's number.
     """
 
     own: Array
-    swing_rad: float
+    oscillation_rad: float
     reach_m: Array
     instants: NDArray[np.int64]
     common_m: float = 0.0
@@ -30,14 +30,14 @@ class PointNoise:
     def white(self, rows: Array) -> Array:
         """White residuals (sets, 3 m) of residuals [m].
 
-        Model: across, covariance own^2 I + swing^2 rho rho' over the reaches rho of an instant, whose inverse root
-               takes what lies along rho down to own / sqrt(own^2 + swing^2 |rho|^2) of it; along each axis the same of
+        Model: across, covariance own^2 I + psi^2 rho rho' over the reaches rho of an instant, whose inverse root
+               takes what lies along rho down to own / sqrt(own^2 + psi^2 |rho|^2) of it; along each axis the same of
                a shift, which all points have alike.
         """
         out = rows.reshape(len(rows), -1, 3) / self.own
-        if self.swing_rad > 0.0:
+        if self.oscillation_rad > 0.0:
             size2 = np.bincount(self.instants, weights=self.reach_m**2)
-            share = 1.0 - 1.0 / np.sqrt(1.0 + (self.swing_rad / self.own[ACROSS]) ** 2 * size2)
+            share = 1.0 - 1.0 / np.sqrt(1.0 + (self.oscillation_rad / self.own[ACROSS]) ** 2 * size2)
             for across in out[:, :, ACROSS]:
                 along = np.bincount(self.instants, weights=self.reach_m * across) / np.maximum(size2, 1e-12)
                 across -= self.reach_m * (share * along)[self.instants]
@@ -63,14 +63,14 @@ def instants_of(when: Array) -> NDArray[np.int64]:
 
 
 def variances_of(residual: Array, noise: PointNoise) -> tuple[Array, float]:
-    """Variances (3,) [m^2] of each point's own residual (m, 3) [m], and of the swing [rad^2], which chance can bring
-    below 0. Points that were measured alone tell of no swing.
+    """Variances (3,) [m^2] of each point's own residual (m, 3) [m], and of the oscillation [rad^2], which chance can
+    bring below 0. Points that were measured alone show no oscillation.
     """
     across, rho = residual[:, ACROSS], noise.reach_m
     S, Q = (np.bincount(noise.instants, weights=(rho * across) ** k) for k in (1, 2))
     R2, R4 = (np.bincount(noise.instants, weights=rho**k) for k in (2, 4))
     pairs = float((R2**2 - R4).sum())
-    swing = float((S**2 - Q).sum()) / pairs if pairs > 0.0 else 0.0
+    oscillation = float((S**2 - Q).sum()) / pairs if pairs > 0.0 else 0.0
     own = np.mean(residual**2, axis=0)
-    own[ACROSS] -= max(swing, 0.0) * float(np.mean(rho**2))
-    return own, swing
+    own[ACROSS] -= max(oscillation, 0.0) * float(np.mean(rho**2))
+    return own, oscillation

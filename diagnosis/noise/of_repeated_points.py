@@ -14,7 +14,7 @@ from machine.rotations import Array
 SAMPLES_MIN = 8  # of one point in each repeat
 BESIDE = 0.51  # of the usual time between two samples of a point: where repeats are sampled in between
 DRIFT_TIMES = 2.0  # of the scatter: trackers drift by about as much as they scatter
-BY_CHANCE = 1e-3  # how often repeats' means of a tracker without drift are told to drift
+BY_CHANCE = 1e-3  # how often repeats' means of a tracker without drift are taken to drift
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +51,13 @@ def repeated_points(
         ]
         if not deviations:
             continue
-        for one in deviations:
-            squares += (one**2).sum(axis=(0, 1))
-            free += (len(one) - 1) * one.shape[1]
-        means = np.mean([one.mean(axis=1) for one in deviations], axis=0)  # all points of a tracker drift together
+        for deviation in deviations:
+            squares += (deviation**2).sum(axis=(0, 1))
+            free += (len(deviation) - 1) * deviation.shape[1]
+        # All points of a tracker drift together.
+        means = np.mean([deviation.mean(axis=1) for deviation in deviations], axis=0)
         of_means += (means**2).sum(axis=0)
-        by_scatter += (len(means) - 1) / sum(one.shape[1] for one in deviations)
+        by_scatter += (len(means) - 1) / sum(deviation.shape[1] for deviation in deviations)
         free_means += len(means) - 1
     if not free:
         return None

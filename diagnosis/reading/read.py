@@ -57,8 +57,8 @@ class Read:
         return self.nominal is not None and not fatal(self.findings) and bool(stages_present(self))
 
     @property
-    def lacking(self) -> tuple[tuple[str, str], ...]:
-        """What the machine file lacks, by part, of what was recorded: a camera's numbers only where there was one."""
+    def missing_parts(self) -> tuple[tuple[str, str], ...]:
+        """What is missing in the machine file, by part, of what was recorded: of a camera only where there was one."""
         absent = () if self.nominal is None else self.nominal.absent
         seen = self.tables is not None and (self.tables.markers is not None or self.tables.odometry is not None)
         return tuple((part, why) for part, why in absent if seen or part != "camera")
@@ -70,7 +70,7 @@ class Read:
             return False
         written = self.tables.plc is not None and self.tables.plc.enc is not None
         named = (PlcState.file, PlcState.topic)
-        return written or any(one.code == "no_rows" and one.subject in named for one in self.findings)
+        return written or any(finding.code == "no_rows" and finding.subject in named for finding in self.findings)
 
 
 def read(path: Path, machine_file: Path | None = None) -> Read:
@@ -84,7 +84,9 @@ def read(path: Path, machine_file: Path | None = None) -> Read:
     except RecordingError as error:
         return Read(path, None, None, (), (*findings, _unreadable(path, error)))
     whole = examine(recording, path, machine_file, findings)
-    return whole if is_folder(path) else replace(whole, findings=tuple(by_channel(one) for one in whole.findings))
+    return (
+        whole if is_folder(path) else replace(whole, findings=tuple(by_channel(finding) for finding in whole.findings))
+    )
 
 
 def column_findings(path: Path) -> list[Finding]:
@@ -102,16 +104,16 @@ def examine(
     """What a recording in memory gives. `path`: what it is called; `before`: what its form already showed; `others`:
     where the rest of it was read, if it is laid together of several.
     """
-    folders = [one for one in (path, *others) if is_folder(one)]
+    folders = [folder for folder in (path, *others) if is_folder(folder)]
     findings = [*before, *_form_findings(recording, path, others)]
     tables, by_number = with_reference(tables_of(recording))
     findings += by_number
     nominal = _nominal(path, recording, tables, machine_file, findings)
     findings += _checks(tables, nominal)
     if nominal is not None:
-        for one in folders:
-            found = _guarded(partial(metre_findings, one, nominal.sliding), one.name)
-            findings += in_recording(found, one) if others else found
+        for folder in folders:
+            found = _guarded(partial(metre_findings, folder, nominal.sliding), folder.name)
+            findings += in_recording(found, folder) if others else found
     stretches: tuple[Stretch, ...] = ()
     if not fatal(findings):
         stretches, left_out = stretches_of(tables, None if nominal is None else nominal.actuators)
@@ -130,7 +132,7 @@ def examine(
 def _without_wild_points(
     tables: Tables, nominal: Nominal | None, stretches: tuple[Stretch, ...]
 ) -> tuple[Tables, list[Finding]]:
-    """Measured points that are none are named and left out, so that they do not widen the noise of the others."""
+    """Impossible points are named and left out, so that they do not widen the noise of the others."""
     static, tracker, findings = tables.static, tables.tracker, list[Finding]()
     if static is not None:
         static, zeros = without_zeros(static, "static.csv")
@@ -147,7 +149,7 @@ def _without_wild_points(
 
 def in_recording(findings: Sequence[Finding], path: Path) -> list[Finding]:
     """The same, saying of which of several recordings."""
-    return [replace(one, text=f"of {path.name}: {one.text}") for one in findings]
+    return [replace(finding, text=f"of {path.name}: {finding.text}") for finding in findings]
 
 
 def is_folder(path: Path) -> bool:
@@ -174,17 +176,17 @@ def _guarded(check: Callable[[], list[Finding]], subject: str) -> list[Finding]:
 
 def _form_findings(recording: Recording, path: Path, others: Sequence[Path]) -> list[Finding]:
     findings: list[Finding] = []
-    for one in (path, *others):
-        if is_folder(one) and not (one / "run.toml").is_file():
+    for place in (path, *others):
+        if is_folder(place) and not (place / "run.toml").is_file():
             text = "is not there: no segments, no repeats, no clocks are known"
             found = [Finding("no_run_file", "note", "run.toml", text)]
-            findings += in_recording(found, one) if others else found
+            findings += in_recording(found, place) if others else found
     if not recording.complete:
         text = "the file was cut; what could be read is used, `longreach recording recover` writes a whole one"
         findings.append(Finding("cut_file", "problem", "recording", text))
     findings += [
-        Finding("unknown_column", "note", path.name, f"channel {told}: it is not of the format")
-        for told in recording.foreign
+        Finding("unknown_column", "note", path.name, f"channel {channel}: it is not of the format")
+        for channel in recording.foreign
     ]
     if recording.run.format_version < FORMAT_VERSION:
         text = f"format_version {recording.run.format_version} is older than {FORMAT_VERSION}; read as its own version"
@@ -207,17 +209,17 @@ def _nominal(
             findings.append(Finding("machine_file", "fatal", name, "is empty or no file; give a machine.toml"))
             return None
     if not text:
-        lack = "there is no machine.toml; give one by --machine, or put it into the recording"
-        findings.append(Finding("no_machine_file", "fatal", path.name, lack))
+        reason = "there is no machine.toml; give one by --machine, or put it into the recording"
+        findings.append(Finding("no_machine_file", "fatal", path.name, reason))
         return None
     urdfs = UrdfFiles(recording.attachments, None if machine_file is None else machine_file.parent)
     try:
         nominal = nominal_of(text, urdfs, tables.n or None)
     except DiagnosisError as error:
-        told = str(error).removeprefix("machine.toml").removeprefix(":").strip()
-        findings.append(Finding("machine_file", "fatal", name, told))
+        reason = str(error).removeprefix("machine.toml").removeprefix(":").strip()
+        findings.append(Finding("machine_file", "fatal", name, reason))
         return None
-    findings += [replace(one, subject=name) for one in nominal.findings]
+    findings += [replace(finding, subject=name) for finding in nominal.findings]
     return nominal
 
 
@@ -232,7 +234,10 @@ def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         if table is not None:
             findings += time_findings(subject, table.t_s + to_pc_s - to_plc_s, None, tables.run.segments)
     findings += missing_columns(tables) + corner_findings(tables)
-    if not any(one.code == "degrees" or (one.code, one.severity) == ("time_backwards", "fatal") for one in findings):
+    if not any(
+        finding.code == "degrees" or (finding.code, finding.severity) == ("time_backwards", "fatal")
+        for finding in findings
+    ):
         findings += pairing_findings(tables)
         findings += machine_findings(tables, nominal) if nominal is not None else []
         if nominal is not None and tables.plc is not None and not fatal(findings):
@@ -243,7 +248,7 @@ def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
     if tables.markers is not None and guessed(tables):
         text = "no clocks.plc_to_pc_offset_s: pictures are placed by how they move with the joints, and a camera that "
-        text += "stamps late cannot be told; give the offset"
+        text += "stamps late cannot be found; give the offset"
         findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
     return findings
 
@@ -253,15 +258,17 @@ def stages_present(whole: Read) -> tuple[Stage, ...]:
     nominal, tables, some = whole.nominal, whole.tables, whole.stretches
     if nominal is None or tables is None:
         return ()
-    driven, moved = nominal.actuators is not None, any(one.enc is not None for one in some)
+    driven, moved = nominal.actuators is not None, any(stretch.enc is not None for stretch in some)
     mounted = nominal.arm is not None and nominal.T_tcp_cam_left is not None
     tests = (
-        ("link", any(one.sent is not None and one.ref is not None for one in some) and driven),
+        ("link", any(stretch.sent is not None and stretch.ref is not None for stretch in some) and driven),
         (
             "controller",
-            moved and nominal.has_controller and any(one.ref is not None and one.u is not None for one in some),
+            moved
+            and nominal.has_controller
+            and any(stretch.ref is not None and stretch.u is not None for stretch in some),
         ),
-        ("actuator", moved and driven and any(one.u is not None for one in some)),
+        ("actuator", moved and driven and any(stretch.u is not None for stretch in some)),
         ("actuator", moved and nominal.has_controller and merge_of(some) is not None),
         ("structure", nominal.arm is not None and enough_points(nominal, tables, some)),
         ("camera", mounted and nominal.camera is not None and enough_corners(nominal, tables, some)),
@@ -280,10 +287,10 @@ def _nothing(whole: Read) -> Finding:
         text = f"the PLC's log holds no number of any encoder (q_<j>_rad), and {text}"
     elif tables is not None and tables.plc is not None and tables.plc.ref is None and tables.plc.u is None:
         text = f"the PLC's log says where the joints were, not what they were asked (q_ref_<j>_rad, u_<j>_frac); {text}"
-    lacking = "; ".join(f"{part}: {why}" for part, why in whole.lacking)
-    if lacking:
-        text += f"; the machine file lacks {lacking}"
-    if any(one.code == "cut_file" for one in whole.findings):
+    missing = "; ".join(f"{part}: {why}" for part, why in whole.missing_parts)
+    if missing:
+        text += f"; missing in the machine file: {missing}"
+    if any(finding.code == "cut_file" for finding in whole.findings):
         text += f"; what could be read of the damaged file: {_what_was_read(tables)}"
     return Finding("no_data", "fatal", whole.path.name, text)
 

@@ -1,4 +1,4 @@
-"""Several recordings of one machine as one: the second recorded to separate what the first could not tell apart.
+"""Several recordings of one machine as one: the second recorded to separate what the first could not distinguish.
 
 They are laid end to end on the first one's clocks. What stands still between them (the object of interest, the tracker)
 is taken to stand still over all of them.
@@ -41,18 +41,18 @@ def read_together(paths: Sequence[Path], machine_file: Path | None = None) -> Re
     """
     if len(paths) == 1:
         return read(paths[0], machine_file)
-    twice = [path for k, path in enumerate(paths) if path.resolve() in {one.resolve() for one in paths[:k]}]
+    twice = [path for k, path in enumerate(paths) if path.resolve() in {earlier.resolve() for earlier in paths[:k]}]
     if twice:
         raise DiagnosisError(f"{twice[0].name} is given twice, which says no more than once; name it once")
     try:
         recordings = [read_run(path) for path in paths]
     except RecordingError as error:
         raise DiagnosisError(str(error)) from error
-    before = [one for path in paths for one in in_recording(column_findings(path), path)]
+    before = [finding for path in paths for finding in in_recording(column_findings(path), path)]
     whole = examine(together(recordings, machine_file is not None), paths[0], machine_file, before, paths[1:])
     if any(is_folder(path) for path in paths):
         return whole
-    return replace(whole, findings=tuple(by_channel(one) for one in whole.findings))
+    return replace(whole, findings=tuple(by_channel(finding) for finding in whole.findings))
 
 
 def together(recordings: Sequence[Recording], machine_given: bool = False) -> Recording:
@@ -64,49 +64,49 @@ def together(recordings: Sequence[Recording], machine_given: bool = False) -> Re
     first = recordings[0]
     rows: list[Row] = list(first.rows)
     segments = list(first.run.segments or _whole(first, ""))
-    for number, one in enumerate(recordings[1:], start=2):
-        if not machine_given and one.machine_toml.strip() != first.machine_toml.strip():
+    for number, recording in enumerate(recordings[1:], start=2):
+        if not machine_given and recording.machine_toml.strip() != first.machine_toml.strip():
             raise DiagnosisError(f"recording {number} has another machine.toml than the first; give one by --machine")
-        shift = _shift(first, one, rows, number)
-        rows += [_moved(row, shift) for row in one.rows]
-        segments += [_later(segment, shift) for segment in one.run.segments or _whole(one, "")]
-    whole = all(one.complete for one in recordings)
+        shift = _shift(first, recording, rows, number)
+        rows += [_moved(row, shift) for row in recording.rows]
+        segments += [_later(segment, shift) for segment in recording.run.segments or _whole(recording, "")]
+    whole = all(recording.complete for recording in recordings)
     return replace(first, run=replace(first.run, segments=tuple(segments)), rows=tuple(rows), complete=whole)
 
 
 def _require_as_many_joints(recordings: Sequence[Recording]) -> None:
-    counts = {number: _joints(one) for number, one in enumerate(recordings, start=1)}
-    told = {number: count for number, count in counts.items() if count}
-    for number, count in told.items():
-        first, others = next(iter(told.items()))
+    counts = {number: _joints(recording) for number, recording in enumerate(recordings, start=1)}
+    counted = {number: count for number, count in counts.items() if count}
+    for number, count in counted.items():
+        first, others = next(iter(counted.items()))
         if count != others:
             text = f"recording {number} has {count} joints, recording {first} has {others}"
             raise DiagnosisError(f"{text}; give recordings of one machine with the same columns")
 
 
-def _joints(one: Recording) -> int:
-    """How many joints its rows tell of; 0 where they tell of none."""
+def _joints(recording: Recording) -> int:
+    """How many joints its rows describe; 0 where they describe none."""
     fields = {PlcState: [field for _, field, _ in JOINT_SIGNALS], Sent: ["q_sent_rad"], StaticPoint: ["q_rad"]}
-    return max((len(getattr(row, name)) for row in one.rows for name in fields.get(type(row), ())), default=0)
+    return max((len(getattr(row, name)) for row in recording.rows for name in fields.get(type(row), ())), default=0)
 
 
-def _shift(first: Recording, one: Recording, rows: list[Row], number: int) -> _Shift:
+def _shift(first: Recording, recording: Recording, rows: list[Row], number: int) -> _Shift:
     """So that a recording begins after all rows so far, with the first one's offsets between the clocks.
 
     Model: t_plc' = t_plc + s; t_pc' = t_plc' + offset of the first, so t_pc' = t_pc + s + offset_first - offset_own.
     """
     end = max(_plc_times(first.run, rows), default=0.0)
-    start = min(_plc_times(one.run, one.rows), default=0.0)
+    start = min(_plc_times(recording.run, recording.rows), default=0.0)
     s = end + APART_S - start
-    pc = s + _difference(first, one, number, "plc_to_pc_offset_s")
-    camera = pc - _difference(first, one, number, "camera_to_pc_offset_s")
+    pc = s + _difference(first, recording, number, "plc_to_pc_offset_s")
+    camera = pc - _difference(first, recording, number, "camera_to_pc_offset_s")
     seq = 1 + max((number for row in rows if 0 <= (number := _number_of(row)) <= NUMBER_MOST), default=0)
     pose = 1 + max((row.pose_index for row in rows if isinstance(row, StaticPoint)), default=0)
     return _Shift(s, pc, camera, seq, pose, f" ({number})")
 
 
 def _number_of(row: Row) -> int:
-    """The number of the datagram that a row tells of."""
+    """The number of the datagram that a row belongs to."""
     match row:
         case Sent():
             return row.seq
@@ -121,8 +121,8 @@ def _later_number(number: int, by: int) -> int:
     return number + by if 0 <= number <= NUMBER_MOST else number
 
 
-def _difference(first: Recording, one: Recording, number: int, name: str) -> float:
-    a, b = getattr(first.run, name), getattr(one.run, name)
+def _difference(first: Recording, recording: Recording, number: int, name: str) -> float:
+    a, b = getattr(first.run, name), getattr(recording.run, name)
     if a is None and b is None:
         return 0.0
     if a is None or b is None:
@@ -163,8 +163,8 @@ def _moved(row: Row, by: _Shift) -> Row:
             return row
 
 
-def _whole(one: Recording, name: str) -> tuple[Segment, ...]:
-    times = [row.t_plc_s for row in one.of(PlcState)]
+def _whole(recording: Recording, name: str) -> tuple[Segment, ...]:
+    times = [row.t_plc_s for row in recording.of(PlcState)]
     return (Segment(name or "whole", "workcycle", min(times), max(times)),) if times else ()
 
 

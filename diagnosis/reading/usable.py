@@ -37,16 +37,16 @@ def corners_usable(nominal: Nominal, tables: Tables, stretches: tuple[Stretch, .
     tool = int(seen_rows(nominal, markers, "tool").sum()) if nominal.T_tcp_tool is not None else 0
     t_s = markers.t_s + camera_to_plc_s(tables)
     inside = np.zeros(len(t_s), dtype=bool)
-    for one in stretches:
-        if one.enc is not None:
-            inside |= (t_s >= one.t_s[0] + MARGIN_S) & (t_s <= one.t_s[-1] - MARGIN_S)
+    for stretch in stretches:
+        if stretch.enc is not None:
+            inside |= (t_s >= stretch.t_s[0] + MARGIN_S) & (t_s <= stretch.t_s[-1] - MARGIN_S)
     return max(tool, int((seen_rows(nominal, markers, "ooi") & inside).sum()))
 
 
 def odometry_usable(tables: Tables, stretches: tuple[Stretch, ...]) -> bool:
     """Whether the camera's path is known anywhere while encoders were logged somewhere."""
     table = tables.odometry
-    if table is None or not any(one.enc is not None for one in stretches):
+    if table is None or not any(stretch.enc is not None for stretch in stretches):
         return False
     return bool((np.isfinite(table.t_s) & np.isfinite(table.position).all(axis=1)).any())
 
@@ -85,13 +85,13 @@ def _too_few(file: str, count: int, total: int, least: int) -> list[str]:
 
 
 def _elsewhere(tables: Tables, stretches: tuple[Stretch, ...]) -> list[str]:
-    """Segments that lie beside the whole log: two clocks."""
+    """Segments that lie outside the whole log: two clocks."""
     plc, segments = tables.plc, tables.run.segments
     if plc is None or stretches or not segments or not np.isfinite(plc.t_s).any():
         return []
     first, last = float(np.nanmin(plc.t_s)), float(np.nanmax(plc.t_s))
-    starts, ends = min(one.t_start_plc_s for one in segments), max(one.t_end_plc_s for one in segments)
-    if any(one.t_start_plc_s <= last and one.t_end_plc_s >= first for one in segments):
+    starts, ends = min(segment.t_start_plc_s for segment in segments), max(segment.t_end_plc_s for segment in segments)
+    if any(segment.t_start_plc_s <= last and segment.t_end_plc_s >= first for segment in segments):
         return []
     log, named = f"the log at {first:.10g} .. {last:.10g} s", f"segments lie at {starts:.10g} .. {ends:.10g} s"
     return [f"{named}, {log}: give both on the PLC's clock, or leave the segments out"]

@@ -1,4 +1,4 @@
-"""The command's course between two logged rows, where no model of a controller tells it."""
+"""The command's course between two logged rows, where no model of a controller gives it."""
 
 from typing import Any
 
@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from machine.effects.dynamics import Actuators, at_cycles
 from machine.rotations import Array
 
-JUMP = 4.0  # times what the command changes in the rows beside it
+JUMP = 4.0  # times what the command changes in the neighbouring rows
 
 
 def smooth(plant: Actuators, rows: Array) -> Array:
-    """Logged rows (rows, n) at every PLC cycle: a cubic through the four nearest rows, a line beside a jump.
+    """Logged rows (rows, n) at every PLC cycle: a cubic through the four nearest rows, a line next to a jump.
 
     Why no lines: at 100 Hz they cut a thousandth off a sine of 1.6 Hz, which quiet encoders show as a small gain.
     """
@@ -48,7 +48,7 @@ def held_rows(plant: Actuators, rows: NDArray[Any]) -> NDArray[Any]:
 
 
 def jumping(rows: Array) -> NDArray[np.bool_]:
-    """Rows (rows, n) after which the command changes by much more than in the rows beside."""
+    """Rows (rows, n) after which the command changes by much more than in the neighbouring rows."""
     change = np.abs(np.diff(rows, axis=0, append=rows[-1:]))
-    beside = np.maximum(np.roll(change, 1, axis=0), np.roll(change, -1, axis=0))
-    return np.asarray(change > JUMP * beside)
+    neighbours = np.maximum(np.roll(change, 1, axis=0), np.roll(change, -1, axis=0))
+    return np.asarray(change > JUMP * neighbours)

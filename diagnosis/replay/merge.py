@@ -24,11 +24,11 @@ class Merge:
 
 def merge_of(stretches: tuple[Stretch, ...]) -> Merge | None:
     """What a recording without valve commands merges; None where they are there, or nothing drives the joints."""
-    if any(one.u is not None for one in stretches):
+    if any(stretch.u is not None for stretch in stretches):
         return None
-    if stretches and all(one.ref is not None for one in stretches):
+    if stretches and all(stretch.ref is not None for stretch in stretches):
         return Merge(("controller", "actuator"))
-    if stretches and all(one.sent is not None for one in stretches):
+    if stretches and all(stretch.sent is not None for stretch in stretches):
         return Merge(("link", "controller", "actuator"))
     return None
 
@@ -40,7 +40,7 @@ def merged_drives(
     merge = merge_of(stretches)
     if merge is None or not replayer.nominal.has_controller:
         return []
-    return [one for stretch in stretches if (one := merged(replayer, stretch, merge, course)) is not None]
+    return [prepared for stretch in stretches if (prepared := merged(replayer, stretch, merge, course)) is not None]
 
 
 def merged(replayer: Replayer, stretch: Stretch, merge: Merge, course: ParameterSets | None = None) -> Prepared | None:

@@ -24,52 +24,52 @@ NARROW = 1e-7  # of the size: what a fit may still move
 
 def read_off(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) -> tuple[Candidate, ...]:
     """Candidates of the link, with the size fixed where the log shows it; no loss where it shows that there is none."""
-    if not all(one.ref_logged for one in stretches):
-        candidates = tuple(one for one in candidates if one.name not in OF_THE_NUMBERS)
-    values = np.concatenate([one.ref for one in stretches if one.ref is not None])
+    if not all(stretch.ref_logged for stretch in stretches):
+        candidates = tuple(candidate for candidate in candidates if candidate.name not in OF_THE_NUMBERS)
+    values = np.concatenate([stretch.ref for stretch in stretches if stretch.ref is not None])
     loss = _loss(stretches)
     out = []
-    for one in candidates:
-        if one.name == "reference_quantisation" and one.joint is not None:
-            out.append(_fixed(one, comb_of(values[:, one.joint - 1])))
-        elif one.name != "packet_loss" or loss is None:
-            out.append(one)
+    for candidate in candidates:
+        if candidate.name == "reference_quantisation" and candidate.joint is not None:
+            out.append(_fixed(candidate, comb_of(values[:, candidate.joint - 1])))
+        elif candidate.name != "packet_loss" or loss is None:
+            out.append(candidate)
         elif loss.any():
-            fixed = _fixed(one, float(loss.mean()))
-            out.append(one if fixed is one else replace(fixed, counted=len(loss)))
+            fixed = _fixed(candidate, float(loss.mean()))
+            out.append(candidate if fixed is candidate else replace(fixed, counted=len(loss)))
     return tuple(out)
 
 
 def reached(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) -> tuple[Candidate, ...]:
     """Candidates of controllers, without limits of the command that the log itself goes beyond."""
     out = []
-    for one in candidates:
-        if one.name != "controller_saturation" or one.joint is None:
-            out.append(one)
+    for candidate in candidates:
+        if candidate.name != "controller_saturation" or candidate.joint is None:
+            out.append(candidate)
             continue
-        slot = one.slots[0]
-        logged = [np.abs(part.u[:, one.joint - 1]) for part in stretches if part.u is not None]
+        slot = candidate.slots[0]
+        logged = [np.abs(part.u[:, candidate.joint - 1]) for part in stretches if part.u is not None]
         known = [float(u[np.isfinite(u)].max(initial=0.0)) for u in logged]
         least = REACHED * max(known, default=0.0)
         if least < slot.highest:
             low = max(slot.low, least)
-            out.append(replace(one, slots=(replace(slot, low=low, start=max(slot.start, low)),)))
+            out.append(replace(candidate, slots=(replace(slot, low=low, start=max(slot.start, low)),)))
     return tuple(out)
 
 
 def _loss(stretches: tuple[Stretch, ...]) -> NDArray[np.bool_] | None:
-    """Of every datagram that can be judged whether it never arrived; None where some stretch cannot tell."""
-    seen = [one.sent for one in stretches if one.sent is not None]
-    known = [one.lost if one.judged is None else one.lost[one.judged] for one in seen if one.lost is not None]
+    """Of every datagram that can be judged whether it never arrived; None where some stretch cannot show it."""
+    seen = [stretch.sent for stretch in stretches if stretch.sent is not None]
+    known = [sent.lost if sent.judged is None else sent.lost[sent.judged] for sent in seen if sent.lost is not None]
     return np.concatenate(known) if known and len(known) == len(seen) else None
 
 
-def _fixed(one: Candidate, size: float | None) -> Candidate:
-    slot = one.slots[0]
+def _fixed(candidate: Candidate, size: float | None) -> Candidate:
+    slot = candidate.slots[0]
     if size is None or not slot.low < size < slot.highest:
-        return one
+        return candidate
     low, high = size * (1.0 - NARROW), size * (1.0 + NARROW)
-    return replace(one, slots=(replace(slot, low=low, high=high, highest=high, start=size),), read_off=True)
+    return replace(candidate, slots=(replace(slot, low=low, high=high, highest=high, start=size),), read_off=True)
 
 
 def comb_of(values: Array) -> float | None:

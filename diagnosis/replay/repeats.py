@@ -19,7 +19,7 @@ def repeat_findings(stretches: tuple[Stretch, ...]) -> list[Finding]:
         return []
     groups = repeat_groups(stretches)
     if not groups:
-        claimed = any(one.repeat_of for one in stretches)
+        claimed = any(stretch.repeat_of for stretch in stretches)
         why = "repeats are named, but none is one unbroken stretch" if claimed else "no command was repeated"
         text = f"{why}: the noise floor is not known, and every probability is widened"
         return [
@@ -40,19 +40,19 @@ def repeat_findings(stretches: tuple[Stretch, ...]) -> list[Finding]:
 
 def _shared(name: str, members: tuple[Stretch, ...]) -> list[Finding]:
     """Repeats that are the same rows to a tenth or more: their noise would be none, and all else a gap."""
-    inside = sorted(members, key=lambda one: float(one.t_s[0]))
-    for one, following in pairwise(inside):
-        shared_s = float(min(one.t_s[-1], following.t_s[-1]) - following.t_s[0])
-        if shared_s > SHARED_MAX * min(one.duration_s, following.duration_s):
-            text = f"{one.name!r} and {following.name!r} of {name!r} share {shared_s:.3g} s of rows"
-            text += ": that is no second measurement; correct the times in run.toml"
+    inside = sorted(members, key=lambda run: float(run.t_s[0]))
+    for run, following in pairwise(inside):
+        shared_s = float(min(run.t_s[-1], following.t_s[-1]) - following.t_s[0])
+        if shared_s > SHARED_MAX * min(run.duration_s, following.duration_s):
+            text = f"{run.name!r} and {following.name!r} of {name!r} share {shared_s:.3g} s of rows"
+            text += ": that is not a second measurement; correct the times in run.toml"
             return [Finding("segments_overlap", "fatal", "segments", text)]
     return []
 
 
 def laid_over(members: tuple[Stretch, ...], name: str) -> Array | None:
-    """One signal of all repeats on one time since their segments' starts, (repeats, m, n); None if one lacks it."""
-    signals = [getattr(one, name) for one in members]
+    """One signal of all repeats on one time since their segments' starts, (repeats, m, n); None if one has none."""
+    signals = [getattr(run, name) for run in members]
     if any(signal is None for signal in signals):
         return None
     return overlaid(members, signals)
@@ -61,7 +61,7 @@ def laid_over(members: tuple[Stretch, ...], name: str) -> Array | None:
 def overlaid(members: tuple[Stretch, ...], signals: list[Array]) -> Array:
     """Rows (m, n) of each repeat, brought onto one time since its segment's start by whole steps, cut alike."""
     dt = members[0].dt_s
-    starts = [round((one.t_s[0] - one.t_segment_s) / dt) for one in members]
+    starts = [round((run.t_s[0] - run.t_segment_s) / dt) for run in members]
     first = max(starts)
     cut = [signal[first - start :] for start, signal in zip(starts, signals, strict=True)]
     rows = min(len(signal) for signal in cut)

@@ -26,7 +26,7 @@ from machine.effects.structure import loads_along, reference_torques
 from machine.rotations import Array
 
 EVENLY = 3.0**0.5  # half the width, in deviations, of what lies anywhere in a range
-SENT_S = 0.01  # between two references, where nobody logged them: what this project's links and most others use
+SENT_S = 0.01  # between two references, where they were not logged: what this project's links and most others use
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Prepared:
     `others`: (cycles, n) each, courses that a stage's input may as well have taken between logged rows; none where each
     cycle was logged. `late`: the drives of stages whose input jumps, with each jump as late as it may be: at the end of
     its logged row, where what was sent is not known. `sided`: the others are of datagrams that came a cycle later, and
-    one earlier; not so where what was received was not logged, whoever sent it.
+    one earlier; not so where what was received was not logged.
     """
 
     plant: Actuators
@@ -158,7 +158,7 @@ class Replayer:
         jumped = None
         if references.jumped is not None:
             out.late["controller"], jumped = driven(references.jumped)
-        return _Commands(own, tuple(driven(one)[1] for one in references.others), jumped)
+        return _Commands(own, tuple(driven(other)[1] for other in references.others), jumped)
 
     def _valves(self, out: Prepared, enc: Array, u: Array, commands: _Commands) -> Prepared:
         """With the actuators' drive, and with the other courses that the commands may have taken."""
@@ -178,7 +178,7 @@ class Replayer:
                 others.append(course * (1.0 + self._teeth()))
         else:
             out.drives["actuator"] = driven(_through(plant, u, commands.own))
-            others = [_through(plant, u, one) for one in commands.others]
+            others = [_through(plant, u, other) for other in commands.others]
             jumped = None if commands.jumped is None else _through(plant, u, commands.jumped)
         if jumped is not None:
             out.late["actuator"] = driven(jumped)
@@ -186,14 +186,14 @@ class Replayer:
         return out
 
     def _teeth(self) -> Array:
-        """Share (n,) by which a command may be beside its mean wherever it is sampled.
+        """Share (n,) by which a command may be off its mean wherever it is sampled.
 
         Model: a reference that steps every T makes teeth of kp v T, v = Kv u: half of one is kp Kv T / 2 of u.
         """
         return 0.5 * SENT_S * self.plant.joints[:, kernel.KP] * self.plant.joints[:, kernel.KV]
 
     def outputs(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
-        """What every set gives for a stage's output (sets, rows, n); None where the stretch lacks input or output."""
+        """What every set gives for a stage's output (sets, rows, n); None where the stretch has no input or output."""
         drive = prepared.drives.get(stage)
         return None if drive is None else _output(stage, prepared.plant, sets, drive)
 
@@ -259,12 +259,12 @@ def _through(plant: Actuators, logged: Array, between: Array | None) -> Array:
 
 def replayer_of(nominal: Nominal, stretches: Sequence[Stretch]) -> Replayer | None:
     """The replays of a machine; None where its file has no actuators. `stretches` of the recording show the range of
-    joints of which the file does not tell it.
+    joints whose limits the file does not give.
     """
     if nominal.actuators is None:
         return None
     low, high = nominal.q_min, nominal.q_max
-    seen = [filled(one.enc) for one in stretches if one.enc is not None]
+    seen = [filled(stretch.enc) for stretch in stretches if stretch.enc is not None]
     if seen:
         low, high = (
             np.where(np.isfinite(limit), limit, of(np.concatenate(seen), axis=0))

@@ -1,6 +1,6 @@
-"""The same for several pieces at once, a thread each: the compiled kernel runs without the interpreter's lock.
+"""The same for several pieces in parallel, a thread each: the compiled kernel runs without the interpreter's lock.
 
-NUMBA_NUM_THREADS=1 keeps it to one, for workers beside each other and for a diagnosis beside a running machine.
+NUMBA_NUM_THREADS=1 keeps it to one, for parallel workers and for a diagnosis next to a running machine.
 """
 
 import os
@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 def side_by_side(of: Callable[[Piece], Result], pieces: Sequence[Piece]) -> list[Result]:
     """`of` each piece, in their order; what one raises is raised."""
     pool = _pool()
-    return [of(one) for one in pieces] if pool is None or len(pieces) < 2 else list(pool.map(of, pieces))
+    return [of(piece) for piece in pieces] if pool is None or len(pieces) < 2 else list(pool.map(of, pieces))
 
 
 @cache

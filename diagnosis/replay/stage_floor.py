@@ -24,13 +24,13 @@ from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
 
-# Repeats between which the machine itself changed: a gain that drifts is no noise.
+# Repeats between which the machine itself changed: a gain that drifts is not noise.
 SURE = 30.0  # chi2 for each repeat's own gain: five standard errors and more
 TOO_FEW = 3  # two repeats have one difference, which is noise as well as anything
 
 
 def steadied(repeats: Array, motion: Array, dt_s: float, where: NDArray[np.bool_]) -> Array:
-    """Residuals of repeats (R, m, n) without what each has in proportion to the motion, if that is no chance.
+    """Residuals of repeats (R, m, n) without what each has in proportion to the motion, if that is significant.
 
     Model: d_r = g_r M + noise over white increments; chi2 = sum (g_r / its error)^2, by the noise that still holds it.
     Args:  motion: (R, m, n), what was measured of the same output. where: columns (n,) that are asked.
@@ -38,15 +38,15 @@ def steadied(repeats: Array, motion: Array, dt_s: float, where: NDArray[np.bool_
     if len(repeats) < TOO_FEW:
         return repeats
     out = repeats.copy()
-    steps = [increments(one, dt_s) for one in deviations(repeats)]
+    steps = [increments(repeat, dt_s) for repeat in deviations(repeats)]
     mean = increments(motion.mean(axis=0), dt_s)
     for j in np.nonzero(where)[0]:
-        white = fit_whitener([one[:, [j]] for one in steps])
+        white = fit_whitener([step[:, [j]] for step in steps])
         moved = white.whiten(mean[:, [j]])[:, 0]
         power = float(moved @ moved)
         if power <= 0.0:
             continue
-        gains = np.array([float(moved @ white.whiten(one[:, [j]])[:, 0]) for one in steps]) / power
+        gains = np.array([float(moved @ white.whiten(step[:, [j]])[:, 0]) for step in steps]) / power
         if float(gains @ gains) * power > SURE * (len(repeats) - 1):
             course = motion[:, :, j].mean(axis=0)
             out[:, :, j] -= np.outer(
@@ -63,9 +63,9 @@ STEP_SHARE = 0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which re
 
 def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: ParameterSets) -> Floor:
     """The noise of a stage's residual, all joints: from the largest group of repeats, else a stand-in."""
-    residuals = {one.stretch.name: replayer.residuals(stage, one, base) for one in prepared}
-    known = {name: np.nan_to_num(one[0]) for name, one in residuals.items() if one is not None}
-    groups = repeat_groups(tuple(one.stretch for one in prepared))
+    residuals = {entry.stretch.name: replayer.residuals(stage, entry, base) for entry in prepared}
+    known = {name: np.nan_to_num(rows[0]) for name, rows in residuals.items() if rows is not None}
+    groups = repeat_groups(tuple(entry.stretch for entry in prepared))
     members = max(groups.values(), key=len, default=())
     dt = prepared[0].stretch.dt_s
     floor: Floor | None = None
@@ -73,35 +73,37 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: 
     records = [replayer.nominal.remainder(stage, j + 1) for j in range(replayer.nominal.n)]
     if len(members) > 1:
         try:
-            repeats = overlaid(members, [known[one.name] for one in members])
+            repeats = overlaid(members, [known[member.name] for member in members])
             if stage == "actuator":
                 repeats = steadied(
-                    repeats, overlaid(members, _encoders(members)), dt, np.array([not one for one in records])
+                    repeats, overlaid(members, _encoders(members)), dt, np.array([not record for record in records])
                 )
             floor = floor_of_repeats(repeats, dt)
-            steps = [increments(one, dt) for one in deviations(repeats)]
+            steps = [increments(repeat, dt) for repeat in deviations(repeats)]
         except DiagnosisError:
             floor = None
     if floor is None:
-        stand_ins = [floor_without_repeats(one, dt) for one in known.values()]
-        sigma = np.median([one.whitener.sigma for one in stand_ins], axis=0)
+        stand_ins = [floor_without_repeats(rows, dt) for rows in known.values()]
+        sigma = np.median([stand_in.whitener.sigma for stand_in in stand_ins], axis=0)
         floor = replace(stand_ins[0], whitener=Whitener(np.zeros((0, len(sigma))), sigma), increment_rms=sigma)
-    least = _smallest(stage, prepared) * np.array([SILENT_SHARE if _silent(one) else 1.0 for one in records])
+    least = _smallest(stage, prepared) * np.array([SILENT_SHARE if _silent(record) else 1.0 for record in records])
     floor = _not_below(floor, least)
     if not any(records):
         return floor
-    ar = np.zeros((max(len(one.ar) for one in records if one is not None), len(records)))
-    for j, one in enumerate(records):
-        if one is not None:
-            ar[: len(one.ar), j] = one.ar
-    sigma, rms = (np.array([getattr(one, name) if one else 0.0 for one in records]) for name in ("sigma", "rms"))
+    ar = np.zeros((max(len(record.ar) for record in records if record is not None), len(records)))
+    for j, record in enumerate(records):
+        if record is not None:
+            ar[: len(record.ar), j] = record.ar
+    sigma, rms = (
+        np.array([getattr(record, name) if record else 0.0 for record in records]) for name in ("sigma", "rms")
+    )
     both = with_remainder(floor, steps, ar, sigma, rms)
     believed = _not_below(both, least)
     return replace(believed, rms=np.where(sigma > 0.0, believed.rms, both.rms))  # no remainder: as the repeats show
 
 
 def _encoders(members: tuple[Stretch, ...]) -> list[Array]:
-    return [np.nan_to_num(filled(one.enc)) for one in members if one.enc is not None]
+    return [np.nan_to_num(filled(member.enc)) for member in members if member.enc is not None]
 
 
 def _smallest(stage: str, prepared: list[Prepared]) -> Array:
@@ -109,13 +111,13 @@ def _smallest(stage: str, prepared: list[Prepared]) -> Array:
     n = prepared[0].plant.n
     least = np.full(n, SIGMA_MIN[stage])
     if stage == "actuator":
-        steps = [one.stretch.enc_step for one in prepared if one.stretch.enc_step is not None]
+        steps = [entry.stretch.enc_step for entry in prepared if entry.stretch.enc_step is not None]
         least = np.maximum(least, STEP_SHARE * np.max(steps, axis=0, initial=0.0))
     return least
 
 
 def _silent(record: Remainder | None) -> bool:
-    """Whether a joint's stage was never seen to leave anything on the undisturbed machine."""
+    """Whether a joint's stage left nothing in any baseline recording."""
     return record is not None and record.sigma == 0.0
 
 

@@ -22,7 +22,7 @@ OUTPUT = {"link": "ref", "controller": "u", "actuator": "enc"}
 SKIPPED = 10  # increments at a stretch's start: the valve's state is not known there
 TIMING_S = 1.5e-3
 PASSES = 3
-SIDES = 2  # courses beside what was sent: a cycle later, and one earlier
+SIDES = 2  # courses in addition to what was sent: a cycle later, and one earlier
 TINY = 1e-12
 UNIFORM = 3.0**-0.5  # standard deviation of what lies anywhere between -1 and 1
 
@@ -78,13 +78,13 @@ class Replay:
         least, most = -1.0, 1.0
         if part.sided and sent is not None:  # one to either side
             least, most = -min(1.0, sent.unsure_s / part.plant.cycle_s), 0.0
-        guesses = [(one[None], least, most) for one in part.between]
+        guesses = [(difference[None], least, most) for difference in part.between]
         if part.slower is not None:
             guesses.append((part.slower[None], -1.0, 1.0))
         if self.stage == "actuator":
             guesses.append((shift, -TIMING_S, TIMING_S))
         if guesses:
-            columns = [(whiten_sets(self.whitener, one)[:, SKIPPED:] * weight, a, b) for one, a, b in guesses]
+            columns = [(whiten_sets(self.whitener, signal)[:, SKIPPED:] * weight, a, b) for signal, a, b in guesses]
             white = _excused(white, columns)
         return white.transpose(0, 2, 1).reshape(len(white), -1)
 
@@ -92,8 +92,8 @@ class Replay:
 def trust(part: Part, whitener: Whitener) -> Array | float:
     """The weight of rows (1, m, joints): those after a jump that may be anywhere in its row count less.
 
-    Model: 1 / (1 + x^2) over the jump's standard deviation x: beside the noise it tells as much as chance, far above it
-           nothing, not one deviation time after time.
+    Model: 1 / (1 + x^2) over the jump's standard deviation x: near the noise a row counts as chance would have it, far
+           above it not at all, rather than one deviation each time.
     """
     if part.unsure is None:
         return 1.0
@@ -110,7 +110,7 @@ def _excused(white: Array, columns: list[tuple[Array, float, float]]) -> Array:
     """
     products = [[(a * b).sum(axis=1) for b, _, _ in columns] for a, _, _ in columns]
     wanted = [-(column * white).sum(axis=1) for column, _, _ in columns]
-    amounts = [np.zeros_like(one) for one in wanted]
+    amounts = [np.zeros_like(amount) for amount in wanted]
     for _ in range(PASSES):
         for k, (_, least, most) in enumerate(columns):
             others = sum(products[k][i] * amounts[i] for i in range(len(columns)) if i != k)
@@ -159,18 +159,18 @@ def whiten_sets(whitener: Whitener, steps: Array) -> Array:
     return out / whitener.sigma
 
 
-def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) -> Part:
+def part_of(stage: str, prepared: Prepared, joints: list[int], replayer: Replayer) -> Part:
     """One stretch's replay narrowed to some joints (0-based)."""
-    drive = one.drives[stage]
+    drive = prepared.drives[stage]
     signals = {name: getattr(drive, name) for name in ("sent", "ref", "enc", "u", "load", "load_kg")}
     cut = {name: np.ascontiguousarray(values[:, joints]) for name, values in signals.items()}
     narrowed = replace(drive, **cut, enc_start=drive.enc_start[joints].copy(), u_start=drive.u_start[joints].copy())
-    plant = replace(one.plant, joints=one.plant.joints[joints])
-    output = measured_output(stage, one.stretch)
+    plant = replace(prepared.plant, joints=prepared.plant.joints[joints])
+    output = measured_output(stage, prepared.stretch)
     if output is None:
-        raise DiagnosisError(f"{one.stretch.name}: the output of stage {stage} was not recorded")
+        raise DiagnosisError(f"{prepared.stretch.name}: the output of stage {stage} was not recorded")
     measured = filled(output)[:, joints]
-    part = Part(plant, narrowed, measured, one.stretch)
+    part = Part(plant, narrowed, measured, prepared.stretch)
     finer = np.array([0.0 if replayer.learnt(stage, j) else replayer.finer for j in joints])
     if stage == "actuator" and finer.any():
         part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
@@ -183,13 +183,13 @@ def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) ->
         return own - part_increments(stage, other, neutral_sets(len(joints)))[0][0]
 
     signal = "u" if drive.first is DynamicStage.ACTUATOR else "ref"
-    jumped = one.late.get(stage)
+    jumped = prepared.late.get(stage)
     unsure = None if jumped is None else apart(**{signal: getattr(jumped, signal)})
-    between = tuple(apart(**{signal: course}) for course in one.others.get(stage, ()))
+    between = tuple(apart(**{signal: course}) for course in prepared.others.get(stage, ()))
     slower = None
     if stage == "actuator" and drive.first < DynamicStage.ACTUATOR:
         slower = own - part_increments(stage, part, _late_valves(len(joints)))[0][0]
-    return replace(part, between=between, sided=one.sided, unsure=unsure, slower=slower)
+    return replace(part, between=between, sided=prepared.sided, unsure=unsure, slower=slower)
 
 
 def _late_valves(joints: int) -> ParameterSets:

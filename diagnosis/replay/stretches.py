@@ -60,7 +60,7 @@ class Stretch:
 def stood_still(stretches: tuple[Stretch, ...]) -> bool:
     """Whether every joint was asked and seen to stay at one place; False where its encoders were not logged."""
     for name in ("enc", "ref"):
-        rows = [values for one in stretches if (values := getattr(one, name)) is not None]
+        rows = [values for stretch in stretches if (values := getattr(stretch, name)) is not None]
         if not rows:
             if name == "enc":
                 return False
@@ -75,7 +75,7 @@ def stood_still(stretches: tuple[Stretch, ...]) -> bool:
 def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[Stretch, ...], list[Finding]]:
     """All usable stretches in the order of time, and what had to be left out.
 
-    Args: plant: the machine file's, for the PLC's cycle; without it datagrams are taken to come on the dot.
+    Args: plant: the machine file's, for the PLC's cycle; without it datagrams are taken to come on schedule.
     """
     plc = tables.plc
     if plc is None or (plc.enc is None and plc.ref is None):
@@ -102,9 +102,9 @@ def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[
             label = f"{label} ({named[label]})"
         for part, rows in enumerate(pieces, start=1):
             name = f"{label}/{part}" if len(pieces) > 1 else label
-            one = _stretch(plc, segment, name, rows, sent_within(tables, came, plc.t_s[rows]))
-            found.append(replace(one, enc_step=enc_step))
-    findings += [*_mended(plc, broken), *_uneven_stamps(plc, cut, found)]
+            stretch = _stretch(plc, segment, name, rows, sent_within(tables, came, plc.t_s[rows]))
+            found.append(replace(stretch, enc_step=enc_step))
+    findings += [*_filled(plc, broken), *_uneven_stamps(plc, cut, found)]
     return tuple(found), findings
 
 
@@ -118,13 +118,13 @@ def _uneven_stamps(plc: PlcTable, cut: list[list[NDArray[np.int64]]], found: lis
     """Where the rows are taken as even although their stamps are not."""
     pieces = [rows for pieces in cut for rows in pieces]
     off = [
-        float(np.abs(plc.t_s[rows] - one.t_s).max())
-        for rows, one in zip(pieces, found, strict=True)
-        if one.t_s[0] != plc.t_s[rows[0]]
+        float(np.abs(plc.t_s[rows] - stretch.t_s).max())
+        for rows, stretch in zip(pieces, found, strict=True)
+        if stretch.t_s[0] != plc.t_s[rows[0]]
     ]
     if not off:
         return []
-    text = f"stamps are up to {1e3 * max(off):.2g} ms beside an even rate, and the encoders moved at an even one"
+    text = f"stamps are up to {1e3 * max(off):.2g} ms off an even rate, and the encoders moved at an even one"
     return [Finding("uneven_stamps", "note", "plc.csv", f"{text}: rows are taken as even", len(off))]
 
 
@@ -142,14 +142,15 @@ def own_rows(
 
     Returns: the rows, and which segments (from 0) have none since others' leave them too few.
 
-    Why: a row that counts twice is no second measurement. A sound recording whose every row lay in seven segments was
-         said to have a cause outside the catalogue. Repeats that share rows are refused elsewhere.
+    Why: a row that counts twice is not a second measurement. A sound recording whose every row lay in seven segments
+         was said to have a cause outside the catalogue. Repeats that share rows are refused elsewhere.
     """
     inside = [
-        np.nonzero((t_s >= one.t_start_plc_s - EDGE_S) & (t_s <= one.t_end_plc_s + EDGE_S))[0] for one in segments
+        np.nonzero((t_s >= segment.t_start_plc_s - EDGE_S) & (t_s <= segment.t_end_plc_s + EDGE_S))[0]
+        for segment in segments
     ]
-    repeated = {one.repeat_of for one in segments if one.repeat_of}
-    first = [bool(one.repeat_of) or one.name in repeated for one in segments]
+    repeated = {segment.repeat_of for segment in segments if segment.repeat_of}
+    first = [bool(segment.repeat_of) or segment.name in repeated for segment in segments]
     taken, shared, left_out = np.zeros(len(t_s), dtype=bool), 0, set[int]()
     for k in sorted(range(len(segments)), key=lambda k: (not first[k], len(inside[k]))):
         again = taken[inside[k]]
@@ -183,7 +184,7 @@ def _pieces(
 
 
 def _broken(plc: PlcTable) -> NDArray[np.bool_]:
-    """Rows inside a run of missing numbers too long to be mended (columns that are missing throughout do not count)."""
+    """Rows inside a run of missing numbers too long to be filled (columns that are missing throughout do not count)."""
     broken = np.zeros(len(plc.t_s), dtype=bool)
     for values in (plc.ref, plc.enc, plc.u):
         for column in [] if values is None else values.T:
@@ -197,7 +198,7 @@ def _broken(plc: PlcTable) -> NDArray[np.bool_]:
     return broken
 
 
-def _mended(plc: PlcTable, broken: NDArray[np.bool_]) -> list[Finding]:
+def _filled(plc: PlcTable, broken: NDArray[np.bool_]) -> list[Finding]:
     count = 0
     for values in (plc.ref, plc.enc, plc.u):
         if values is not None:

@@ -28,17 +28,19 @@ def budget_lines(result: dict[str, Any]) -> list[str]:
     out = [result["budget"]["sentence"]]
     effects = result["budget"]["effects"]
     small = [effect for effect in effects if _is_small(effect)]
-    for one in (effect for effect in effects if not _is_small(effect)):
-        size = f"{one['tool_mm']:7.2f} mm [{one['tool_low_mm']:.2f}, {one['tool_high_mm']:.2f}]"
-        out.append(f"  {place_text(one):34} {size:28} p {one['probability']:.2f}  {one['status']}{_or(one)}")
+    for effect in (effect for effect in effects if not _is_small(effect)):
+        size = f"{effect['tool_mm']:7.2f} mm [{effect['tool_low_mm']:.2f}, {effect['tool_high_mm']:.2f}]"
+        out.append(
+            f"  {place_text(effect):34} {size:28} p {effect['probability']:.2f}  {effect['status']}{_or(effect)}"
+        )
     if small:
         sure = sum(effect["status"] == "confirmed" for effect in small)
         out.append(
             f"  {len(small)} further effects below {SMALL_MM:g} mm each, {sure} of them confirmed (see the report)"
         )
-    for one in result["budget"]["unexplained_mm"]:
-        where = f"{one['stage']} {one['joint']}" if one["joint"] else one["stage"]
-        out.append(f"  {'unexplained, ' + where:34} {one['mm'] or 0.0:7.2f} mm")
+    for row in result["budget"]["unexplained_mm"]:
+        where = f"{row['stage']} {row['joint']}" if row["joint"] else row["stage"]
+        out.append(f"  {'unexplained, ' + where:34} {row['mm'] or 0.0:7.2f} mm")
     return out
 
 
@@ -47,8 +49,8 @@ def _is_small(effect: dict[str, Any]) -> bool:
     return bool(effect["column"]) and effect["tool_mm"] < SMALL_MM
 
 
-def _or(one: dict[str, Any]) -> str:
-    others = [" + ".join(place_text(member) for member in members) for members in one["equals"]]
+def _or(effect: dict[str, Any]) -> str:
+    others = [" + ".join(place_text(member) for member in members) for members in effect["equals"]]
     more = [f"{len(others) - OTHERS} more"] if len(others) > OTHERS else []
     return f"  (or {', or '.join([*others[:OTHERS], *more])})" if others else ""
 
@@ -76,8 +78,8 @@ def budget_head(result: dict[str, Any], name: str) -> str:
 def budget_sections(result: dict[str, Any]) -> str:
     """Waterfalls, the three columns, every effect, every stage."""
     budget = result["budget"]
-    tool = [one for one in budget["columns"] if one["column"] != "sees"]
-    camera = [one for one in budget["columns"] if one["column"] == "sees"]
+    tool = [column for column in budget["columns"] if column["column"] != "sees"]
+    camera = [column for column in budget["columns"] if column["column"] == "sees"]
     return "".join(
         [
             section("What costs how much at the tool", _waterfall(budget["effects"], tool, ("stands", "gets_there"))),
@@ -92,18 +94,20 @@ def budget_sections(result: dict[str, Any]) -> str:
 def _waterfall(effects: list[dict[str, Any]], columns: list[dict[str, Any]], names: tuple[str, ...]) -> str:
     """From the nominal model's miss down to what is left, an effect a step; steps are differences of RMS."""
     own = [
-        one for one in effects if one["column"] in names and one["status"] == "confirmed" and one["tool_mm"] > SEEN_MM
+        effect
+        for effect in effects
+        if effect["column"] in names and effect["status"] == "confirmed" and effect["tool_mm"] > SEEN_MM
     ]
     if not columns:
         return ""
-    start = sqrt(sum(one["before_mm"] ** 2 for one in columns))
-    end = sqrt(sum(one["after_mm"] ** 2 for one in columns))
-    total = sum(one["squares_mm2"] for one in own) or 1.0
+    start = sqrt(sum(column["before_mm"] ** 2 for column in columns))
+    end = sqrt(sum(column["after_mm"] ** 2 for column in columns))
+    total = sum(effect["squares_mm2"] for effect in own) or 1.0
     scale = (start**2 - end**2) / total  # so that the steps end at what was measured to be left
     rows, level, square = [("nominal model misses", 0.0, start, "before")], start, start**2
-    for one in own[:LISTED]:
-        square = max(0.0, square - scale * one["squares_mm2"])
-        rows.append((place_text(one).replace("_", " "), sqrt(square), level, "step"))
+    for effect in own[:LISTED]:
+        square = max(0.0, square - scale * effect["squares_mm2"])
+        rows.append((place_text(effect).replace("_", " "), sqrt(square), level, "step"))
         level = sqrt(square)
     if len(own) > LISTED:
         rows.append((f"{len(own) - LISTED} smaller effects", end, level, "step"))
@@ -128,13 +132,13 @@ def _waterfall(effects: list[dict[str, Any]], columns: list[dict[str, Any]], nam
 def _columns(columns: list[dict[str, Any]]) -> str:
     rows = [
         [
-            COLUMNS[one["column"]],
-            one["before_mm"],
-            one["after_mm"],
-            one["floor_mm"],
-            "measured" if one["measured"] else "by the model only",
+            COLUMNS[column["column"]],
+            column["before_mm"],
+            column["after_mm"],
+            column["floor_mm"],
+            "measured" if column["measured"] else "by the model only",
         ]
-        for one in columns
+        for column in columns
     ]
     return table(("", "nominal, mm", "with confirmed effects, mm", "noise, mm", ""), rows)
 
@@ -142,14 +146,14 @@ def _columns(columns: list[dict[str, Any]]) -> str:
 def _effects(effects: list[dict[str, Any]]) -> str:
     rows = [
         [
-            place_text(one).replace("_", " "),
-            COLUMNS.get(one["column"], ""),
-            f"{one['tool_mm']:.3g} ({one['tool_low_mm']:.3g} to {one['tool_high_mm']:.3g})",
-            f"{100 * one['share_frac']:.1f} %",
-            f"{100 * one['probability']:.0f} %",
-            one["status"] + _or(one),
+            place_text(effect).replace("_", " "),
+            COLUMNS.get(effect["column"], ""),
+            f"{effect['tool_mm']:.3g} ({effect['tool_low_mm']:.3g} to {effect['tool_high_mm']:.3g})",
+            f"{100 * effect['share_frac']:.1f} %",
+            f"{100 * effect['probability']:.0f} %",
+            effect["status"] + _or(effect),
         ]
-        for one in effects
+        for effect in effects
     ]
     return table(("effect", "column", "mm at the tool (90 %)", "share of the square", "probability", ""), rows)
 
@@ -157,12 +161,12 @@ def _effects(effects: list[dict[str, Any]]) -> str:
 def _stages(stages: list[dict[str, Any]]) -> str:
     rows = [
         [
-            one["stage"] + (f" {one['joint']}" if one["joint"] else ""),
-            VERDICTS[one["verdict"]],
-            one["before_mm"],
-            one["after_mm"],
-            one["would_measure"],
+            stage["stage"] + (f" {stage['joint']}" if stage["joint"] else ""),
+            VERDICTS[stage["verdict"]],
+            stage["before_mm"],
+            stage["after_mm"],
+            stage["would_measure"],
         ]
-        for one in stages
+        for stage in stages
     ]
     return table(("stage", "verdict", "before, mm", "after, mm", "what would measure it"), rows)

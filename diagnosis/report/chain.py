@@ -15,7 +15,7 @@ FITS = 15  # letters of a cause across a box; longer ones are drawn narrower
 def chain(result: dict[str, Any]) -> str:
     """SVG of the chain with a line below it for what could not be judged apart."""
     shares = stage_shares(result)
-    judged = {one["stage"] for one in result["searched"]} | set(shares)
+    judged = {search["stage"] for search in result["searched"]} | set(shares)
     named = _named(result)
     largest = max(shares.values(), default=0.0)
     boxes = [
@@ -27,33 +27,33 @@ def chain(result: dict[str, Any]) -> str:
     size = f'viewBox="0 0 {width} {BOX_H + 2 * TOP}"'
     svg = f'<svg class="chain" {size} role="img" aria-label="{label}">{"".join(boxes)}</svg>'
     merged = "".join(
-        f"<li>{escape(' and '.join(one['stages']))} count as one: {escape(one['missing'])}</li>"
-        for one in result["merged_stages"]
+        f"<li>{escape(' and '.join(merged_stage['stages']))} count as one: {escape(merged_stage['missing'])}</li>"
+        for merged_stage in result["merged_stages"]
     )
     note = "<p>Bar: share of the gap, by what was found wrong there. A stage is judged by its own measured input.</p>"
     return wide(svg) + note + (f"<ul>{merged}</ul>" if merged else "")
 
 
 def stage_shares(result: dict[str, Any]) -> dict[str, float]:
-    """Share of the gap on each judged stage, of which the first rows tell."""
+    """Share of the gap on each judged stage, by the rows of totals."""
     shares: dict[str, float] = {}
-    for one in filter(is_total, result["localisation"]):  # one a unit, where some joints turn and others slide
-        shares[one["stage"]] = shares.get(one["stage"], 0.0) + float(one["share_frac"] or 0.0)
+    for place in filter(is_total, result["localisation"]):  # one a unit, where some joints turn and others slide
+        shares[place["stage"]] = shares.get(place["stage"], 0.0) + float(place["share_frac"] or 0.0)
     return shares
 
 
-def is_total(one: dict[str, Any]) -> bool:
+def is_total(place: dict[str, Any]) -> bool:
     """Whether a row of the localisation is of a stage as a whole, or of all of its joints that turn or slide."""
-    return one["joint"] is None and one["axis"] is None
+    return place["joint"] is None and place["axis"] is None
 
 
 def _named(result: dict[str, Any]) -> dict[str, list[str]]:
     out: dict[str, list[str]] = {}
-    for one in result["budget"]["effects"]:
-        if one["status"] == "confirmed":
-            out.setdefault(one["stage"], []).append(one["name"].replace("_", " "))
-            if one["joint"] is not None:
-                out[one["stage"]].append(f"joint {one['joint']}")
+    for effect in result["budget"]["effects"]:
+        if effect["status"] == "confirmed":
+            out.setdefault(effect["stage"], []).append(effect["name"].replace("_", " "))
+            if effect["joint"] is not None:
+                out[effect["stage"]].append(f"joint {effect['joint']}")
     return out
 
 

@@ -59,39 +59,39 @@ class CellCurves:
 
 def curves_of(cells: Sequence[HeldOut], sliding: tuple[bool, ...]) -> tuple[CellCurves, ...]:
     """Of the cells with the largest gaps, at most four; those with a named effect first."""
-    ranked = sorted(cells, key=lambda one: (not one.fit.hypothesis, -_energy(one)))
-    return tuple(_cell(one, sliding) for one in ranked[:CELLS_MAX])
+    ranked = sorted(cells, key=lambda held_out: (not held_out.fit.hypothesis, -_energy(held_out)))
+    return tuple(_cell(held_out, sliding) for held_out in ranked[:CELLS_MAX])
 
 
-def _energy(one: HeldOut) -> float:
-    return float(np.mean(one.before**2))
+def _energy(held_out: HeldOut) -> float:
+    return float(np.mean(held_out.before**2))
 
 
-def _cell(one: HeldOut, sliding: tuple[bool, ...]) -> CellCurves:
-    cell = one.cell
-    named = " + ".join(effect.name for effect in one.fit.hypothesis)
+def _cell(held_out: HeldOut, sliding: tuple[bool, ...]) -> CellCurves:
+    cell = held_out.cell
+    named = " + ".join(effect.name for effect in held_out.fit.hypothesis)
     order = np.argsort(cell.t_s, kind="stable")
-    before, after = one.before, one.after
+    before, after = held_out.before, held_out.after
     white = Residuals(cell.t_s[order], before[order], after[order], cell.rows.series[order])
-    return CellCurves(cell.label, named, white, _replayed(one, sliding))
+    return CellCurves(cell.label, named, white, _replayed(held_out, sliding))
 
 
-def _replayed(one: HeldOut, sliding: tuple[bool, ...]) -> Replayed | None:
+def _replayed(held_out: HeldOut, sliding: tuple[bool, ...]) -> Replayed | None:
     """The stretch and joint on which the effect matters most, replayed by numbers fitted without that stretch's kind.
 
     Without a named effect: where the gap is largest; nominal and explained are then the same.
     """
-    replay = one.cell.whitened
+    replay = held_out.cell.whitened
     if not isinstance(replay, Replay) or not replay.parts:
         return None
-    before, after = _energies(one, replay, one.before), _energies(one, replay, one.after)
-    wanted = before - after if one.fit.hypothesis else before
+    before, after = _energies(held_out, replay, held_out.before), _energies(held_out, replay, held_out.after)
+    wanted = before - after if held_out.fit.hypothesis else before
     at, channel = np.unravel_index(int(np.argmax(wanted)), wanted.shape)
     part = replay.parts[int(at)]
-    fold = _fold_of(one, int(at) * len(replay.joints) + int(channel))
-    theta = one.theta_without(fold)
-    base = one.cell.base
-    traces = [_output(replay, part, sets, int(channel)) for sets in (base, put(base, one.fit.hypothesis, theta))]
+    fold = _fold_of(held_out, int(at) * len(replay.joints) + int(channel))
+    theta = held_out.theta_without(fold)
+    base = held_out.cell.base
+    traces = [_output(replay, part, sets, int(channel)) for sets in (base, put(base, held_out.fit.hypothesis, theta))]
     rows, joint = len(traces[0]), replay.joints[int(channel)]
     signal = SIGNALS[replay.stage]
     return Replayed(
@@ -105,15 +105,15 @@ def _replayed(one: HeldOut, sliding: tuple[bool, ...]) -> Replayed | None:
     )
 
 
-def _energies(one: HeldOut, replay: Replay, residual: Array) -> Array:
+def _energies(held_out: HeldOut, replay: Replay, residual: Array) -> Array:
     """Sum of squared held-out residuals by stretch and channel (parts, joints)."""
-    series = one.cell.rows.series
+    series = held_out.cell.rows.series
     sums = np.bincount(series, weights=residual**2, minlength=len(replay.parts) * len(replay.joints))
     return np.asarray(sums, dtype=float).reshape(len(replay.parts), len(replay.joints))
 
 
-def _fold_of(one: HeldOut, series: int) -> int:
-    rows = one.cell.rows
+def _fold_of(held_out: HeldOut, series: int) -> int:
+    rows = held_out.cell.rows
     return int(rows.fold[np.argmax(rows.series == series)])
 
 

@@ -17,24 +17,26 @@ from machine.effects.registry import effect_named
 def what_it_looks_like(result: dict[str, Any]) -> str:
     """For confirmed effects: what one would see on the machine, and what else could look so."""
     lines = []
-    for one in result["budget"]["effects"]:
-        if one["status"] != "confirmed":
+    for row in result["budget"]["effects"]:
+        if row["status"] != "confirmed":
             continue
-        effect = effect_named(one["name"])
+        effect = effect_named(row["name"])
         if effect is not None:
             text = f"On the machine: {effect.looks_like}. Distinguished by: {effect.distinguished_by}."
-            lines.append(f"<p class='look'><b>{escape(place_text(one).replace('_', ' '))}</b>: {escape(text)}</p>")
+            lines.append(f"<p class='look'><b>{escape(place_text(row).replace('_', ' '))}</b>: {escape(text)}</p>")
     return "".join(lines)
 
 
 def next_text(result: dict[str, Any]) -> str:
     """What to drive next, and why."""
-    one = result["next_experiment"]
-    if not one["what"]:
-        return str(one["why"])
-    pair = " from ".join(place_text(member).replace("_", " ") for member in one["separates"])
-    nats = f", about {one['expected_nats']:.3g} nats" if one["expected_nats"] is not None else ""
-    return f"{one['what']} for {one['minutes']:g} min: tells {pair}{nats}. Why: {one['why']}."
+    experiment = result["next_experiment"]
+    if not experiment["what"]:
+        return str(experiment["why"])
+    pair = " from ".join(place_text(member).replace("_", " ") for member in experiment["separates"])
+    nats = f", about {experiment['expected_nats']:.3g} nats" if experiment["expected_nats"] is not None else ""
+    return (
+        f"{experiment['what']} for {experiment['minutes']:g} min: distinguishes {pair}{nats}. Why: {experiment['why']}."
+    )
 
 
 PLACES_MAX = 40
@@ -99,31 +101,34 @@ def _details(title: str, body: str) -> str:
 
 def _classes(result: dict[str, Any]) -> str:
     lines = "".join(
-        f"<li>{escape(' and '.join(place_text(one) for one in members))}: the recording looks the same with either</li>"
+        f"<li>{escape(' and '.join(place_text(member) for member in members))}: "
+        "the recording looks the same with either</li>"
         for members in result["indistinguishable"]
     )
-    return f"<p>Cannot be told apart here:</p><ul>{lines}</ul>" if lines else ""
+    return f"<p>Cannot be distinguished here:</p><ul>{lines}</ul>" if lines else ""
 
 
 def _places(result: dict[str, Any]) -> list[dict[str, Any]]:
-    return [one for one in result["localisation"] if one["regime"] == "all" or one["joint"] is None][:PLACES_MAX]
+    return [place for place in result["localisation"] if place["regime"] == "all" or place["joint"] is None][
+        :PLACES_MAX
+    ]
 
 
 def _shrinks(result: dict[str, Any]) -> str:
     overall = result["shrink"].get("overall") or {}
     rows = [{"stage": "all", "joint": None, **overall}] if overall else []
     rows += result["shrink"].get("stages", [])
-    return _table([{**one, "closed": _percent(one["closed_frac"]), "limits": _limits(one)} for one in rows], SHRINK)
+    return _table([{**row, "closed": _percent(row["closed_frac"]), "limits": _limits(row)} for row in rows], SHRINK)
 
 
 def _percent(value: float | None) -> str:
     return "" if value is None else f"{100 * value:.1f} %"
 
 
-def _limits(one: dict[str, Any]) -> str:
-    if one["low"] is None or one["high"] is None:
+def _limits(row: dict[str, Any]) -> str:
+    if row["low"] is None or row["high"] is None:
         return ""
-    return f"{_percent(one['low'])} to {_percent(one['high'])}"
+    return f"{_percent(row['low'])} to {_percent(row['high'])}"
 
 
 def _table(rows: list[dict[str, Any]], columns: tuple[tuple[str, str], ...]) -> str:

@@ -1,4 +1,4 @@
-"""Small plots as inline SVG: no script, no file beside the page, colours from the page's own style sheet."""
+"""Small plots as inline SVG: no script, no file next to the page, colours from the page's own style sheet."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,14 +29,14 @@ class Line:
 
 def chart(lines: Sequence[Line], x_label: str, y_label: str, title: str, symmetric: bool = False) -> str:
     """Lines over a common x, with axes, ticks and a legend; NaN breaks a line."""
-    shown = [_thinned(one) for one in lines if len(one.x)]
+    shown = [_thinned(line) for line in lines if len(line.x)]
     if not shown:
         return ""
-    x_range = _range(np.concatenate([one.x for one in shown]), False)
-    y_range = _range(np.concatenate([one.y for one in shown]), symmetric)
+    x_range = _range(np.concatenate([line.x for line in shown]), False)
+    y_range = _range(np.concatenate([line.y for line in shown]), symmetric)
     frame = _Frame(x_range, y_range)
     body = [_axes(frame, x_label, y_label)]
-    body += [f'<path class="{one.css}" d="{_path(frame, one)}"/>' for one in shown]
+    body += [f'<path class="{line.css}" d="{_path(frame, line)}"/>' for line in shown]
     return _svg("".join(body), title) + _legend(shown)
 
 
@@ -99,20 +99,20 @@ def _range(values: Array, symmetric: bool) -> tuple[float, float]:
     return low, high
 
 
-def _thinned(one: Line) -> Line:
+def _thinned(line: Line) -> Line:
     """At most 700 points that keep each stretch's extremes."""
-    if len(one.x) <= POINTS_MAX:
-        return one
+    if len(line.x) <= POINTS_MAX:
+        return line
     kept: list[int] = []
-    for cut in np.array_split(np.arange(len(one.x)), POINTS_MAX // 2):
-        values = np.nan_to_num(one.y[cut], nan=0.0)
+    for cut in np.array_split(np.arange(len(line.x)), POINTS_MAX // 2):
+        values = np.nan_to_num(line.y[cut], nan=0.0)
         kept += sorted({int(cut[np.argmin(values)]), int(cut[np.argmax(values)])})
-    return Line(one.label, one.css, one.x[kept], one.y[kept])
+    return Line(line.label, line.css, line.x[kept], line.y[kept])
 
 
-def _path(frame: _Frame, one: Line) -> str:
-    xs, ys = frame.px(one.x), frame.py(one.y)
-    if DOTS in one.css:
+def _path(frame: _Frame, line: Line) -> str:
+    xs, ys = frame.px(line.x), frame.py(line.y)
+    if DOTS in line.css:
         return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in zip(xs, ys, strict=True) if np.isfinite(y))
     pieces, pen = [], "M"
     for x, y in zip(xs, ys, strict=True):
@@ -170,10 +170,10 @@ def _normal(edges: Array) -> tuple[Array, Array]:
 
 def _legend(lines: Sequence[Line]) -> str:
     keys = "".join(
-        f'<span><svg width="26" height="10" aria-hidden="true"><path class="{one.css}" d="M1 5L25 5"/></svg> '
-        f"{escape(one.label)}</span>"
-        for one in lines
-        if one.label
+        f'<span><svg width="26" height="10" aria-hidden="true"><path class="{line.css}" d="M1 5L25 5"/></svg> '
+        f"{escape(line.label)}</span>"
+        for line in lines
+        if line.label
     )
     return f'<p class="legend">{keys}</p>'
 

@@ -18,16 +18,18 @@ def lines(result: dict[str, Any]) -> list[str]:
     closed = result["shrink"].get("overall", {}).get("closed_frac")
     if closed is not None:
         out.append(f"gap closed on held-out motions: {100 * closed:.3g} %")
-    for one in result["unexplained"][:NAMES_MAX]:
-        where = f"{one['stage']} {one['joint']}" if one["joint"] else one["stage"]
-        out.append(f"unexplained in {where}: {one['lead'] or 'more than noise'} ({one['test']} {one['size']:.3g})")
+    for place in result["unexplained"][:NAMES_MAX]:
+        where = f"{place['stage']} {place['joint']}" if place["joint"] else place["stage"]
+        out.append(
+            f"unexplained in {where}: {place['lead'] or 'more than noise'} ({place['test']} {place['size']:.3g})"
+        )
     following = result["next_experiment"]
     if following["what"]:
         out.append(f"next experiment: {following['what']}, {following['minutes']:g} min: {following['why']}")
-    out += [f"missing: {one['costs']}" for one in result["missing"]]
+    out += [f"missing: {missing['costs']}" for missing in result["missing"]]
     return out
 
 
-def place_text(one: dict[str, Any]) -> str:
+def place_text(place: dict[str, Any]) -> str:
     """An effect and its joint."""
-    return one["name"] + (f" on joint {one['joint']}" if one["joint"] is not None else "")
+    return place["name"] + (f" on joint {place['joint']}" if place["joint"] is not None else "")

@@ -17,7 +17,7 @@ LIMITS = 9  # sizes scanned between the bounds of an effect that limits (neutral
 NARROW = {"stiction": 50}  # sizes of effects whose cost has a valley far narrower than the way there
 PHASES = (-2.0, -0.4, 1.2, 2.7)
 SWINGS = ("link_flexibility",)  # effects with a frequency of their own
-FREQUENCIES_HZ = tuple(np.geomspace(0.8, 6.0, 24))  # a swing's cost has a valley a tenth of its frequency wide
+FREQUENCIES_HZ = tuple(np.geomspace(0.8, 6.0, 24))  # the cost has a valley a tenth of a frequency wide
 DROOP = "supply_droop"  # couples all joints
 #: Effects of the joint stage that the encoder shows against the valve command.
 SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")
@@ -33,9 +33,9 @@ Variant = tuple[str, int | None, str, tuple[float, ...]]
 class Candidate:
     """One effect on one joint (1-based; None: the machine), in one variant: `fixed` numbers do not move in a fit.
 
-    `read_off`: the log itself shows its size, and nothing of it is fitted. `counted`: that size is a share seen among
-    so many; 0: it is none. `cycles`: of a delay, a PLC's cycle and what the nominal machine has of it [s]: whole cycles
-    are where its cost has a kink that no gradient finds.
+    `read_off`: the log itself shows its size, and nothing of it is fitted. `counted`: that size is a share, counted
+    among so many; 0: it is not a share. `cycles`: of a delay, a PLC's cycle and what the nominal machine has of it [s]:
+    whole cycles are where its cost has a kink that no gradient finds.
     """
 
     name: str
@@ -92,33 +92,33 @@ def in_words(name: str, joint: int | None) -> str:
 
 def candidates_of(stage: Stage, joints: tuple[int, ...], machine: bool) -> tuple[Candidate, ...]:
     """Every candidate of a stage on these joints; with the machine's own where `machine`."""
-    return tuple(one for effect in effects_of(stage) for one in _of_effect(effect, joints, machine))
+    return tuple(candidate for effect in effects_of(stage) for candidate in _of_effect(effect, joints, machine))
 
 
 def named(names: tuple[str, ...], joints: tuple[int, ...]) -> tuple[Candidate, ...]:
     """Candidates of these effects."""
-    return tuple(one for name in names for one in _of_effect(effect_of(name), joints, True))
+    return tuple(candidate for name in names for candidate in _of_effect(effect_of(name), joints, True))
 
 
 def arm_candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
     """What changes where a link is for its encoder. `moving`: whether the encoders' course in time is known, too."""
     found = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
-    return tuple(one for one in found if moving or one.name not in SEEN_IN_MOTION)
+    return tuple(candidate for candidate in found if moving or candidate.name not in SEEN_IN_MOTION)
 
 
-def on_an_arm(one: Candidate, torque_nm: float) -> Candidate:
+def on_an_arm(candidate: Candidate, torque_nm: float) -> Candidate:
     """The effect as an arm of this weight may have it: what bends by gravity bends as far, whatever its torque.
 
     Args: torque_nm: of all masses at the whole length. Arms as heavy as a crane's bend by what the catalogue says.
     """
     scale = max(1.0, CRANE_NM / torque_nm) if torque_nm > 0.0 else 1.0
-    if one.name not in BENT_BY_GRAVITY or scale == 1.0:
-        return one
+    if candidate.name not in BENT_BY_GRAVITY or scale == 1.0:
+        return candidate
     slots = (
         replace(slot, high=scale * slot.high, highest=scale * slot.highest, start=scale * slot.start, scale=scale)
-        for slot in one.slots
+        for slot in candidate.slots
     )
-    return replace(one, slots=tuple(slots))
+    return replace(candidate, slots=tuple(slots))
 
 
 def _of_effect(effect: Effect, joints: tuple[int, ...], machine: bool) -> list[Candidate]:
@@ -126,12 +126,16 @@ def _of_effect(effect: Effect, joints: tuple[int, ...], machine: bool) -> list[C
     if effect.scope == "machine":
         places = (None,) if machine else ()
     options = effect.choice.options if effect.choice else ("",)
-    return [one for joint in places for option in options for one in _variants(effect, joint, option)]
+    return [variant for joint in places for option in options for variant in _variants(effect, joint, option)]
 
 
 def _variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]:
     slots = slots_of(effect.name, joint, option)
-    whole = {one.name: range(int(one.low), int(one.high) + 1) for one in effect.parameters if one.integer}
+    whole = {
+        parameter.name: range(int(parameter.low), int(parameter.high) + 1)
+        for parameter in effect.parameters
+        if parameter.integer
+    }
     if not whole:
         return [Candidate(effect.name, joint, effect.stage, option, slots)]
     moved = tuple(slot for slot in slots if slot.parameter not in whole)
@@ -143,22 +147,23 @@ def _variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]
     ]
 
 
-def beside(base: ParameterSets, candidates: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
-    """Candidates that stay with what the baseline has of the same effect: its swing's frequency, its wave's phase.
+def with_baseline_shapes(base: ParameterSets, candidates: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
+    """Candidates with the baseline's shape of the same effect: its oscillation's frequency, its wave's phase.
 
-    Why: a shape replaces the baseline's, and a scan with every other one would first have to undo what is known. A
-    swing keeps its frequency: a boom's goes with its reach, and a baseline tuned to another motion is no new swing.
+    Why: a shape replaces the baseline's, and a scan with every other one would first have to undo what is known. An
+    oscillation keeps its frequency: a boom's depends on its reach, and a baseline tuned to another motion is not a new
+    oscillation.
     """
-    return tuple(_beside(base, one) for one in candidates)
+    return tuple(_with_baseline_shape(base, candidate) for candidate in candidates)
 
 
-def _beside(base: ParameterSets, one: Candidate) -> Candidate:
-    size, *shape = one.slots
-    if one.vector or not shape or base.get(size) == size.neutral:
-        return one
-    if one.name in SWINGS:
-        return replace(one, slots=(size,), fixed=tuple((slot, base.get(slot)) for slot in shape))
-    return replace(one, slots=(size, *(replace(slot, start=base.get(slot)) for slot in shape)))
+def _with_baseline_shape(base: ParameterSets, candidate: Candidate) -> Candidate:
+    size, *shape = candidate.slots
+    if candidate.vector or not shape or base.get(size) == size.neutral:
+        return candidate
+    if candidate.name in SWINGS:
+        return replace(candidate, slots=(size,), fixed=tuple((slot, base.get(slot)) for slot in shape))
+    return replace(candidate, slots=(size, *(replace(slot, start=base.get(slot)) for slot in shape)))
 
 
 def _grid(slot: Slot) -> Array:
@@ -195,11 +200,11 @@ def put(base: ParameterSets, candidates: tuple[Candidate, ...], thetas: Array) -
     thetas = np.atleast_2d(thetas)
     sets = base.repeated(len(thetas))
     column = 0
-    for one in candidates:
-        size = one.slots[0].parameter
-        for slot, value in one.fixed:
+    for candidate in candidates:
+        size = candidate.slots[0].parameter
+        for slot, value in candidate.fixed:
             sets.put(slot, value)
-        for slot in one.slots:
+        for slot in candidate.slots:
             values = thetas[:, column]
             column += 1
             if slot.parameter != size:

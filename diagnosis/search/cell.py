@@ -50,7 +50,7 @@ class Cell:
 
     `scale`: (N,) what one whitened unit is in `unit`; `base`: the baseline's parameters; `floor_known`: from repeats.
     `quiet`: the noise's own energy in whitened units, below 1 where the floor was raised to what is believed.
-    `usual`: what each effect gains on undisturbed recordings [nats], by name; None without a baseline.
+    `usual`: what each effect gains on baseline recordings [nats], by name; None without a baseline.
     `restless`: what moved by itself from one look at a posture to the next, in words; empty where nothing did.
     `parts`: the cells that this one joins, rows end to end; empty for a plain one.
     `at_noise`: the same cell by another filter, where the noise was never measured; else None.

@@ -41,13 +41,16 @@ class Fit:
     @property
     def by_effect(self) -> tuple[tuple[Candidate, Array], ...]:
         """Each effect with its own numbers (slots,)."""
-        return tuple((one, self.theta[own]) for one, own in self.slices)
+        return tuple((candidate, self.theta[own]) for candidate, own in self.slices)
 
     @property
     def slices(self) -> tuple[tuple[Candidate, slice], ...]:
         """Each effect with where its numbers stand among all."""
-        ends = np.cumsum([len(one.slots) for one in self.hypothesis]).tolist()
-        return tuple((one, slice(end - len(one.slots), end)) for one, end in zip(self.hypothesis, ends, strict=True))
+        ends = np.cumsum([len(candidate.slots) for candidate in self.hypothesis]).tolist()
+        return tuple(
+            (candidate, slice(end - len(candidate.slots), end))
+            for candidate, end in zip(self.hypothesis, ends, strict=True)
+        )
 
 
 def costs(residual: Array) -> Array:
@@ -78,13 +81,13 @@ def neutral_fit(cell: Cell) -> Fit:
 
 def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
     """Lower and upper bounds (k,) each."""
-    slots = [slot for one in hypothesis for slot in one.slots]
+    slots = [slot for candidate in hypothesis for slot in candidate.slots]
     return np.array([slot.low for slot in slots]), np.array([slot.highest for slot in slots])
 
 
 def spans(hypothesis: Hypothesis) -> Array:
     """The ruler of each number (k,): what good machines have of it, from end to end."""
-    return np.array([slot.high - slot.low for one in hypothesis for slot in one.slots])
+    return np.array([slot.high - slot.low for candidate in hypothesis for slot in candidate.slots])
 
 
 def jacobian(cell: Cell, hypothesis: Hypothesis, theta: Array, residual: Array) -> Array:
@@ -140,10 +143,12 @@ def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) 
 
 def _at_kinks(hypothesis: Hypothesis, theta: Array) -> Array:
     """Theta (k,) with what has a kink at the nearest one."""
-    if all(one.cycles is None for one in hypothesis):
+    if all(candidate.cycles is None for candidate in hypothesis):
         return theta
-    cuts = np.cumsum([len(one.slots) for one in hypothesis])[:-1]
-    return np.concatenate([one.settled(own) for one, own in zip(hypothesis, np.split(theta, cuts), strict=True)])
+    cuts = np.cumsum([len(candidate.slots) for candidate in hypothesis])[:-1]
+    return np.concatenate(
+        [candidate.settled(own) for candidate, own in zip(hypothesis, np.split(theta, cuts), strict=True)]
+    )
 
 
 def normal_equations(J: Array, residual: Array, span: Array) -> tuple[Array, Array]:
@@ -170,9 +175,9 @@ def _bends(J: Array, residual: Array, theta: Array, trials: Array, tried: Array)
 def entries_of(found: Fit) -> list[EffectEntry]:
     """A fit as `[[effect]]` entries; sizes that ended at a bound lie on it."""
     out = []
-    for one, values in found.by_effect:
-        effect = effect_of(one.name)
-        parameters: dict[str, object] = {slot.parameter: value for slot, value in one.fixed}
+    for candidate, values in found.by_effect:
+        effect = effect_of(candidate.name)
+        parameters: dict[str, object] = {slot.parameter: value for slot, value in candidate.fixed}
         if effect.direction is not None:
             size = float(np.linalg.norm(values))
             parameters |= {effect.size.name: min(size, effect.size.highest)}
@@ -181,11 +186,11 @@ def entries_of(found: Fit) -> list[EffectEntry]:
                 along[: len(values)] = values / size
                 parameters[effect.direction.name] = along.tolist()
         else:
-            parameters |= {slot.parameter: float(value) for slot, value in zip(one.slots, values, strict=True)}
-        if effect.choice is not None and one.option:
-            parameters[effect.choice.name] = one.option
+            parameters |= {slot.parameter: float(value) for slot, value in zip(candidate.slots, values, strict=True)}
+        if effect.choice is not None and candidate.option:
+            parameters[effect.choice.name] = candidate.option
         try:
-            out.append(make_entry(effect, one.joint, parameters))
+            out.append(make_entry(effect, candidate.joint, parameters))
         except MachineFileError as error:
             raise DiagnosisError(f"a fitted effect does not fit its own bounds: {error}") from error
     return out

@@ -1,4 +1,4 @@
-"""How much of a diagnosis is done: its parts weighed by what they usually cost, for whoever holds a clock."""
+"""How much of a diagnosis is done: its parts weighed by what they usually cost, for the caller's progress display."""
 
 from collections.abc import Callable, Sequence
 

@@ -127,7 +127,7 @@ def deviations(J: Array, residual: Array, slab: Array, block: NDArray[np.int64])
     """Standard deviations (k,) of numbers with columns J (N, k) under priors `slab` (k,): by the posterior, and at
     least what leaving out one block of rows after the other moves them by.
 
-    Why: what a model is wrong by in one posture or motion is no white noise; a number that hangs on one shows it.
+    Why: what a model is wrong by in one posture or motion is not white noise; a number that hangs on one shows it.
     Source: delete-one-group jackknife, Kott 2001, eq. 1.
     """
     H, g = J.T @ J + np.diag(slab**-2.0), J.T @ residual
@@ -261,7 +261,7 @@ def scatter(J: Array, residual: Array, own: NDArray[np.int64], groupings: Sequen
             squares d'Wd has the mean df + tau^2 tr W if the sizes scatter by tau (method of moments). A grouping counts
             where chance does not explain it, at 5 % over all groupings: a contrast that the data hardly determine has
             any tau by chance.
-    Why projected: a fit stops short of its optimum and leans on its priors; what J can still explain is no difference.
+    Why projected: a fit stops short of its optimum and leans on its priors; what J still explains is not a difference.
     Source: invariance as a sign of a cause: Peters, Buehlmann, Meinshausen 2016; tau: DerSimonian, Laird 1986.
     """
     norm = np.sqrt((J**2).sum(axis=0))

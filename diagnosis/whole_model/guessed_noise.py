@@ -19,7 +19,7 @@ from machine.rotations import Array
 
 SLOW_ROWS = 400  # 20 s
 SETTLED = 0.05  # change of the noise's size
-SHARE_MAX = 0.2  # of the motion's own increments: what is more is no noise, but a model that does not fit
+SHARE_MAX = 0.2  # of the motion's own increments: more than this is not noise, but a model that does not fit
 TAKEN = ("whitened", "rows", "scale", "quiet", "regressors", "t_s")  # by the noise, of a cell
 
 
@@ -32,8 +32,8 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
     """The filter of a cell's joints; None where what is left is more than noise can be.
 
     Args:  cell: by its first guess of the noise, which is white; about: the model that effects are added to.
-    Model: one linear step in all effects at once, its degrees of freedom counted; autoregression of what it leaves.
-    Why by undisturbed commands: effects of a command that follows the noise would take most of that noise away.
+    Model: one linear step in all effects together, its degrees of freedom counted; autoregression of what it leaves.
+    Why by commands without the disturbance: effects of a command that follows the noise would take most of it away.
     """
     replay, at = cell.whitened, put(cell.base, about.hypothesis, about.theta)
     if not isinstance(replay, Replay):
@@ -46,22 +46,22 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
         return None
     found = [fit_whitener(own) for own in runs]
     a = np.zeros((ORDER_MAX, len(found)))
-    for j, one in enumerate(found):
-        a[: one.order, j] = one.a[:, 0]
+    for j, whitener in enumerate(found):
+        a[: whitener.order, j] = whitener.a[:, 0]
     unit = replay.whitener.sigma * np.sqrt(len(left) / dof)
     noise_rms = unit * np.array([np.sqrt(np.mean(np.concatenate(own) ** 2)) for own in runs])
     moved = np.concatenate([increments(part.measured, part.stretch.dt_s) for part in replay.parts])
     if (noise_rms > SHARE_MAX * np.sqrt(np.mean(moved**2, axis=0))).any():
         return None
-    order = max(one.order for one in found)
-    return Whitener(a[:order], unit * np.array([float(one.sigma[0]) for one in found]))
+    order = max(whitener.order for whitener in found)
+    return Whitener(a[:order], unit * np.array([float(whitener.sigma[0]) for whitener in found]))
 
 
 def _runs(cell: Cell, left: Array, channel: int) -> list[Array]:
     """What is left of one joint (m, 1), stretch by stretch, about its mean over SLOW_ROWS; those too short for a filter
     are left out.
 
-    Why: a joint that creeps from the middle of a recording on is no noise of its valve, whose filter would follow it.
+    Why: a joint that creeps from the middle of a recording on is not noise of its valve, whose filter would follow it.
     """
     own = cell.rows.channel == channel
     runs = [left[own & (cell.rows.series == number)][:, None] for number in np.unique(cell.rows.series[own])]
@@ -70,4 +70,4 @@ def _runs(cell: Cell, left: Array, channel: int) -> list[Array]:
 
 def _about_its_mean(run: Array) -> Array:
     pieces = np.array_split(run, max(1, len(run) // SLOW_ROWS))
-    return np.concatenate([one - one.mean(axis=0) for one in pieces])
+    return np.concatenate([piece - piece.mean(axis=0) for piece in pieces])

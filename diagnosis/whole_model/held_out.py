@@ -38,7 +38,7 @@ def held_out(cell: Cell, found: Fit) -> HeldOut:
     Model: one Gauss-Newton step, theta_f = theta - (J'WJ + R)^-1 J'Wr inside the bounds, rows of fold f left out, R =
            1 / range^2; a damped one where that serves the rest better, or none.
     Why damped: at a kink (a limit just reached, a whole cycle of delay) or where the rest hardly determines a number,
-           the step goes far astray, and what the fold then costs is no fault of its effect.
+           the step goes far astray, and the effect is not to blame for what the fold then costs.
     """
     folds = np.unique(cell.rows.fold)
     before = evaluated(cell, (), np.zeros((1, 0)))[0]

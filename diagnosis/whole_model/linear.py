@@ -19,7 +19,7 @@ from machine.effects.layout import ParameterSets
 from machine.effects.registry import effect_of
 from machine.rotations import Array
 
-SLAB = 3.0  # times the catalogue's prior scale: wide, so that a poor machine is no outlier
+SLAB = 3.0  # times the catalogue's prior scale: wide, so that a poor machine is not an outlier
 SCANNED_AT_ONCE = 64  # parameter sets in one call, for memory
 CHANGED_SINCE = 0.02  # of the effects that a machine has: how many are expected to change between two diagnoses
 STEP_CYCLES = 10.0  # of a delay: many treads of its staircase, and little against any motion
@@ -150,7 +150,9 @@ def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False, absent:
     for (k, row), there in zip(steps, moved, strict=True):
         columns[k].append((there - residual) / row[np.nonzero(row)[0][0]])
     known = (
-        np.array([one for own in (*tangents.values(), *columns.values()) for one in own]).reshape(-1, len(residual)).T
+        np.array([column for own in (*tangents.values(), *columns.values()) for column in own])
+        .reshape(-1, len(residual))
+        .T
     )
     w = np.sqrt(weights(residual))
     scanned = absent and any(not term.present and not term.smooth for term in terms)
@@ -163,7 +165,7 @@ def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False, absent:
             out[k], columns[k] = _scanned(cell, base, term, residual, w, Q)
     x = [_offsets(term, to_move) if term.present else np.zeros(len(columns[k])) for k, term in enumerate(out)]
     first = np.concatenate([[0], np.cumsum([len(columns[k]) for k in range(len(out))])]).astype(np.int64)
-    J = np.array([one for k in range(len(out)) for one in columns[k]]).reshape(-1, len(residual)).T
+    J = np.array([column for k in range(len(out)) for column in columns[k]]).reshape(-1, len(residual)).T
     odds = np.array([log_odds_of(cell, term) for term in out])
     return Linearised(tuple(out), residual, J, np.concatenate([*x, np.zeros(0)]), first, weights(residual), odds)
 
@@ -293,9 +295,9 @@ def _nonnegative(term: Term) -> Members:
 
 
 def log_odds_of(cell: Cell, term: Term) -> float:
-    """Prior log odds of an effect: of a machine that has it, or beside a baseline of one that got it since.
+    """Prior log odds of an effect: of a machine that has it or, given a baseline, of one that got it since.
 
-    Why less what it usually gains: by so much it explains the undisturbed machine's own wrong form.
+    Why less what it usually gains: by so much it explains the wrong form of the machine's own model.
     """
     share = effect_of(term.effect.name).prevalence
     if cell.usual is None:

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.cells.behind import behind_cells, fitting, told_behind, without
+from diagnosis.cells.behind import behind_cells, fitting, shown_behind, without
 from diagnosis.cells.dynamic import coupled_cell, stage_cells
 from diagnosis.cells.merged import merged_cells
 from diagnosis.cells.own_step import at_its_step
 from diagnosis.known.known import with_known
 from diagnosis.reading.read import Read
 from diagnosis.replay.replayer import Replayer, replayer_of
-from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, beside, put
+from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put, with_baseline_shapes
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.fit import neutral_fit
 from diagnosis.search.work import Work
@@ -42,7 +42,7 @@ def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...]
     found = _solved(behind, work)
     if replayer is None:
         return tuple(found)
-    unseen = (*left_out, *told_behind(behind))
+    unseen = (*left_out, *shown_behind(behind))
     known = with_found(base, found, SEEN_BY_ENCODER)
     replayer = at_its_step(replayer, whole.stretches, known)
     course = known
@@ -82,8 +82,9 @@ def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
 
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
-    """A cell's effects, each in one form; beside a baseline's own with that one's shapes."""
-    return beside(cell.base, tuple(one for one in cell.candidates if OTHER_FORMS.get(one.name) != one.option))
+    """A cell's effects, each in one form; given a baseline, with the shapes of the baseline's own effects."""
+    forms = (effect for effect in cell.candidates if OTHER_FORMS.get(effect.name) != effect.option)
+    return with_baseline_shapes(cell.base, tuple(forms))
 
 
 def _in_other_form(found: WholeFit) -> WholeFit:
@@ -92,7 +93,7 @@ def _in_other_form(found: WholeFit) -> WholeFit:
     A dead band that keeps the full flow is the same as one that loses flow, together with a gain. So it takes the place
     of both, and of none where a gain stays.
     """
-    forms = {one.key: one for one in found.cell.candidates if OTHER_FORMS.get(one.name) == one.option}
+    forms = {effect.key: effect for effect in found.cell.candidates if OTHER_FORMS.get(effect.name) == effect.option}
     for k, term in enumerate(found.best.terms):
         form = forms.get(term.effect.key)
         if not term.present or form is None or form == term.effect:
@@ -100,7 +101,7 @@ def _in_other_form(found: WholeFit) -> WholeFit:
         gain = (GAIN, term.effect.joint) if term.effect.name == DEADBAND else None
         if gain is not None and not _has(found.best.terms, gain):
             continue
-        others = tuple(replace(one, present=one.present and one.effect.key != gain) for one in found.best.terms)
+        others = tuple(replace(other, present=other.present and other.effect.key != gain) for other in found.best.terms)
         tried = solve(found.cell, (), (*others[:k], replace(others[k], effect=form), *others[k + 1 :]))
         if gain is not None and _has(tried.best.terms, gain):
             continue

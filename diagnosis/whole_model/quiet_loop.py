@@ -1,8 +1,8 @@
-"""What names of a valve would change had nothing disturbed the loop: commands as the controller gives them by itself.
+"""What effects of a valve would change had nothing disturbed the loop: commands as the controller gives them by itself.
 
-Why: a loop answers what disturbs its joint, and the measured command holds that answer. Whatever a name says of such
-commands foretells the disturbance, which is what the residual is made of. The reference knows nothing of it: commands
-that follow from the reference alone are the instrument of closed-loop identification.
+Why: a loop answers what disturbs its joint, and the measured command holds that answer. Whatever an effect makes of
+such commands predicts the disturbance, which is what the residual is made of. The reference knows nothing of it:
+commands that follow from the reference alone are the instrument of closed-loop identification.
 """
 
 from collections.abc import Callable
@@ -32,9 +32,9 @@ def quiet_loop(cell: Cell) -> "QuietLoop | None":
     if cell.stage != "actuator" or cell.joint is None or cell.usual is not None or not isinstance(replay, Replay):
         return None
     loops = [_loop(part, replay.joints) for part in replay.parts]
-    if any(one is None for one in loops):
+    if any(loop is None for loop in loops):
         return None
-    found = QuietLoop(cell, replay, tuple(one for one in loops if one is not None))
+    found = QuietLoop(cell, replay, tuple(loop for loop in loops if loop is not None))
     return found if found.obeyed() else None
 
 
@@ -57,7 +57,7 @@ class QuietLoop:
         return off <= OBEYS**2 * power
 
     def residual(self, about: Fit) -> Callable[[ParameterSets], Array]:
-        """The residual (sets, N) about a fit, where further names see undisturbed commands."""
+        """The residual (sets, N) about a fit, where further effects see commands without the disturbance."""
         left, beyond = evaluated_at(self.cell, self._put(about))[0], self.driven(about)
         return lambda sets: left + beyond(sets)
 
@@ -86,12 +86,12 @@ def _loop(part: Part, joints: tuple[int, ...]) -> Part | None:
     known = part.drive.first is DynamicStage.ACTUATOR and stretch.ref is not None and stretch.enc is not None
     if not known or (plant.joints[:, kernel.KP] <= 0.0).any():
         return None
-    ref, enc = (filled(one)[:, own] for one in (stretch.ref, stretch.enc) if one is not None)
+    ref, enc = (filled(signal)[:, own] for signal in (stretch.ref, stretch.enc) if signal is not None)
     if not np.isfinite(ref).all():
         return None
     every = replace(plant, log_cycle_s=plant.cycle_s)
-    fine_ref, fine_enc = (smooth(plant, np.ascontiguousarray(one))[: part.drive.cycles] for one in (ref, enc))
-    load, load_kg = (at_cycles(plant, one)[: part.drive.cycles] for one in (part.drive.load, part.drive.load_kg))
+    fine_ref, fine_enc = (smooth(plant, np.ascontiguousarray(signal))[: part.drive.cycles] for signal in (ref, enc))
+    load, load_kg = (at_cycles(plant, signal)[: part.drive.cycles] for signal in (part.drive.load, part.drive.load_kg))
     drive = drive_controller(every, fine_ref, fine_enc, part.drive.u[0], fine=True)
     return replace(part, plant=every, drive=replace(drive, load=load, load_kg=load_kg))
 

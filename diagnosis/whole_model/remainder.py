@@ -7,7 +7,7 @@ from diagnosis.whole_model.solve import WholeFit
 from machine.rotations import Array
 
 LEVELS = 12  # of a signal, with as many rows each
-WORTH = 0.05  # of the remainder: a signal that explains less is no lead
+WORTH = 0.05  # of the remainder: a signal that explains less is not a lead
 
 
 def lead_of(fit: WholeFit) -> str:

@@ -1,4 +1,4 @@
-"""From the whole model down: all smooth effects are fitted at once, then the best set is chosen and refined in turn."""
+"""From the whole model down: all smooth effects are fitted together, then the best set is chosen and refined."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ NEARLY_NATS = 0.5  # a step that gains less by tangents that were kept is follow
 SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
 SETTLED_NATS = 0.05
 CYCLES = 10  # of a PLC, to either side of a delay that a fit ended at
-CLEAR_NATS = 50.0  # by the linear model: nobody refits a set that is so much worse
+CLEAR_NATS = 50.0  # by the linear model: a set that is so much worse is not refitted
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
                 continue
         columns = _tangents(cell, fitted)
         rivals = {int(k): _rival(cell, fitted, int(k), own, trust, columns) for k in np.nonzero(fitted.present)[0]}
-        better = max((one for one in rivals.values() if one is not None), key=lambda one: one.score, default=None)
+        better = max((rival for rival in rivals.values() if rival is not None), key=lambda one: one.score, default=None)
         if better is None or better.score <= fitted.score + SETTLED_NATS:
             settled = True
             break
@@ -137,7 +137,7 @@ def _approached(cell: Cell, terms: tuple[Term, ...], own: Members) -> tuple[Term
     """The best set of the terms `own` that may enter, found from far away: all smooth effects together, then pruned.
 
     Model: each part's noise is taken for as large as what the terms leave of it, until that falls no more. So the
-           priors hold what the data cannot tell apart, and no residual is an outlier just because nothing fits yet.
+           priors hold what the data cannot distinguish, and no residual is an outlier just because nothing fits yet.
     Source: graduated non-convexity by the scale of the noise: Black, Rangarajan 1996, sec. 5.
     """
     even = np.ones(cell.rows.count)
@@ -194,7 +194,7 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
 
 def only(fit: WholeFit, terms: Sequence[Term]) -> tuple[Term, ...]:
     """Some present terms of a fit (the same objects), fitted again as if nothing else were there."""
-    kept = [any(term is one for one in terms) for term in fit.best.terms]
+    kept = [any(term is wanted for wanted in terms) for term in fit.best.terms]
     if (np.array(kept) == fit.best.present).all():
         return tuple(term for term in fit.best.terms if term.present)
     alone = tuple(replace(term, present=keep) for term, keep in zip(fit.best.terms, kept, strict=True))
@@ -237,7 +237,9 @@ def _rival(
     if problem.score(fitted.present) - problem.score(members) > CLEAR_NATS:
         return None
     chosen = _chosen(fitted.lin, problem, members)
-    entering = {k: fitted.lin.columns(k) for k, one in enumerate(chosen) if one.present and k not in columns}
+    entering = {
+        k: fitted.lin.columns(k) for k, chosen_term in enumerate(chosen) if chosen_term.present and k not in columns
+    }
     short = [k for k, J in entering.items() if J.shape[1] < len(chosen[k].theta)]  # shapes have no column while absent
     given = None if short else {**columns, **entering}
     return _fitted(cell, refined(cell, chosen, trust, given), trust, absent=False)
@@ -299,8 +301,8 @@ def refined(
             lin, fresh = linearised(cell, lin.terms, to_move=True), True
     moved = _at_whole_cycles(cell, lin, trust)
     if _total(moved, trust) < total - NEARLY_NATS:
-        beside = dict(zip(some, moved.terms, strict=True))
-        return refined(cell, tuple(beside.get(k, term) for k, term in enumerate(terms)), trust)
+        whole_cycles = dict(zip(some, moved.terms, strict=True))
+        return refined(cell, tuple(whole_cycles.get(k, term) for k, term in enumerate(terms)), trust)
     lin = moved
     by_number = dict(zip(some, (replace(term, present=not _vanished(term)) for term in lin.terms), strict=True))
     return tuple(by_number.get(k, term) for k, term in enumerate(terms))
@@ -334,7 +336,7 @@ def _at_whole_cycles(cell: Cell, lin: Linearised, trust: Array) -> Linearised:
         if term.effect.cycles is not None:
             run = alike_delays(cell, lin, k, trust)
             theta = run[0] if run[0, 0] == term.absent else run[len(run) // 2]
-            terms = tuple(one if j != k else replace(term, theta=theta) for j, one in enumerate(lin.terms))
+            terms = tuple(other if j != k else replace(term, theta=theta) for j, other in enumerate(lin.terms))
             lin = lin.at(terms, evaluated_at(cell, packed(cell, terms))[0])
     return lin
 
@@ -349,10 +351,12 @@ def alike_delays(cell: Cell, lin: Linearised, k: int, trust: Array) -> Array:
     cycle_s = (term.effect.cycles or (0.0, 0.0))[0]
     near = term.effect.settled(term.theta) + cycle_s * np.arange(-CYCLES, CYCLES + 1)[:, None]
     tried = np.unique([_bounded(term, theta) for theta in near], axis=0)
-    sets = [tuple(one if j != k else replace(term, theta=theta) for j, one in enumerate(lin.terms)) for theta in tried]
-    thetas = np.array([np.concatenate([one.theta for one in terms]) for terms in sets])
+    sets = [
+        tuple(other if j != k else replace(term, theta=theta) for j, other in enumerate(lin.terms)) for theta in tried
+    ]
+    thetas = np.array([np.concatenate([term.theta for term in terms]) for terms in sets])
     left = evaluated_at(cell, packed(cell, lin.terms, thetas))
-    totals = np.array([_total(lin.at(terms, one), trust) for terms, one in zip(sets, left, strict=True)])
+    totals = np.array([_total(lin.at(terms, residual), trust) for terms, residual in zip(sets, left, strict=True)])
     alike, best = totals < totals.min() + NEARLY_NATS, int(np.argmin(totals))
     first = best - int(np.argmin(alike[best::-1])) + 1 if not alike[: best + 1].all() else 0
     end = best + int(np.argmin(alike[best:])) if not alike[best:].all() else len(tried)

@@ -73,13 +73,13 @@ def tool_errors(
     """
     some = tuple(term for term in terms if term.present)
     found = (stands(whole, some), gets_there(whole, some, some if kept is None else kept), sees(cells, some))
-    return tuple(one for one in found if one is not None)
+    return tuple(column for column in found if column is not None)
 
 
 def stands(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
     """Where the tool is for its encoders, over the recorded postures; by the model.
 
-    Where nothing outside the machine measured points on it, nobody knows where its base stands: a motion of the whole
+    Where nothing outside the machine measured points on it, it is unknown where its base stands: a motion of the whole
     is then left out, and what counts is how the tool's places lie to each other.
     """
     nominal = whole.nominal
@@ -119,7 +119,7 @@ def gets_there(whole: Read, terms: tuple[Term, ...], kept: Sequence[Term]) -> To
         return None
     own = tuple(term for term in terms if term.effect.stage in DRIVEN_STAGES)
     arm, base = nominal.arm, pack_under(nominal.baseline, nominal.n)
-    runs = [found for one in whole.stretches if (found := closed_loop(replayer, one)) is not None]
+    runs = [found for stretch in whole.stretches if (found := closed_loop(replayer, stretch)) is not None]
     if not runs:
         return None
     step = max(1, sum(len(encoders) for _, _, encoders in runs) // (2 * ROWS))
@@ -185,8 +185,8 @@ def shared_out(base: ParameterSets, terms: tuple[Term, ...], tool: Callable[[Par
     others = [_with(base, terms[:k] + terms[k + 1 :]) for k in range(len(terms))]
     every = [base, _with(base, terms), *alone, *others]
     sets = base.repeated(len(every))
-    for k, one in enumerate(every):
-        sets.joint[k], sets.machine[k] = one.joint[0], one.machine[0]
+    for k, sets_of in enumerate(every):
+        sets.joint[k], sets.machine[k] = sets_of.joint[0], sets_of.machine[0]
     at = tool(sets)
     none, everything = at[0], at[1]
     if not terms:

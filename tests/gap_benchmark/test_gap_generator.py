@@ -14,7 +14,7 @@ from benchmarks.diagnosis.sealed.arm_effects import ARM_EFFECTS
 from benchmarks.diagnosis.sealed.cases import BLOCK, draw, mix_of
 from benchmarks.diagnosis.sealed.faults import FOREIGN, Injected, faults_of
 from benchmarks.diagnosis.sealed.judge import Equal, SealError, judged, opened
-from benchmarks.diagnosis.sealed.limits import key, no_easier_beside_noise
+from benchmarks.diagnosis.sealed.limits import key, no_easier_with_less_noise
 from benchmarks.diagnosis.sealed.scales import KINDS, NOT_JUDGED
 from benchmarks.diagnosis.sealed.sensitivity import separation, size2
 from diagnosis.log.nominal import nominal_of
@@ -147,9 +147,9 @@ def test_a_faulty_machine_is_kept_where_the_other_one_is() -> None:
 
 
 def test_no_limit_is_larger_beside_less_noise() -> None:
-    assert no_easier_beside_noise([0.7, 0.3, 0.4]) == [0.3, 0.3, 0.4]
-    assert no_easier_beside_noise([0.1, 0.2, None]) == [0.1, 0.2, None]
-    assert no_easier_beside_noise([None, 0.2, 0.3]) == [0.2, 0.2, 0.3]
+    assert no_easier_with_less_noise([0.7, 0.3, 0.4]) == [0.3, 0.3, 0.4]
+    assert no_easier_with_less_noise([0.1, 0.2, None]) == [0.1, 0.2, None]
+    assert no_easier_with_less_noise([None, 0.2, 0.3]) == [0.2, 0.2, 0.3]
 
 
 def answered(verdict: str, *names: tuple[str, int | None]) -> dict:

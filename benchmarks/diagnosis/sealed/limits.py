@@ -64,10 +64,10 @@ def table(remainders: tuple[Remainder, ...], plant: Plant = OWN) -> Table:
         for joint in kind.joints or (None,):
             out[key(kind.name, joint)] = _of_shapes(kind, joint, levels, rng)
         print(kind.name, {name: value for name, value in out.items() if name.split()[0] == kind.name}, flush=True)
-    return {name: no_easier_beside_noise(row) for name, row in out.items()}
+    return {name: no_easier_with_less_noise(row) for name, row in out.items()}
 
 
-def no_easier_beside_noise(row: list[float | None]) -> list[float | None]:
+def no_easier_with_less_noise(row: list[float | None]) -> list[float | None]:
     """Limits from the quietest level to the noisiest: what is found beside more noise is found beside less.
 
     Why: where a joint's own swing is far above the noise, two draws of it tell less than a third level does.

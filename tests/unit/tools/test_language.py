@@ -23,7 +23,15 @@ def test_a_word_of_the_list_is_found_in_prose_and_identifiers(line: str, found: 
 
 
 @pytest.mark.parametrize(
-    "line", ["x is None", "there is no marker", "it is no longer valid", "for marker in markers:", "the block swapped"]
+    "line",
+    [
+        "x is None",
+        "there is no marker",
+        "it is no longer valid",
+        "it is no further than a cycle",
+        "for marker in markers:",
+        "the block swapped",
+    ],
 )
 def test_ordinary_words_pass(line: str):
     assert list(language.words_in(line)) == []
@@ -39,3 +47,10 @@ def test_long_lines_and_sentences_are_found_in_docs_only():
 def test_code_blocks_may_be_long_and_table_rows_longer_than_lines():
     row = "| " + "x" * 200 + " |"
     assert language.findings_in("docs/page.md", f"```\n{'x ' * 200}\n```\n\n{row}\n") == []
+
+
+@pytest.mark.parametrize("end", [".", ".**", ".)", ":"])
+def test_a_sentence_may_end_in_bold_or_in_brackets(end: str):
+    text = f"{'word ' * 30}word{end} {'word ' * 30}\n"
+    assert list(language.long_sentences_in(text)) == []
+    assert len(list(language.long_sentences_in(text.replace(f"{end} ", ", ")))) == 1

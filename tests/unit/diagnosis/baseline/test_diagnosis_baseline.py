@@ -10,7 +10,7 @@ from diagnosis_cases import MACHINE_TOML, entry
 from made_up_cell import made_up
 from scipy.signal import lfilter
 
-from diagnosis.cells.behind import joined, told_behind, without
+from diagnosis.cells.behind import joined, shown_behind, without
 from diagnosis.log.nominal import nominal_of
 from diagnosis.noise.floor import Floor, Whitener, with_remainder
 from diagnosis.search.candidates import named, put
@@ -145,7 +145,7 @@ def test_whatever_a_fit_names_can_be_written_to_a_machine_file_and_is_the_same_t
 
 def test_encoders_are_left_to_what_was_measured_behind_them_if_it_sees_them() -> None:
     cell = made_up((0.15, 0.0, 0.0))
-    assert told_behind([cell]) == ()
-    assert told_behind([]) == ()
+    assert shown_behind([cell]) == ()
+    assert shown_behind([]) == ()
     seen = replace(cell, candidates=(*cell.candidates, *named(("encoder_scale",), (1,))))
-    assert told_behind([seen]) == ("encoder_scale",)
+    assert shown_behind([seen]) == ("encoder_scale",)

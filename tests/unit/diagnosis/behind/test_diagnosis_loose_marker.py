@@ -27,7 +27,7 @@ def test_the_loose_marker_is_told_with_how_far_it_goes(seed: int) -> None:
     assert found.number == 2
     assert found.own_px == pytest.approx(OWN_PX, rel=0.3)
     assert 1.0 < found.moved_px < 4.0
-    assert "marker 7" in found.told(7)
+    assert "marker 7" in found.message(7)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -124,7 +124,7 @@ def test_cranes_of_one_kind_without_a_serial_are_one_machine_a_folder_and_it_is_
     fleet = summary_of(results)
     assert fleet.machines == ("hiab033 in east", "hiab033 in north", "hiab033 in south")
     assert not fleet.drifts
-    assert "3 tell no serial" in fleet_page(fleet, "mine")
+    assert "3 state no serial" in fleet_page(fleet, "mine")
     assert "no serial" not in fleet_page(summary_of([answer_with("a", 1, None)]), "mine")
 
 

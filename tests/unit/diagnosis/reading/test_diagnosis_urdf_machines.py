@@ -98,7 +98,7 @@ def test_a_misspelt_joint_does_not_freeze_one_without_a_word() -> None:
     assert strange == (
         "machine_mismatch",
         "problem",
-        "joint 2 (J2) is no joint of the URDF and moves nothing; did you mean 'j2'?",
+        "joint 2 (J2) is not in the URDF and moves nothing; did you mean 'j2'?",
     )
     assert held[:2] == ("machine_mismatch", "problem")
     assert "'j2' lies on the chain, has no [[joint]] of its name and is held at 0" in held[2]

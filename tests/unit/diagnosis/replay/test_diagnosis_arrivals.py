@@ -40,7 +40,7 @@ def diagnosed(link: Link) -> dict[str, Any]:
 def test_what_comes_on_the_dot_is_left_as_it_was_sent() -> None:
     stamps, found, _ = logged(Link())
     np.testing.assert_array_equal(found.t_s, stamps)
-    assert (found.beside_s, found.rate, found.unsure_s) == (0.0, 0.0, CYCLE_S)  # of a wait that no row shows
+    assert (found.jitter_s, found.rate, found.unsure_s) == (0.0, 0.0, CYCLE_S)  # of a wait that no row shows
     assert found.lost is not None
     assert not found.lost.any()
 
