@@ -79,6 +79,7 @@ def key(made):
 
 
 @in_browser
+@pytest.mark.real_time
 def test_states_pictures_commands_and_the_3d_view_come_through(tmp_path, browser):
     ports = StackPorts.free()
     stack = Stack(ports, seed=1, runs=tmp_path / "runs", log_folder=tmp_path / "logs", camera_rate_hz=5.0)
