@@ -7,13 +7,13 @@ from scipy.stats import chi2
 
 from server.vision.bundle import BundleLoss, BundleSettings, BundleStatus, adjust_bundle
 
-WINDOWS = 200
+windowed = pytest.mark.parametrize("windows", [50, pytest.param(200, marks=pytest.mark.slow)])  # the same limits
 
 
-def joint_squares(loss, **scene_arguments):
+def joint_squares(windows, loss, **scene_arguments):
     """Squared Mahalanobis error of all free poses of each window, its degrees of freedom, and the same of points."""
     poses, points = [], []
-    for seed in range(WINDOWS):
+    for seed in range(windows):
         scene = make_scene(np.random.default_rng([17, seed]), n_frames=4, n_points=60, **scene_arguments)
         found = adjust_bundle(scene.problem, BundleSettings(loss=loss, point_covariances=True, iterations_max=200))
         assert found.status is BundleStatus.OK, found.reason
@@ -26,28 +26,32 @@ def joint_squares(loss, **scene_arguments):
     return np.array(poses), np.array(points)
 
 
+@windowed
 @pytest.mark.parametrize("loss", list(BundleLoss))
-def test_poses_and_points_are_as_far_off_as_their_covariance_says(loss):
-    poses, points = joint_squares(loss)
-    low, high = chi2.ppf([0.001, 0.999], 18 * WINDOWS)
+def test_poses_and_points_are_as_far_off_as_their_covariance_says(loss, windows):
+    poses, points = joint_squares(windows, loss)
+    low, high = chi2.ppf([0.001, 0.999], 18 * windows)
     assert low < poses.sum() < high
     inside = (poses < chi2.ppf(0.95, 18)).mean()
     assert 0.90 < inside < 0.985
     assert points.mean() == pytest.approx(3.0, rel=0.07)
 
 
+@windowed
 @pytest.mark.parametrize("loss", [BundleLoss.HUBER, BundleLoss.CAUCHY])
-def test_outliers_leave_the_covariance_honest(loss):
-    poses, _ = joint_squares(loss, outlier_frac=0.1)
+def test_outliers_leave_the_covariance_honest(loss, windows):
+    poses, _ = joint_squares(windows, loss, outlier_frac=0.1)
     assert 0.9 < poses.mean() / 18.0 < 1.1
 
 
-def test_sigmas_that_are_too_small_leave_the_covariance_honest():
-    poses, _ = joint_squares(BundleLoss.HUBER, noise=2.5)
+@windowed
+def test_sigmas_that_are_too_small_leave_the_covariance_honest(windows):
+    poses, _ = joint_squares(windows, BundleLoss.HUBER, noise=2.5)
     assert 0.9 < poses.mean() / 18.0 < 1.15
 
 
-def test_with_a_group_the_covariance_is_honest_too():
-    poses, _ = joint_squares(BundleLoss.HUBER, group=True)
-    low, high = chi2.ppf([0.001, 0.999], 18 * WINDOWS)
+@windowed
+def test_with_a_group_the_covariance_is_honest_too(windows):
+    poses, _ = joint_squares(windows, BundleLoss.HUBER, group=True)
+    low, high = chi2.ppf([0.001, 0.999], 18 * windows)
     assert low < poses.sum() < high
