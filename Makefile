@@ -30,12 +30,12 @@ demo: $(VENV)/run.stamp  ## simulated machine, server and panel; prints the addr
 # One thread each: workers that share the cores wait for each other's BLAS threads.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
-# Real processes in real time; all else is pure or in virtual time.
-REAL := tests/system tests/loop/test_link_process.py tests/loop/test_link_process_start.py tests/loop/test_relay_udp.py
-
-test: $(VENV)/dev.stamp  ## all tests but the slow ones: pure ones on all cores, then those with real processes one by one
-	$(ONE_THREAD) $(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile --durations 20 $(REAL:%=--ignore %)
-	$(BIN)/python -m pytest -m "not slow" --durations 20 $(REAL)
+# Compiled first, by two processes and once: else every worker compiles the same at the same time.
+# Files in their order, heavy ones before light ones: by number of tests the longest tests would come last, on one core.
+test: $(VENV)/dev.stamp  ## all tests but the slow ones: on all cores, then those in real time one by one
+	$(BIN)/longreach compile
+	$(ONE_THREAD) $(BIN)/python -m pytest -m "not slow and not real_time" -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations 20
+	$(BIN)/python -m pytest -m "real_time and not slow" --durations 20 tests/loop tests/system
 
 test-slow: $(VENV)/dev.stamp  ## compose, long drills
 	$(BIN)/python -m pytest -m slow

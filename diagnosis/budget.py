@@ -122,12 +122,12 @@ def _weighed(fit: WholeFit) -> list[tuple[Evidence, float]]:
     Given a baseline, an effect has to hold without those that are doubtful as well: two of them may stand together for
     something that the catalogue does not have. Without one, many small effects are truly there and yet doubtful.
     """
-    found = [(one, probability(one)) for one in evidence_of(fit)]
-    held = [one.term for one, likely in found if likely >= LIKELY]
+    found = [(evidence, probability(evidence)) for evidence in evidence_of(fit)]
+    held = [evidence.term for evidence, likely in found if likely >= LIKELY]
     if fit.cell.usual is None or len(held) in (0, len(found)):
         return found
-    again = {one.term.effect.variant: probability(one) for one in evidence_of(reduced(fit, held))}
-    return [(one, min(likely, again.get(one.term.effect.variant, likely))) for one, likely in found]
+    again = {alone.term.effect.variant: probability(alone) for alone in evidence_of(reduced(fit, held))}
+    return [(one, min(likely, again.get(one.term.effect.variant, likely))) for (one, likely) in found]
 
 
 def _machine_of(fits: Iterable[WholeFit], chance: dict[int, float], least: float) -> tuple[Term, ...]:

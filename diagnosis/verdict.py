@@ -16,7 +16,7 @@ from diagnosis.whole_model.solve import WholeFit
 
 CONFIRMED = 0.9  # probability from which an effect is confirmed; below a half nothing is "found"
 LIKELY = 0.5
-SMALL_MM, SMALL_SHARE = 0.5, 0.05  # at the tool, of the whole miss: a remainder that nobody acts on
+SMALL_MM, SMALL_SHARE = 0.5, 0.05  # at the tool, of the whole miss: a remainder too small to act on
 EXPLAINED = 0.9  # of the squared miss: then the effects explain the gap
 
 Closing = tuple[tuple[tuple[Shrink, Squares], ...], ...]
@@ -163,14 +163,14 @@ def _is(place: Place, stage: str, joint: int | None) -> bool:
 
 
 def small_mm(columns: tuple[Column, ...]) -> float:
-    """A miss at the tool that nobody acts on [mm]."""
+    """A miss at the tool that is too small to act on [mm]."""
     return max(SMALL_MM, SMALL_SHARE * together_mm(column.before_mm for column in columns))
 
 
 def stage_verdict(was: float | None, left: float | None, confirmed: bool, small: float) -> StageVerdict:
     """One stage's word from its miss before and after [mm], and whether one of its effects is confirmed.
 
-    A miss that nobody acts on is none, however clear its cause is.
+    A miss too small to act on does not count, however clear its cause is.
     """
     if was is None or left is None:
         return "not_measured"

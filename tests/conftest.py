@@ -4,6 +4,7 @@ import time
 
 import pytest
 from _pytest.runner import runtestprotocol
+from hypothesis import settings
 
 from tests.standing_still import StandstillWatch
 
@@ -11,6 +12,8 @@ REAL = ("loop", "system")  # folders whose tests run in real time
 TRIES = 3
 _watch = pytest.StashKey[StandstillWatch]()
 _told = pytest.StashKey[list[str]]()
+settings.register_profile("longreach", deadline=None)  # timing never decides a test
+settings.load_profile("longreach")
 
 
 def pytest_configure(config):

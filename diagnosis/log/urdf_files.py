@@ -24,9 +24,9 @@ class UrdfFiles:
         Raises: DiagnosisError: it is there and cannot be read.
         """
         name = PureWindowsPath(file).name  # cuts at both kinds of slashes
-        for file in self.recorded:
-            if file.name == name:
-                return file.data.decode("utf-8", errors="replace")
+        for attachment in self.recorded:
+            if attachment.name == name:
+                return attachment.data.decode("utf-8", errors="replace")
         path = None if self.folder is None else self.folder / name
         if path is None or not path.is_file():
             return None

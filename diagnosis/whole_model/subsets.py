@@ -72,7 +72,8 @@ def best_set_without(problem: LinearProblem, members: Members, term: int, allowe
 
 def best_addition(problem: LinearProblem, members: Members, allowed: Members) -> Members | None:
     """A set with the one allowed term more that raises its score most; None where none raises it."""
-    tried = {problem.score(members | one): members | one for one in np.eye(problem.terms, dtype=bool)[allowed]}
+    larger = [members | term for term in np.eye(problem.terms, dtype=bool)[allowed]]
+    tried = {problem.score(subset): subset for subset in larger}
     best = max(tried, default=-np.inf)
     return tried[best] if best > problem.score(members) else None
 

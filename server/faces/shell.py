@@ -1,4 +1,4 @@
-"""What the faces share: where they may listen, the library of their extra, and their life beside the server."""
+"""What the faces share: where they may listen, the library of their extra, and their life within the server."""
 
 import asyncio
 import importlib

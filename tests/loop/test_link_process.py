@@ -33,7 +33,7 @@ from server.link.errors import LinkRefusedError, LinkSilentError
 from server.link.settings import LinkSettings
 from server.motion.contracts import JointTrajectory
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 NET_IDS = ("10.0.0.1.1.1", "10.0.0.2.1.1")
 
 

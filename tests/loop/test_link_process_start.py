@@ -5,6 +5,7 @@ import os
 import signal
 import socket
 
+import pytest
 from test_link_process import until
 
 from recording.clock import mono_ns
@@ -12,6 +13,8 @@ from server.link.client import LinkClient
 from server.link.contracts import LinkPhase
 from server.link.settings import LinkSettings
 from server.settings import read_machine
+
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 
 async def test_a_taken_port_is_named_without_a_traceback_and_used_when_it_is_free() -> None:

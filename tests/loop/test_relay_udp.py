@@ -26,7 +26,7 @@ from sim_plc.relay.faults import FaultCounts, Faults, FaultSettingsError
 from sim_plc.relay.relay_process import UdpRelay
 from sim_plc.relay.settings import RelaySettings
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 GOAL: Axes = axes8((0.1, -0.1, 0.05))
 EPOCH_NS = 3_600_000_000_000
 

@@ -26,6 +26,7 @@ MS = 1_000_000
 
 
 @pytest.mark.system
+@pytest.mark.real_time
 @pytest.mark.timeout(180)
 @pytest.mark.parametrize("where", ["process", pytest.param("server", marks=pytest.mark.slow)])
 def test_a_few_seconds_of_the_bench_give_all_figures_and_end_in_hold(where, tmp_path):

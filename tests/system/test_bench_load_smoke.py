@@ -15,7 +15,7 @@ from benchmarks.server.load.clients import ClientProcess, Demand, demand
 from benchmarks.server.load.command import held, line, summary
 from benchmarks.server.load.http_client import Connection
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 
 @pytest.fixture(scope="module")

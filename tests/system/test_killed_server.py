@@ -18,7 +18,7 @@ from protocol.codes import PlcState
 sys.path.insert(0, str(Path(__file__).parent))
 from kill_client import KillFigures, Relay, figures_table, machine_text, observe_kill
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.timeout(240)]
 MACHINE = parse_machine_toml(machine_text())
 MIDDLE_S = 1.9  # of a retract of 300 mm, which takes about 4 s
 

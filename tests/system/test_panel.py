@@ -13,6 +13,7 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 from panel_browser import CHROMIUM, FLAGS, Capture, keep, person, picture_folder
+from sub_path_proxy import under_path
 
 from longreach.fleet_client import JobClient
 from longreach.processes import Stack, StackPorts
@@ -20,10 +21,12 @@ from longreach.processes import Stack, StackPorts
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test installs it")
 pytestmark = [
     pytest.mark.system,
+    pytest.mark.real_time,
     pytest.mark.timeout(600),
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this computer: install Debian's package chromium"),
 ]
 READY_S = 180.0
+PATH = "/site/crane-3"
 
 
 @pytest.fixture(scope="module")
@@ -251,6 +254,33 @@ def test_a_dead_3d_view_takes_nothing_along(viewer, stack):
         page.locator("#stop").click()
     assert answered.value.status == 200
     page.wait_for_function(f"() => /run=(?!{process})/.test(document.getElementById('view').src)", timeout=60_000)
+
+
+def test_states_pictures_commands_and_the_3d_view_come_through_under_a_path(browser, stack):
+    """Behind a proxy that puts all of it under a path of its own."""
+    with under_path(stack.url, PATH) as here:
+        made = person(browser, here)  # waits for the camera's rate: states came
+        page = made.page
+        page.wait_for_function("() => Number(document.getElementById('picture').dataset.drawn) > 2", timeout=60_000)
+        made.take_control()
+        with page.expect_response(lambda answer: answer.url == f"{here}/v1/stop") as heard:
+            page.locator("#stop").dispatch_event("pointerdown")
+        assert heard.value.status == 200
+        page.wait_for_function("() => document.getElementById('view').src.includes('run=')", timeout=240_000)
+        assert page.evaluate("() => document.getElementById('view').src").startswith(f"{here}/view/?")
+        page.frame_locator("#view").locator("canvas").first.wait_for(timeout=120_000)
+        page.wait_for_timeout(1000.0)
+        own = [url for url in made.requests if not url.startswith(("blob:", "data:"))]
+        outside = [url for url in own if PATH not in url]
+        assert outside == []
+        assert any(url.startswith("ws") and url.rstrip("/").endswith("/view") for url in own)
+        assert {f"{here}/v1/{name}".replace("http", "ws", 1) for name in ("live", "video", "stop")} <= set(own)
+        with page.expect_response(lambda answer: answer.url == f"{here}/v1/stop") as heard:  # Esc from inside it
+            page.frame_locator("#view").locator("canvas").first.click(timeout=60_000, force=True)
+            page.keyboard.press("Escape")
+        assert heard.value.status == 200
+        page.context.close()
+        assert made.faults == []
 
 
 def test_stop_goes_out_at_the_touch_and_says_whether_it_was_heard(anna):

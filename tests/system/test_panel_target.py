@@ -10,6 +10,7 @@ from longreach.processes import Stack, StackPorts
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test installs it")
 pytestmark = [
     pytest.mark.system,
+    pytest.mark.real_time,
     pytest.mark.timeout(900),
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this computer: install Debian's package chromium"),
 ]

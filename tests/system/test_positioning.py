@@ -9,7 +9,7 @@ from longreach.processes import Stack, StackPorts
 from recording.opening import read_run
 from recording.rows import PlcState, Sent
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
+pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.timeout(420)]
 READY_S = 180.0
 
 

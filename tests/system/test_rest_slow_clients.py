@@ -17,7 +17,7 @@ from rest_stand import served
 
 from server.api import connection_limit
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 
 @pytest.mark.parametrize(

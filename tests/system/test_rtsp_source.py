@@ -11,7 +11,7 @@ from server.camera.contracts import StereoFrame
 from server.camera.sources.rtsp import RtspStereoSource
 from server.camera.sources.settings import RtspSource
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 RATE_HZ = 40.0
 PERIOD_NS = 25_000_000

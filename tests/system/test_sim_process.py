@@ -21,7 +21,7 @@ from protocol.limits import limits_of
 from recording.clock import mono_ns
 from sim_plc.process import SimSettings, run_sim
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.timeout(240)]
 READY_S = 90.0  # the first start on a machine compiles the plant
 
 

@@ -22,6 +22,7 @@ from kill_client import Relay
 GCC = shutil.which("gcc")
 pytestmark = [
     pytest.mark.system,
+    pytest.mark.real_time,
     pytest.mark.timeout(400),
     pytest.mark.skipif(GCC is None or sys.platform != "linux", reason="needs gcc on Linux"),
 ]

@@ -52,43 +52,70 @@ def noise_bank() -> np.ndarray:
     return np.random.default_rng(0).standard_normal(2 * WIDTH * HEIGHT, np.float32)
 
 
+def seen(wall: Image, at_px: tuple[int, int], noise_grey: float, starts: tuple[int, ...]) -> tuple[Image, Image]:
+    """Left and right as the sensor gives them; `starts`: where each eye's noise is read from the bank."""
+    both = []
+    for shift, start in zip((0, DISPARITY_PX), starts, strict=True):
+        left, top = MARGIN_PX + at_px[0] + shift, MARGIN_PX // 2 + at_px[1]
+        noise = noise_bank()[start : start + WIDTH * HEIGHT].reshape(HEIGHT, WIDTH)
+        behind = wall[top : top + HEIGHT, left : left + WIDTH]
+        both.append(np.clip(behind + np.float32(noise_grey) * noise + 0.5, 0, 255).astype(np.uint8))
+    return both[0], both[1]
+
+
+def sent(left: Image, right: Image, quality: int | None) -> Image:
+    """Both side by side, through the stream's compression."""
+    picture = np.hstack([left, right])
+    if quality is None:
+        return picture
+    good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not good:
+        raise ValueError("picture cannot be encoded")
+    return np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE), np.uint8)
+
+
+@lru_cache(maxsize=48)
+def good_picture(
+    seed: int, contrast: float, at_px: tuple[int, int], noise_grey: float, starts: tuple[int, ...], quality: int | None
+) -> Image:
+    """What a camera sends. Cameras of the same seed send the same: made once for all tests (20 ms each)."""
+    picture = sent(*seen(wall(seed, contrast), at_px, noise_grey, starts), quality)
+    picture.setflags(write=False)
+    return picture
+
+
 class Camera:
     """Gives the next pair of a camera that looks at a wall; `at_px`: where, so that the caller can move it."""
 
     def __init__(self, noise_grey: float = 1.5, quality: int | None = 95, seed: int = 1, contrast: float = 1.0) -> None:
-        self.wall = wall(seed, contrast)
+        self.seed, self.contrast = seed, contrast
         self.noise_grey, self.quality = noise_grey, quality
         self.rng = np.random.default_rng(seed)
         self.number = 0
         self.at_px = (0, 0)
 
+    def _starts(self) -> tuple[int, ...]:
+        return tuple(int(self.rng.integers(0, WIDTH * HEIGHT)) for _ in range(2))
+
     def eyes(self) -> tuple[Image, Image]:
         """Left and right as the sensor gives them."""
-        x, y = self.at_px
-        both = []
-        for shift in (0, DISPARITY_PX):
-            left = MARGIN_PX + x + shift
-            seen = self.wall[MARGIN_PX // 2 + y : MARGIN_PX // 2 + y + HEIGHT, left : left + WIDTH]
-            start = int(self.rng.integers(0, WIDTH * HEIGHT))
-            noise = noise_bank()[start : start + WIDTH * HEIGHT].reshape(HEIGHT, WIDTH)
-            both.append(np.clip(seen + np.float32(self.noise_grey) * noise + 0.5, 0, 255).astype(np.uint8))
-        return both[0], both[1]
+        return seen(wall(self.seed, self.contrast), self.at_px, self.noise_grey, self._starts())
 
     def frame(self, left: Image, right: Image) -> StereoFrame:
         """The frame that the server reads of these pictures; the next stamp."""
+        return self.stamped(sent(left, right, self.quality))
+
+    def stamped(self, picture: Image) -> StereoFrame:
+        """The frame of a picture that was sent; the next stamp."""
         self.number += 1
-        picture = np.hstack([left, right])
-        if self.quality is not None:
-            good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self.quality])
-            if not good:
-                raise ValueError("picture cannot be encoded")
-            picture = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_GRAYSCALE), np.uint8)
         t_ns = self.number * PERIOD_MS * MS
         return StereoFrame(*split_side_by_side(picture), t_ns, t_ns + LATENCY_MS * MS, self.number)
 
     def next(self) -> StereoFrame:
         """The next good pair."""
-        return self.frame(*self.eyes())
+        return self.stamped(
+            good_picture(self.seed, self.contrast, self.at_px, self.noise_grey, self._starts(), self.quality)
+        )
 
 
 def walk(n: int, reach_px: int = 80) -> Iterator[tuple[int, int]]:

@@ -1,11 +1,13 @@
 """Every fault of pictures and stamps is found and named; good pairs are not."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import cycle, islice
 
 import cv2
 import numpy as np
 import pytest
-from health_pictures import CAMERA, HEIGHT, MS, PERIOD_MS, WIDTH, Camera, moved_stamp, walk
+from health_pictures import CAMERA, HEIGHT, MS, PERIOD_MS, WIDTH, Camera, moved_stamp, sent, walk
 
 from server.camera.contracts import StereoFrame
 from server.camera.health.findings import FaultCode, Finding
@@ -235,18 +237,29 @@ def test_a_scene_with_an_edge_along_its_rows_is_usable_again_after_a_fault(name:
     assert after[-1] == ()
 
 
+def in_turn(camera: Camera, change: Callable[[Image], Image], count: int) -> Iterator[StereoFrame]:
+    """Pairs changed for long, of a few pictures in turn: each is unlike the one before."""
+    pictures = [sent(*(change(eye) for eye in camera.eyes()), camera.quality) for _ in range(8)]
+    for picture in islice(cycle(pictures), count):
+        yield camera.stamped(picture)
+
+
 def test_what_came_to_stay_in_front_of_the_camera_is_taken_for_the_scene_in_time() -> None:
     camera, health = Camera(), ImageHealth(CAMERA)
     settled(camera, health)
-    found = [health.before_use(camera.frame(*(shelf(eye) for eye in camera.eyes()))) for _ in range(200)]
+    found = [health.before_use(frame) for frame in in_turn(camera, shelf, 200)]
     assert FaultCode.GARBAGE in codes(found[0])
     assert found[-1] == ()
+
+
+def rows_missing(image: Image) -> Image:
+    out = image.copy()
+    out[600:] = 128
+    return out
 
 
 def test_rows_that_are_missing_for_long_are_never_taken_for_the_scene() -> None:
     camera, health = Camera(), ImageHealth(CAMERA)
     settled(camera, health)
-    for _ in range(200):
-        left, right = camera.eyes()
-        left[600:] = right[600:] = 128
-        assert FaultCode.GARBAGE in codes(health.before_use(camera.frame(left, right)))
+    for frame in in_turn(camera, rows_missing, 200):
+        assert FaultCode.GARBAGE in codes(health.before_use(frame))

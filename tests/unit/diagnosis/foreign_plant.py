@@ -110,7 +110,7 @@ def run(kind: str, fault: Fault, rng: np.random.Generator, seconds: float, t0: f
     return {"plc": rows.tolist(), "sent": [(t0 + t + OFFSET_S, *row) for t, row in zip(t_sent, sent, strict=True)]}
 
 
-@njit
+@njit(cache=True)
 def _stepped(cycles, per, sent, delay, quantum, faults, warming, t0, shock, log_s, counts):
     """Rows time, ref (2,), encoder (2,), command (2,), number of the reference."""
     dead, lag, hyst, rate, up, limit, kp, gain, gear = faults
