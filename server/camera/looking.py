@@ -14,7 +14,7 @@ Average = Callable[[Sequence[PairObservation]], Look]
 
 FAILED_BATCHES = 2  # a look that fails by what it shows, not by motion, gets one more batch of pairs
 
-SIGMA_MAX_M = 0.010  # a calibration's chords are 80 mm: a calibration is not helped by what is known worse (another brick, two motions)
+SIGMA_MAX_M = 0.010  # chords are 80 mm: a path known worse (another brick, two motions) does not help a calibration
 POSES_MAX = 180 * 60  # as long as encoders are kept to match them with, at 60 pairs a second
 
 
