@@ -1,8 +1,9 @@
 """Language lint: words that the field does not use, loop variables without a name, long lines and sentences in docs.
 
-Run by `make check`. A finding reads `file:line: found -> better`. `[tool.language.allowed]` in pyproject.toml holds the
-number of findings that each directory may still have; it may only fall. `--count` prints the numbers of today. A line
-whose comment begins with "old name" is passed over: it holds a wire, JSON or setting name that is still read.
+Run by `make check`. A finding reads `file:line: found -> better`. `[tool.language.allowed]` in pyproject.toml, if
+there, holds the number of findings that each directory may still have; it may only fall. `--count` prints the numbers
+of today. A line whose comment begins with "old name" is passed over: it holds a wire, JSON or setting name that is
+still read.
 """
 
 import argparse

@@ -18,11 +18,9 @@ def lines(result: dict[str, Any]) -> list[str]:
     closed = result["shrink"].get("overall", {}).get("closed_frac")
     if closed is not None:
         out.append(f"gap closed on held-out motions: {100 * closed:.3g} %")
-    for place in result["unexplained"][:NAMES_MAX]:
-        where = f"{place['stage']} {place['joint']}" if place["joint"] else place["stage"]
-        out.append(
-            f"unexplained in {where}: {place['lead'] or 'more than noise'} ({place['test']} {place['size']:.3g})"
-        )
+    for row in result["unexplained"][:NAMES_MAX]:
+        where = f"{row['stage']} {row['joint']}" if row["joint"] else row["stage"]
+        out.append(f"unexplained in {where}: {row['lead'] or 'more than noise'} ({row['test']} {row['size']:.3g})")
     following = result["next_experiment"]
     if following["what"]:
         out.append(f"next experiment: {following['what']}, {following['minutes']:g} min: {following['why']}")
