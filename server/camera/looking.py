@@ -14,7 +14,7 @@ Average = Callable[[Sequence[PairObservation]], Look]
 
 FAILED_BATCHES = 2  # a look that fails by what it shows, not by motion, gets one more batch of pairs
 
-SIGMA_MAX_M = 0.010  # a calibration's chords are 80 mm: what is known no better (another brick, two motions) is no use
+SIGMA_MAX_M = 0.010  # a calibration's chords are 80 mm: what is known no better (another brick) says nothing
 POSES_MAX = 180 * 60  # as long as encoders are kept to match them with, at 60 pairs a second
 
 

@@ -160,7 +160,7 @@ def _measured(
     rays = undistort_to_rays(camera, samples)
     uv = (rays - ray) * [camera.fx_px, camera.fy_px]
     limits = disparity_px - SLACK_PX, disparity_px + SLACK_PX
-    coarse = [coarse_disparity(camera, place.left, place.right, one, SAMPLE_HALF_PX, limits) for one in rays]
+    coarse = [coarse_disparity(camera, place.left, place.right, way, SAMPLE_HALF_PX, limits) for way in rays]
     guess = np.array([found.disparity_px for found in coarse])
     usable = np.isfinite(guess)
     sigma_texture = texture_sigma_px(place.left, place.pixel, radius_px)
