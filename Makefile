@@ -31,7 +31,7 @@ demo: $(VENV)/run.stamp  ## simulated machine, server and panel; prints the addr
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
 # Compiled first, by two processes and once: else every worker compiles the same at the same time.
-# Files in their order, heavy ones before light ones: by number of tests the longest tests would come last, on one core.
+# Files by name: sorted by number of tests, xdist's default, files of one long test would come last, on one core.
 test: $(VENV)/dev.stamp  ## all tests but the slow ones: on all cores, then those in real time one by one
 	$(BIN)/longreach compile
 	$(ONE_THREAD) $(BIN)/python -m pytest -m "not slow and not real_time" -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations 20

@@ -4,7 +4,7 @@ import time
 
 import pytest
 from _pytest.runner import runtestprotocol
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from tests.standing_still import StandstillWatch
 
@@ -12,7 +12,7 @@ REAL = ("loop", "system")  # folders whose tests run in real time
 TRIES = 3
 _watch = pytest.StashKey[StandstillWatch]()
 _told = pytest.StashKey[list[str]]()
-settings.register_profile("longreach", deadline=None)  # timing never decides a test
+settings.register_profile("longreach", deadline=None, suppress_health_check=[HealthCheck.too_slow])  # never by timing
 settings.load_profile("longreach")
 
 

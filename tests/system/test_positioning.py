@@ -9,7 +9,7 @@ from longreach.processes import Stack, StackPorts
 from recording.opening import read_run
 from recording.rows import PlcState, Sent
 
-pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.timeout(420)]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
 READY_S = 180.0
 
 
@@ -30,6 +30,7 @@ def positioned(folder):
     return finished, told
 
 
+@pytest.mark.real_time
 def test_position_ends_inside_tolerance_truly_and_leaves_a_recording(tmp_path):
     finished, told = positioned(tmp_path)
     assert finished.state == "done", finished.reason
