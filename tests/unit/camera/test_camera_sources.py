@@ -9,6 +9,7 @@ import pytest
 from camera_stand_in import CameraStandIn, jpeg_of, part_of, picture
 
 from server.camera.errors import CameraError, StreamError
+from server.camera.sources.folder import FolderStereoSource
 from server.camera.sources.http import HttpStereoSource
 from server.camera.sources.live import Newest
 from server.camera.sources.opening import open_source
@@ -233,3 +234,20 @@ def test_video_file_gives_every_frame(tmp_path: Path) -> None:
 def test_missing_video_file_is_refused() -> None:
     with pytest.raises(CameraError, match="cannot be opened"):
         open_source(FileSource("no/such/file.avi"))
+
+
+@pytest.mark.parametrize(
+    ("names", "order"),
+    [
+        (["1403636579.25.png", "1403636579.3.png", "1403636579.5.png"], [0, 1, 2]),  # as Python's str(float) ends
+        (["1403636579.3.png", "1403636579.25.png"], [1, 0]),
+        (["0.png", "1.png", "-1.png", "-2.png"], [3, 2, 0, 1]),
+        (["-10.png", "-2.png"], [1, 0]),  # a separator
+    ],
+)
+def test_folder_is_played_in_the_order_of_its_times_and_signs(
+    tmp_path: Path, names: list[str], order: list[int]
+) -> None:
+    source = FolderStereoSource(write_eyes(tmp_path, names, names))
+    assert [Path(left).name for left, _ in source._files] == [names[k] for k in order]
+    assert source._stamps_ns == sorted(source._stamps_ns)
