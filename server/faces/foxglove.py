@@ -29,7 +29,7 @@ from recording.foxglove import (
 )
 from recording.writer import IMAGE_TOPIC, JOINT_TOPIC, LOG_TOPIC, ROBOT_TOPIC, TRANSFORM_TOPIC
 from server.errors import SettingsError
-from server.faces.shell import extra, require_own_computer, running
+from server.faces.shell import extra, give_way, require_own_computer, running
 from server.jobs.engine import Job, JobEvent
 from server.jobs.service import JobService
 from server.recorder_rows import frame_poses
@@ -60,6 +60,11 @@ class FoxgloveFace:
         return self._server.port
 
     def start(self) -> None:
+        """Listen, and note what jobs say. Raises: SettingsError: the port is taken."""
+        self.listen()
+        self._service.engine.on_event(self.note)
+
+    def listen(self) -> None:
         """Listen. Raises: SettingsError: the port is taken."""
         try:
             self._server = self._library.start_server(
@@ -67,7 +72,6 @@ class FoxgloveFace:
             )
         except Exception as error:  # the library's own; it has no class for a port that is taken
             raise SettingsError(f"[foxglove] {self._host}:{self._port}: {error}; choose another port") from error
-        self._service.engine.on_event(self.note)
 
     def stop(self) -> None:
         """Stop listening."""
@@ -78,6 +82,7 @@ class FoxgloveFace:
     async def run(self) -> None:
         """Publish what is new until cancelled."""
         while True:
+            await give_way("foxglove", self.stop, self.listen)
             self.publish(mono_ns(), time.time_ns())
             await asyncio.sleep(PERIOD_S)
 
