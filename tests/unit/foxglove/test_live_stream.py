@@ -3,8 +3,11 @@
 import asyncio
 import importlib.util
 import json
+import os
 import socket
 import struct
+import subprocess
+import sys
 import time
 from base64 import b64decode
 from types import SimpleNamespace
@@ -21,6 +24,7 @@ from served import bench
 from machine.urdf import urdf_text
 from recording.clock import mono_ns
 from server.errors import SettingsError
+from server.faces import shell
 from server.faces.foxglove import BACKLOG, FoxgloveFace, check_foxglove, foxglove_face
 from server.jobs.engine import Job, JobEvent
 from server.jobs.records import ErrorMm
@@ -210,3 +214,41 @@ async def test_a_port_that_is_taken_is_refused_by_name(service):
         taken.listen()
         with pytest.raises(SettingsError, match=r"\[foxglove\]"):
             FoxgloveFace(service, "127.0.0.1", taken.getsockname()[1]).start()
+
+
+def connect_idly(port, count):
+    """Connections of another process, that say nothing."""
+    code = (
+        f"import socket, sys\nkept = [socket.create_connection(('127.0.0.1', {port})) for _ in range({count})]\n"
+        "print('there', flush=True)\nsys.stdin.read()"
+    )
+    other = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    other.stdout.readline()
+    return other
+
+
+@needs_sdk
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="descriptors cannot be counted here")
+async def test_it_gives_its_descriptors_back_before_a_stop_has_none(service, monkeypatch):
+    monkeypatch.setattr(shell, "PAUSE_S", 0.5)
+    limit = 2 * len(os.listdir("/proc/self/fd")) + 200
+    monkeypatch.setattr(shell.resource, "getrlimit", lambda _which: (limit, limit))
+    async with foxglove_face(service, FoxgloveSettings(enabled=True, port=free_port())) as face:
+        before, port = len(os.listdir("/proc/self/fd")), face.port
+        other = await asyncio.to_thread(connect_idly, port, limit - before)
+        try:
+            async with asyncio.timeout(30.0):
+                while not shell.descriptors_are_short():
+                    await asyncio.sleep(0.01)
+                while len(os.listdir("/proc/self/fd")) > before + 20:
+                    await asyncio.sleep(0.1)
+        finally:
+            other.communicate()
+        async with asyncio.timeout(30.0):  # and is there again
+            while True:
+                try:
+                    async with Viewer(port) as viewer:
+                        await viewer.take()
+                    break
+                except OSError:
+                    await asyncio.sleep(0.1)
