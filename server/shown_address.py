@@ -6,9 +6,7 @@ What may be meant as a secret is one: `http://u:p/w@h/a`, where %2F was forgotte
 import re
 
 _USER = re.compile(r"[^/?#@\s]*")
-_NO_USER = re.compile(
-    r"[^:/?#@]*(/[^:?#@]*)?[?#].*="
-)  # host and path: an @ in a query is of no user, its fields are masked
+_NO_USER = re.compile(r"[^:/?#@]*(/[^:?#@]*)?[?#].*=")  # an @ in a query is of no user, and its fields are masked
 _HARMLESS = (
     "action|channel|camera|cam|stream|subtype|profile|codec|format|fps|rate|resolution|size|width|height|quality"
 )

@@ -57,7 +57,7 @@ async def give_way(name: str, stop: Callable[[], None], start: Callable[[], None
     log.error("%s: closed for %.0f s: its connections use up the descriptors; raise 'ulimit -n'", name, PAUSE_S)
     await asyncio.to_thread(stop)
     await asyncio.sleep(PAUSE_S)
-    while descriptors_are_short():
+    while descriptors_are_short():  # noqa: ASYNC110 - the system has no event for it
         await asyncio.sleep(PAUSE_S)
     start()
 

@@ -224,7 +224,9 @@ def test_what_an_address_shows(address: str, shown: str) -> None:
     assert without_password(address) == shown
 
 
-@pytest.mark.parametrize("address", ["http://u:geh/eim@h/a", "http://geh/eim@", "u:geh/eim@h", "ftp://u:geh eim@h/1"])
+@pytest.mark.parametrize(
+    "address", ["http://u:geh/eim@h/a", "http://u:geh?eim@h/a", "u:geh/eim@h", "ftp://u:geh eim@h/1"]
+)
 def test_the_refusal_of_an_address_does_not_show_its_password(address: str) -> None:
     with pytest.raises(CameraError) as refused:
         HttpStereoSource(HttpSource(address))

@@ -216,6 +216,11 @@ async def test_a_port_that_is_taken_is_refused_by_name(service):
             FoxgloveFace(service, "127.0.0.1", taken.getsockname()[1]).start()
 
 
+async def until(is_so):
+    while not is_so():  # noqa: ASYNC110 - the system has no event for it
+        await asyncio.sleep(0.02)
+
+
 def connect_idly(port, count):
     """Connections of another process, that say nothing."""
     code = (
@@ -238,17 +243,11 @@ async def test_it_gives_its_descriptors_back_before_a_stop_has_none(service, mon
         other = await asyncio.to_thread(connect_idly, port, limit - before)
         try:
             async with asyncio.timeout(30.0):
-                while not shell.descriptors_are_short():
-                    await asyncio.sleep(0.01)
-                while len(os.listdir("/proc/self/fd")) > before + 20:
-                    await asyncio.sleep(0.1)
+                for is_so in (shell.descriptors_are_short, lambda: len(os.listdir("/proc/self/fd")) <= before + 20):
+                    await until(is_so)
         finally:
             other.communicate()
         async with asyncio.timeout(30.0):  # and is there again
-            while True:
-                try:
-                    async with Viewer(port) as viewer:
-                        await viewer.take()
-                    break
-                except OSError:
-                    await asyncio.sleep(0.1)
+            await until(lambda: face._server is not None)
+            async with Viewer(port) as viewer:
+                await viewer.take()
