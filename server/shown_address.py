@@ -16,7 +16,7 @@ _QUERY = re.compile(rf"(?i)([?&;](?!(?:{_HARMLESS}|compression|user|username|id|
 def without_password(text: str) -> str:
     """The text with `***` for the password, or the token, before a host, and for fields of a query that may be secret.
 
-    An address without its scheme counts as one, since whoever forgets it has the password in it all the same.
+    An address without its scheme counts as one, since the password of a user who forgets it is in it all the same.
     """
     return _QUERY.sub(r"\1***", _without_user(text))
 

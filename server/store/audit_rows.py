@@ -113,7 +113,7 @@ def read_floor(folder: Path) -> int:
 
 
 def keep_floor(folder: Path, fencing: int) -> None:
-    """Have a number on disk before anybody gets it. Raises: OSError: it is not."""
+    """Have a number on disk before a client gets it. Raises: OSError: it is not."""
     if fencing <= read_floor(folder):
         return
     with contextlib.suppress(OSError, AttributeError):  # the file is there as well

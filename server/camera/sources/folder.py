@@ -177,7 +177,7 @@ def paired_names(lefts: dict[str, str], rights: dict[str, str], places: tuple[st
 
 
 def natural_order(names: Iterable[str]) -> list[str]:
-    """2 before 10, and -1 before 0 where a minus is no separator that all names begin with."""
+    """2 before 10, and -1 before 0 where not all names begin with a minus (a separator then)."""
     listed = list(names)
     signed = not all(name.startswith("-") for name in listed)
 

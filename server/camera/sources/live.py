@@ -42,7 +42,7 @@ class Newest(Generic[Item]):
 
 
 class Heartbeat:
-    """Notices that this process did not run for a while: what came meanwhile has waited, nobody knows how long."""
+    """Notices that this process did not run for a while: what came meanwhile has waited for an unknown time."""
 
     def __init__(self) -> None:
         self._lock, self._stop = threading.Lock(), threading.Event()
