@@ -75,9 +75,9 @@ class FoxgloveFace:
 
     def stop(self) -> None:
         """Stop listening."""
-        if self._server is not None:
-            self._server.stop()
-            self._server = None
+        server, self._server = self._server, None
+        if server is not None:
+            server.stop()
 
     async def run(self) -> None:
         """Publish what is new until cancelled."""

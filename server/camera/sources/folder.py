@@ -168,7 +168,7 @@ def paired_names(lefts: dict[str, str], rights: dict[str, str], places: tuple[st
         return natural_order(lefts)
     counts = f"{len(lefts)} left files {places[0]} and {len(rights)} right files {places[1]}"
     if not (lefts and rights):
-        raise CameraError(f"image folder: {counts}; give patterns that find pictures of both eyes")
+        raise CameraError(f"image folder: {counts}; give patterns, or folders, with pictures of both eyes")
     eye, other, file = ("left", "right", lefts[odd[0]]) if odd[0] in lefts else ("right", "left", rights[odd[0]])
     raise CameraError(
         f"image folder: {eye} picture '{file}' has no {other} one of the same name, the first of {len(odd)} "
