@@ -7,6 +7,8 @@ dropped, so one that stalls costs neither the link nor the other viewers anythin
 import asyncio
 import json
 import math
+import os
+import threading
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -29,7 +31,7 @@ from recording.foxglove import (
 )
 from recording.writer import IMAGE_TOPIC, JOINT_TOPIC, LOG_TOPIC, ROBOT_TOPIC, TRANSFORM_TOPIC
 from server.errors import SettingsError
-from server.faces.shell import extra, give_way, require_own_computer, running
+from server.faces.shell import extra, give_way, require_own_computer, running, set_aside
 from server.jobs.engine import Job, JobEvent
 from server.jobs.service import JobService
 from server.recorder_rows import frame_poses
@@ -38,6 +40,7 @@ from server.settings import FoxgloveSettings
 ERROR_TOPIC = "/tool_error"
 PERIOD_S = 0.1
 REPEAT_S = 2.0  # description and last error: a viewer that comes later has them within this time
+RELEASE_S = 0.2  # its stop accepts nothing more from its beginning, and lasts as long as handshakes do
 BACKLOG = 64  # messages of one viewer: some seconds, at most 10 MB of images
 
 
@@ -52,6 +55,7 @@ class FoxgloveFace:
         self._names = [joint.name for joint in service.cell.machine.joints]
         self._channels: dict[str, Any] = {}
         self._server: Any = None
+        self._aside: list[int] = []  # descriptors that viewers cannot take; a STOP has them while it is being stopped
         self._sample_ns = self._image_ns = self._repeat_ns = 0
 
     @property
@@ -72,12 +76,18 @@ class FoxgloveFace:
             )
         except Exception as error:  # the library's own; it has no class for a port that is taken
             raise SettingsError(f"[foxglove] {self._host}:{self._port}: {error}; choose another port") from error
+        self._aside += set_aside()
 
     def stop(self) -> None:
         """Stop listening."""
         server, self._server = self._server, None
         if server is not None:
+            threading.Timer(RELEASE_S, self._release).start()
             server.stop()
+
+    def _release(self) -> None:
+        while self._aside:
+            os.close(self._aside.pop())
 
     async def run(self) -> None:
         """Publish what is new until cancelled."""

@@ -50,6 +50,13 @@ def descriptors_are_short() -> bool:
     return limit != resource.RLIM_INFINITY and used > limit - min(SPARE, limit // 4)
 
 
+def set_aside() -> list[int]:
+    """Descriptors that are held so that connections of a face cannot have them. Raises: OSError: none is left."""
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    count = SPARE // 2 if limit == resource.RLIM_INFINITY else min(SPARE // 2, limit // 4)
+    return [os.open(os.devnull, os.O_RDONLY) for _ in range(count)]
+
+
 async def give_way(name: str, stop: Callable[[], None], start: Callable[[], None]) -> None:
     """Close a face, with all its connections, for a while where it takes the descriptors that a STOP needs."""
     if not descriptors_are_short():

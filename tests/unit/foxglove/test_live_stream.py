@@ -251,3 +251,19 @@ async def test_it_gives_its_descriptors_back_before_a_stop_has_none(service, mon
             await until(lambda: face._server is not None)
             async with Viewer(port) as viewer:
                 await viewer.take()
+    await until(lambda: not face._aside)
+
+
+@needs_sdk
+async def test_a_stop_has_a_descriptor_while_the_viewers_are_still_being_closed(service, monkeypatch):
+    face = FoxgloveFace(service, "127.0.0.1", free_port())
+    face.listen()
+    server, face._server = face._server, SimpleNamespace(stop=lambda: time.sleep(1.0))  # as idle handshakes make it
+    server.stop()
+    before = len(os.listdir("/proc/self/fd"))
+    stopping = asyncio.create_task(asyncio.to_thread(face.stop))
+    async with asyncio.timeout(30.0):
+        await until(lambda: not face._aside)
+    assert not stopping.done()
+    assert len(os.listdir("/proc/self/fd")) <= before - shell.SPARE // 2 + 8
+    await stopping
