@@ -40,7 +40,7 @@ from server.settings import FoxgloveSettings
 ERROR_TOPIC = "/tool_error"
 PERIOD_S = 0.1
 REPEAT_S = 2.0  # description and last error: a viewer that comes later has them within this time
-RELEASE_S = 0.2  # its stop accepts nothing more from its beginning, and lasts as long as handshakes do
+RELEASE_S, STOP_S = 0.2, 3.0  # its stop accepts nothing more from its beginning, and waits for idle connections
 BACKLOG = 64  # messages of one viewer: some seconds, at most 10 MB of images
 
 
@@ -82,12 +82,12 @@ class FoxgloveFace:
         """Stop listening."""
         server, self._server = self._server, None
         if server is not None:
-            threading.Timer(RELEASE_S, self._release).start()
-            server.stop()
-
-    def _release(self) -> None:
-        while self._aside:
-            os.close(self._aside.pop())
+            stopping = threading.Thread(target=server.stop, name="foxglove-stop", daemon=True)
+            stopping.start()
+            stopping.join(RELEASE_S)
+            while self._aside:
+                os.close(self._aside.pop())
+            stopping.join(STOP_S)
 
     async def run(self) -> None:
         """Publish what is new until cancelled."""

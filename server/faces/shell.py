@@ -63,10 +63,14 @@ async def give_way(name: str, stop: Callable[[], None], start: Callable[[], None
         return
     log.error("%s: closed for %.0f s: its connections use up the descriptors; raise 'ulimit -n'", name, PAUSE_S)
     await asyncio.to_thread(stop)
-    await asyncio.sleep(PAUSE_S)
-    while descriptors_are_short():  # noqa: ASYNC110 - the system has no event for it
+    while True:
         await asyncio.sleep(PAUSE_S)
-    start()
+        if descriptors_are_short():
+            continue
+        try:
+            return start()
+        except SettingsError as error:  # its port is held by connections that do not end
+            log.error("%s", error)
 
 
 @asynccontextmanager
