@@ -17,8 +17,6 @@ from machine.urdf_shapes import origin
 from recording.files import read_text, write_durably
 from server.camera.rectification_formats import parse_eye
 from server.camera.rectification_rig import EyeCalibration, check_eye
-from server.camera.rectification_formats import parse_eye
-from server.camera.rectification_rig import EyeCalibration, check_eye
 from server.camera.rectification_yaml import parse_yaml
 from server.errors import ServerError
 
@@ -119,24 +117,6 @@ class PicturePoses:
     table: PoseTable
     covariances: Array
     skipped: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Lens:
-    """Camera matrix (3, 3) [px] and distortion of one eye; `size_px`: of its pictures, where the file holds it."""
-
-    file: str
-    eye: EyeCalibration
-    size_px: tuple[int, int] | None
-
-    def require(self, picture: Path, size_px: tuple[int, int]) -> None:
-        """Raises: HandEyeError, CalibrationFileError: it is not the lens of a picture of this size."""
-        if self.size_px is not None and size_px != self.size_px:
-            raise HandEyeError(
-                f"{picture} has {size_px[0]} x {size_px[1]} px, but lens {self.file} is of {self.size_px[0]} x "
-                f"{self.size_px[1]} px; give the calibration of this picture size"
-            )
-        check_eye(self.eye, size_px, f"lens {self.file}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,6 @@ LENS_NAMES = (
     ("D2", "distCoeffs2", "dist_coeffs_right", "right_distortion", "D_right", "distCoeffsR"),
 )
 EYE_LENS = ("distortion_coefficients",)
-EYE_LENS = ("distortion_coefficients",)
 OPENCV_MODELS: dict[str, LensModel] = {
     **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), "fisheye"),
     **dict.fromkeys(
