@@ -8,6 +8,7 @@
 `examples/` shows each of them in a short script; docs/python-api.md lists them.
 """
 
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -44,9 +45,16 @@ __all__ = [
 # fmt: on
 
 
+@cache
+def _prepare() -> None:
+    """As the command does at its start: compiled code has a place also where nothing of ours can be written."""
+    import_module("longreach.cli").prepare_cache()
+
+
 def __getattr__(name: str) -> Any:
     """A name of the API, from the package that holds it (PEP 562)."""
     if name not in _PLACES:
         raise AttributeError(f"module 'longreach' has no attribute '{name}'; docs/python-api.md lists its names")
+    _prepare()
     module, _, other = _PLACES[name].partition(":")
     return getattr(import_module(module), other or name)

@@ -74,6 +74,11 @@ def prepare() -> None:
     for name in ("no_proxy", "NO_PROXY"):  # urllib reads the first of them that is there
         given = os.environ.get(name, "")
         os.environ[name] = ",".join(dict.fromkeys([*filter(None, given.split(",")), *LOOPBACK]))
+    prepare_cache()
+
+
+def prepare_cache() -> None:
+    """A place for compiled code, before anything compiles; a program that uses the Python API needs no more."""
     given = os.environ.get(CACHE, "")
     if given and os.path.isfile(os.path.join(given, COMPILED)) and not _writable(Path(given)):
         os.environ[CACHE] = str(_linked(Path(given), _temporary_cache()))
@@ -83,6 +88,8 @@ def prepare() -> None:
             f"longreach: compiled code is kept in {os.environ[CACHE]}, because neither the program's folder nor a "
             f"cache of this user can be written; {CACHE} names a lasting folder\n"
         )
+    if (numba := sys.modules.get("numba")) is not None and os.environ.get(CACHE):  # it read its settings before us
+        numba.config.CACHE_DIR = os.environ[CACHE]
 
 
 def _cache_folders() -> Iterator[Path]:

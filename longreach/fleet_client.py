@@ -13,6 +13,7 @@ from uuid import uuid4
 
 import httpx
 
+from longreach.signals import ended_as_by_ctrl_c
 from recording.files import read_text
 from server.access.hosts import is_loopback
 from server.errors import SettingsError
@@ -225,7 +226,7 @@ class JobClient:
         Raises: JobRefusedError: control is not given, or the server refuses, with its reason.
         """
         try:
-            with LeaseHolder(self._http, self._owner, self._kind) as held:
+            with ended_as_by_ctrl_c(), LeaseHolder(self._http, self._owner, self._kind) as held:
                 return self._good(self._http.request(method, path, json=body, headers=held.headers)).json()
         except ControlRefusedError as error:
             raise JobRefusedError(str(error)) from error
@@ -246,10 +247,13 @@ class JobClient:
     def run(self, body: dict[str, Any], on_event: Callable[[dict[str, Any]], None] | None = None) -> Finished:
         """Acquire control, start a job, follow it to its end, release. Whatever ends this early stops the machine.
 
+        In the main thread SIGTERM and SIGHUP meanwhile raise KeyboardInterrupt, unless the program handles them itself.
+
         Raises: JobRefusedError when control is not given or the server does not start it.
         """
         try:
-            with LeaseHolder(self._http, body.get("owner", self._owner), self._kind) as held:
+            owner = body.get("owner", self._owner)
+            with ended_as_by_ctrl_c(), LeaseHolder(self._http, owner, self._kind) as held:
                 return self._run(body, held.headers, on_event)
         except ControlRefusedError as error:
             raise JobRefusedError(str(error)) from error
@@ -270,7 +274,7 @@ class JobClient:
             self._refuse_if_abandoned()
             answer = self._sent(body, headers | {"Idempotency-Key": str(uuid4())})
             if answer.status_code == httpx.codes.ACCEPTED:
-                return self._followed(answer.headers["location"], on_event)
+                return self._followed(f"/v1/jobs/{answer.headers['location'].rpartition('/')[2]}", on_event)
         except BaseException as ending:  # Ctrl-C, a signal, a server that is gone: the motion is not followed any more
             self._stop_at(ending)
             raise

@@ -15,6 +15,8 @@ from machine.poses import pose
 from machine.rotations import Array, quat_wxyz_from_rotation, rotation_from_quat_wxyz, rotation_from_rotvec, skew
 from machine.urdf_shapes import origin
 from recording.files import read_text, write_durably
+from server.camera.rectification_formats import parse_eye
+from server.camera.rectification_rig import EyeCalibration, check_eye
 from server.camera.rectification_yaml import parse_yaml
 from server.errors import ServerError
 
@@ -117,22 +119,43 @@ class PicturePoses:
     skipped: tuple[tuple[str, str], ...]
 
 
-def read_lens(path: Path) -> tuple[Array, Array]:
-    """Camera matrix (3, 3) [px] and distortion of one eye: a ROS camera_info or an OpenCV file.
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """Camera matrix (3, 3) [px] and distortion of one eye; `size_px`: of its pictures, where the file holds it."""
 
-    Raises: HandEyeError, CalibrationFileError: not readable, or a field is missing.
+    file: str
+    eye: EyeCalibration
+    size_px: tuple[int, int] | None
+
+    def require(self, picture: Path, size_px: tuple[int, int]) -> None:
+        """Raises: HandEyeError, CalibrationFileError: it is not the lens of a picture of this size."""
+        if self.size_px is not None and size_px != self.size_px:
+            raise HandEyeError(
+                f"{picture} has {size_px[0]} x {size_px[1]} px, but lens {self.file} is of {self.size_px[0]} x "
+                f"{self.size_px[1]} px; give the calibration of this picture size"
+            )
+        check_eye(self.eye, size_px, f"lens {self.file}")
+
+
+def read_lens(path: Path) -> Lens:
+    """The lens of one eye: a ROS camera_info or an OpenCV file.
+
+    Raises: HandEyeError, CalibrationFileError: not readable, a field is missing, or it is of no plain whole picture.
     """
     try:
         fields = parse_yaml(read_text(path), path.name)
     except OSError as error:
         raise HandEyeError(f"lens {path} cannot be read: {error.strerror}") from error
-    return fields.matrix("camera_matrix", (3, 3)), fields.numbers("distortion_coefficients")
+    eye, size_px = parse_eye(fields)
+    if eye.model != "brown":
+        raise HandEyeError(f"lens {path} is of the {eye.model} model; calibrate with the pinhole model")
+    return Lens(path.name, eye, size_px)
 
 
-def poses_of_pictures(folder: Path, board: "cv2.aruco.CharucoBoard", lens: tuple[Array, Array]) -> PicturePoses:
+def poses_of_pictures(folder: Path, board: "cv2.aruco.CharucoBoard", lens: Lens) -> PicturePoses:
     """The board's pose in every picture of a folder, named by the file without its ending.
 
-    Raises: HandEyeError: no picture, or none shows the board.
+    Raises: HandEyeError: no picture, none shows the board, or one has not the lens file's size.
     """
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES) if folder.is_dir() else []
     if not files:
@@ -141,12 +164,14 @@ def poses_of_pictures(folder: Path, board: "cv2.aruco.CharucoBoard", lens: tuple
     points = np.asarray(board.getChessboardCorners(), dtype=float)
     labels, Ts, covariances, skipped = list[str](), list[Array](), list[Array](), list[tuple[str, str]]()
     for file in files:
-        seen = corners_of(detector, points, grey_picture(file))
+        picture = grey_picture(file)
+        lens.require(file, (picture.shape[1], picture.shape[0]))
+        seen = corners_of(detector, points, picture)
         if seen is None or len(seen[0]) < CORNERS_MIN:
             count = 0 if seen is None else len(seen[0])
             skipped.append((file.stem, f"{count} corners of the board, {CORNERS_MIN} are needed"))
             continue
-        T, covariance = _pose_of(*seen, *lens)
+        T, covariance = _pose_of(*seen, lens.eye.matrix, lens.eye.coefficients)
         labels.append(file.stem)
         Ts.append(T)
         covariances.append(covariance)

@@ -19,6 +19,19 @@ def end_as_by_ctrl_c() -> None:
             signal.signal(number, _as_ctrl_c)
 
 
+@contextlib.contextmanager
+def ended_as_by_ctrl_c() -> Iterator[None]:
+    """Inside it, in the main thread, as `end_as_by_ctrl_c`; a program's own handlers stay."""
+    in_main = threading.current_thread() is threading.main_thread()
+    ours = [number for number in ENDING if in_main and signal.getsignal(number) is signal.SIG_DFL]
+    end_as_by_ctrl_c()
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+
 def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
     """Handle this signal as Ctrl-C is handled at present: by Python, asyncio or the web server."""
     _ended_by.append(number)

@@ -1,5 +1,6 @@
 """Stereo pairs for teaching: stored ones from a folder, or live ones from the camera until enough are kept."""
 
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from machine.description import StereoCamera
 from server.calibration.contracts import Array
 from server.camera.contracts import StereoSource
 from server.camera.errors import CameraError
-from server.camera.sources.folder import read_grey
+from server.camera.sources.folder import natural_order, paired_names, read_grey
 from server.errors import ServerError
 from server.vision.contracts import Image
 from server.vision.errors import VisionError
@@ -56,18 +57,19 @@ class MarkerSearch:
 
 
 def stored_pairs(folder: Path) -> list[tuple[Path, Path | None]]:
-    """Left and right files in name order; the right one is None where a file holds both eyes side by side.
+    """Left and right files of equal name, in natural order; the right one is None where a file holds both eyes.
 
     Raises: TargetError: nothing there that could be stereo pairs.
     """
     for left_name, right_name in TWO_FOLDERS:
-        lefts, rights = _pictures(folder / left_name), _pictures(folder / right_name)
-        if lefts and len(lefts) == len(rights):
-            return list(zip(lefts, rights, strict=True))
-        if lefts:
-            raise TargetError(
-                f"{folder}: {len(lefts)} pictures in {left_name} and {len(rights)} in {right_name}; both must be equal"
-            )
+        lefts, rights = _by_name(folder / left_name), _by_name(folder / right_name)
+        if not lefts:
+            continue
+        try:
+            names = paired_names(lefts, rights, (f"in {left_name}", f"in {right_name}"))
+        except CameraError as error:
+            raise TargetError(f"{folder}: {error}") from error
+        return [(Path(lefts[name]), Path(rights[name])) for name in names]
     files = _pictures(folder)
     lefts = [path for path in files if path.stem.lower().endswith("left")]
     if lefts:
@@ -83,7 +85,22 @@ def stored_pairs(folder: Path) -> list[tuple[Path, Path | None]]:
 def _pictures(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    names = [path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
+    return [folder / name for name in natural_order(names)]
+
+
+def _by_name(folder: Path) -> dict[str, str]:
+    """Name -> file; the name is without the ending and without the word left or right.
+
+    Raises: TargetError: two pictures of one name.
+    """
+    found: dict[str, str] = {}
+    for path in _pictures(folder):
+        name = re.sub("(?i)left|right", "", path.stem)
+        if name in found:
+            raise TargetError(f"'{found[name]}' and '{path}' have one name; take one of them away")
+        found[name] = str(path)
+    return found
 
 
 def _partner(left: Path) -> Path:

@@ -73,7 +73,7 @@ def _whose(whole: Read) -> dict[str, Any]:
 def _machine_table(text: str) -> dict[str, Any]:
     """The [machine] table of a machine file's text; empty where the text is not TOML."""
     try:
-        table = tomllib.loads(text).get("machine", {})
+        table = tomllib.loads(text.removeprefix("\ufeff")).get("machine", {})
     except tomllib.TOMLDecodeError:
         return {}
     return table if isinstance(table, dict) else {}

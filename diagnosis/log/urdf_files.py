@@ -6,6 +6,7 @@ from pathlib import Path, PureWindowsPath
 
 from diagnosis.errors import DiagnosisError
 from recording.content import Attachment
+from recording.files import read_text, text_of
 
 ENDING = ".urdf"
 SHOWN = 6
@@ -24,16 +25,14 @@ class UrdfFiles:
         Raises: DiagnosisError: it is there and cannot be read.
         """
         name = PureWindowsPath(file).name  # cuts at both kinds of slashes
-        for attachment in self.recorded:
-            if attachment.name == name:
-                return attachment.data.decode("utf-8", errors="replace")
         path = None if self.folder is None else self.folder / name
-        if path is None or not path.is_file():
-            return None
         try:
-            return path.read_text(encoding="utf-8", errors="replace")
+            for attachment in self.recorded:
+                if attachment.name == name:
+                    return text_of(attachment.data)
+            return read_text(path) if path is not None and path.is_file() else None
         except OSError as error:
-            raise DiagnosisError(f"the URDF {path.name} cannot be read: {error.strerror}") from error
+            raise DiagnosisError(f"the URDF {name} cannot be read: {error.strerror}") from error
 
     def why_none(self, file: str) -> str:
         """That it is not there, where it was looked for, and which URDFs there are."""

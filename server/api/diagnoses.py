@@ -65,7 +65,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
             detail = f"no recording {', '.join(repr(name[:64]) for name in missing)} in the folder"
             return problem(404, "Unknown recording", detail, "unknown_run", "see GET /v1/runs")
         one = diagnoses.start(*found)
-        headers = {"Location": f"/v1/diagnoses/{one.diagnosis_id}"}
+        headers = {"Location": f"../v1/diagnoses/{one.diagnosis_id}"}
         return JSONResponse(_view(one).model_dump(), status_code=202, headers=headers)
 
     @router.get("", response_model=list[DiagnosisView])

@@ -1,13 +1,13 @@
 """What jobs found: looks, calibrations, plans by hash."""
 
 import json
-import time
 from collections import deque
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query
 from fastapi.responses import JSONResponse
 
+from recording.clock import mono_ns
 from server.api.problems import problem
 from server.api.views import ErrorView, Problem, View
 from server.jobs.engine import Job, JobEvent
@@ -105,12 +105,13 @@ def findings_router(service: JobService, looks: LookLog) -> APIRouter:
     @router.get("/plans/{plan_hash}", response_model=PlanEntry, responses=found)
     async def show_plan(plan_hash: PlanHash) -> PlanEntry | JSONResponse:
         """A plan by its hash, expired or not."""
-        row = None
+        row, expires_ns = None, 0
         if service.keeper is not None:
+            expires_ns = service.keeper.plan_expiries_ns.get(plan_hash, 0)
             row = await service.keeper.database.found(lambda db: read_plan(db, plan_hash))
         if row is None:
             return problem(404, "Unknown plan", f"no plan {plan_hash}", "unknown_plan", "run the job 'preview'")
-        expired = time.time() >= row["expires_unix_s"]
+        expired = mono_ns() > expires_ns  # as execution has it: the wall clock may be set meanwhile
         return PlanEntry(**row | {"view": json.loads(row["view"]), "expired": expired})
 
     return router

@@ -179,4 +179,4 @@ def _require_key(sent: Sent, lease: Lease) -> None:
 def answer_of(job: Job, body_hash: str) -> Answered:
     """202 with the job as it is now and its Location."""
     text = json.dumps(job_view(job).model_dump(mode="json"))
-    return Answered(body_hash, ACCEPTED, f"/v1/jobs/{job.job_id}", text)
+    return Answered(body_hash, ACCEPTED, f"../v1/jobs/{job.job_id}", text)  # a proxy may have a path before it

@@ -30,6 +30,7 @@ LENS_NAMES = (
     ("D1", "distCoeffs1", "dist_coeffs_left", "left_distortion", "D_left", "distCoeffsL"),
     ("D2", "distCoeffs2", "dist_coeffs_right", "right_distortion", "D_right", "distCoeffsR"),
 )
+EYE_LENS = ("distortion_coefficients",)
 OPENCV_MODELS: dict[str, LensModel] = {
     **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), "fisheye"),
     **dict.fromkeys(
@@ -82,23 +83,44 @@ def _needed(fields: Fields, names: tuple[str, ...]) -> str:
     return name
 
 
-def _model(fields: Fields) -> LensModel:
-    """The lens model that a file states; one with four coefficients must state it, because both models have four."""
+def parse_eye(fields: Fields) -> tuple[EyeCalibration, tuple[int, int] | None]:
+    """One eye, and the picture's size [px] where the file holds it: a camera_info, or what OpenCV's samples write.
+
+    Raises: CalibrationFileError: as for a rig.
+    """
+    if "distortion_model" in fields:
+        _refuse_omnidirectional(fields)
+        eye = _ros_eye(fields)
+    else:
+        _refuse_part_of_picture(fields)
+        matrix, lens = fields.matrix("camera_matrix", (3, 3)), fields.numbers(EYE_LENS[0])
+        eye = eye_from_matrix(matrix, lens, _model(fields, (EYE_LENS,)), fields.file, "camera_matrix")
+    size = _size(fields, (0, 0))
+    return eye, size if all(size) else None
+
+
+def _refuse_omnidirectional(fields: Fields) -> None:
     mirror = next((key for key in fields.tree if OMNIDIRECTIONAL.match(str(key))), None)
     if mirror is not None:
         raise fields.refused(
             f"field {mirror} belongs to OpenCV's omnidirectional model (omnidir), which is not read; calibrate with "
             "the pinhole or the fisheye model"
         )
+
+
+def _model(fields: Fields, lens_names: tuple[tuple[str, ...], ...] = LENS_NAMES) -> LensModel:
+    """The lens model that a file states; one with four coefficients must state it, because both models have four."""
+    _refuse_omnidirectional(fields)
     key = fields.of_any(("model", "camera_model", "distortion_model"))
     if key is not None:
         name = fields.word(key)
         if name not in OPENCV_MODELS:
             raise fields.refused(f"{key} {name!r} is not read; known are {', '.join(sorted(OPENCV_MODELS))}")
         return OPENCV_MODELS[name]
-    if "fisheye" in fields:
-        return "fisheye" if fields.word("fisheye") in ("1", "true") else "brown"
-    lenses = [fields.numbers(name) for names in LENS_NAMES if (name := fields.of_any(names)) is not None]
+    flag = fields.of_any(("fisheye", "fisheye_model"))
+    if flag is not None:
+        return "fisheye" if fields.word(flag) in ("1", "true") else "brown"
+    lenses = [fields.numbers(name) for names in lens_names if (name := fields.of_any(names)) is not None]
     if any(len(lens) == FISHEYE_COUNT and lens.any() for lens in lenses):
         raise fields.refused(
             f"{FISHEYE_COUNT} distortion coefficients are k1 k2 p1 p2 of the pinhole model or k1 k2 k3 k4 of the "

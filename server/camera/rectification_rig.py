@@ -112,7 +112,7 @@ def checked_rig(rig: RigCalibration, file: str) -> RigCalibration:
     if not all(0 < side <= SIZE_MAX_PX for side in size):
         raise CalibrationFileError(f"{file}: image size {size[0]} x {size[1]} px (limit 1 .. {SIZE_MAX_PX})")
     for name, eye in (("left", rig.left), ("right", rig.right)):
-        _check_eye(eye, size, f"{file}: {name} eye")
+        check_eye(eye, size, f"{file}: {name} eye")
     R, t = rig.R_right_left, rig.t_right_left_m
     if R.shape != (3, 3) or t.shape != (3,) or not np.isfinite(R).all() or not np.isfinite(t).all():
         raise CalibrationFileError(
@@ -153,7 +153,8 @@ def _check_places(R: Array, t: Array, file: str) -> None:
         )
 
 
-def _check_eye(eye: EyeCalibration, size: tuple[int, int], subject: str) -> None:
+def check_eye(eye: EyeCalibration, size: tuple[int, int], subject: str) -> None:
+    """Raises: CalibrationFileError: not a lens for pictures of this size (width, height) [px]."""
     counts = (FISHEYE_COUNT,) if eye.model == "fisheye" else BROWN_COUNTS
     if len(eye.distortion) not in counts:
         raise CalibrationFileError(

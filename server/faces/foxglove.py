@@ -7,6 +7,8 @@ dropped, so one that stalls costs neither the link nor the other viewers anythin
 import asyncio
 import json
 import math
+import os
+import threading
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -29,7 +31,7 @@ from recording.foxglove import (
 )
 from recording.writer import IMAGE_TOPIC, JOINT_TOPIC, LOG_TOPIC, ROBOT_TOPIC, TRANSFORM_TOPIC
 from server.errors import SettingsError
-from server.faces.shell import extra, require_own_computer, running
+from server.faces.shell import extra, give_way, require_own_computer, running, set_aside
 from server.jobs.engine import Job, JobEvent
 from server.jobs.service import JobService
 from server.recorder_rows import frame_poses
@@ -38,6 +40,7 @@ from server.settings import FoxgloveSettings
 ERROR_TOPIC = "/tool_error"
 PERIOD_S = 0.1
 REPEAT_S = 2.0  # description and last error: a viewer that comes later has them within this time
+RELEASE_S, STOP_S = 0.2, 3.0  # its stop accepts nothing more from its beginning, and waits for idle connections
 BACKLOG = 64  # messages of one viewer: some seconds, at most 10 MB of images
 
 
@@ -52,6 +55,7 @@ class FoxgloveFace:
         self._names = [joint.name for joint in service.cell.machine.joints]
         self._channels: dict[str, Any] = {}
         self._server: Any = None
+        self._aside: list[int] = []  # descriptors that viewers cannot take; a STOP has them while it is being stopped
         self._sample_ns = self._image_ns = self._repeat_ns = 0
 
     @property
@@ -60,6 +64,11 @@ class FoxgloveFace:
         return self._server.port
 
     def start(self) -> None:
+        """Listen, and note what jobs say. Raises: SettingsError: the port is taken."""
+        self.listen()
+        self._service.engine.on_event(self.note)
+
+    def listen(self) -> None:
         """Listen. Raises: SettingsError: the port is taken."""
         try:
             self._server = self._library.start_server(
@@ -67,17 +76,23 @@ class FoxgloveFace:
             )
         except Exception as error:  # the library's own; it has no class for a port that is taken
             raise SettingsError(f"[foxglove] {self._host}:{self._port}: {error}; choose another port") from error
-        self._service.engine.on_event(self.note)
+        self._aside += set_aside()
 
     def stop(self) -> None:
         """Stop listening."""
-        if self._server is not None:
-            self._server.stop()
-            self._server = None
+        server, self._server = self._server, None
+        if server is not None:
+            stopping = threading.Thread(target=server.stop, name="foxglove-stop", daemon=True)
+            stopping.start()
+            stopping.join(RELEASE_S)
+            while self._aside:
+                os.close(self._aside.pop())
+            stopping.join(STOP_S)
 
     async def run(self) -> None:
         """Publish what is new until cancelled."""
         while True:
+            await give_way("foxglove", self.stop, self.listen)
             self.publish(mono_ns(), time.time_ns())
             await asyncio.sleep(PERIOD_S)
 

@@ -14,7 +14,7 @@ import numpy as np
 from protocol.codes import FaultBit
 from recording.clock import mono_ns
 from server.errors import SettingsError
-from server.faces.shell import extra, require_own_computer, running
+from server.faces.shell import CONNECTIONS_MAX, extra, require_own_computer, running
 from server.jobs.cell import Cell
 from server.jobs.service import JobService
 from server.settings import OpcUaSettings
@@ -130,6 +130,7 @@ class OpcUaFace:
         """Listen. Raises: SettingsError: the port is taken."""
         server = self._server = self._library.Server()
         await server.init()
+        server.iserver.max_connections = CONNECTIONS_MAX  # each takes a descriptor, and one must be left for a STOP
         server.set_endpoint(self._endpoint)
         server.set_server_name("longreach")
         server.set_security_policy([self._ua.SecurityPolicyType.NoSecurity])

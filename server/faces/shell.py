@@ -3,7 +3,9 @@
 import asyncio
 import importlib
 import logging
-from collections.abc import AsyncIterator, Coroutine
+import os
+import resource
+from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -12,6 +14,9 @@ from server.errors import SettingsError
 from server.settings import FoxgloveSettings, OpcUaSettings
 
 log = logging.getLogger(__name__)
+SPARE = 128  # descriptors that no face may take: two turns in which HTTP accepts
+PAUSE_S = 30.0
+CONNECTIONS_MAX = 32  # of a face that can be limited by number
 
 
 def require_own_computer(table: str, settings: FoxgloveSettings | OpcUaSettings, subject: str) -> None:
@@ -31,6 +36,41 @@ def extra(table: str, module: str, package: str) -> Any:
         raise SettingsError(
             f"[{table}] enabled = true, and {package} is not installed: pip install 'longreach[{table}]'"
         ) from error
+
+
+def descriptors_are_short() -> bool:
+    """Whether so few are left that HTTP, within its own limit of connections, could be without one for a STOP."""
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    try:
+        used = len(os.listdir("/proc/self/fd"))
+    except FileNotFoundError:  # not Linux: it cannot be known
+        return False
+    except OSError:  # listing takes one itself
+        return True
+    return limit != resource.RLIM_INFINITY and used > limit - min(SPARE, limit // 4)
+
+
+def set_aside() -> list[int]:
+    """Descriptors that are held so that connections of a face cannot have them. Raises: OSError: none is left."""
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    count = SPARE // 2 if limit == resource.RLIM_INFINITY else min(SPARE // 2, limit // 4)
+    return [os.open(os.devnull, os.O_RDONLY) for _ in range(count)]
+
+
+async def give_way(name: str, stop: Callable[[], None], start: Callable[[], None]) -> None:
+    """Close a face, with all its connections, for a while where it takes the descriptors that a STOP needs."""
+    if not descriptors_are_short():
+        return
+    log.error("%s: closed for %.0f s: its connections use up the descriptors; raise 'ulimit -n'", name, PAUSE_S)
+    await asyncio.to_thread(stop)
+    while True:
+        await asyncio.sleep(PAUSE_S)
+        if descriptors_are_short():
+            continue
+        try:
+            return start()
+        except SettingsError as error:  # its port is held by connections that do not end
+            log.error("%s", error)
 
 
 @asynccontextmanager

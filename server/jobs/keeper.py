@@ -150,6 +150,7 @@ class Keeper:
         self._clock = clock
         self._zero_s = clock()  # when the operating-hours counter would have stood at zero, on that clock
         self._result_of = result_of
+        self.plan_expiries_ns: dict[str, int] = {}  # by hash, of this life: a plan of an earlier one cannot be executed
         self._unsaved: dict[str, Job] = {}
         self._taken_up: Callable[[list[Job], int], None] = lambda _jobs, _fencing: None
         self._restored = False
@@ -303,6 +304,8 @@ class FindingLog:
             }
         )
         plan_hash = previewed.plan_hash
+        kept = {known: t_ns for known, t_ns in self._keeper.plan_expiries_ns.items() if t_ns > now_ns}
+        self._keeper.plan_expiries_ns = kept | {plan_hash: previewed.expires_ns}
         self._keeper.later(lambda db: add_plan(db, plan_hash, job_id, made_unix_s, expires_unix_s, view))
 
     def _calibration(self, job_id: str) -> None:

@@ -1,8 +1,13 @@
 """The audit: who commanded what, under which lease, and what came of it. Append-only."""
 
+import contextlib
+import os
 import sqlite3
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
+
+from recording.files import write_durably
 
 # The operating-hours counter: time that passed while a server ran on this database. All that lapses here lapses by
 # it.
@@ -82,8 +87,38 @@ def first_fencing(t_unix_s: float) -> int:
 
 
 def save_fencing(db: sqlite3.Connection, fencing: int) -> None:
-    """Remember a number; a lower one changes nothing."""
+    """Remember a number, also outside the database; a lower one changes nothing.
+
+    Raises: OSError: the floor cannot be written.
+    """
+    if file := db.execute("PRAGMA database_list").fetchone()["file"]:
+        keep_floor(Path(file).parent, fencing)
     db.execute("UPDATE meta SET value = max(value, ?) WHERE name = 'fencing'", (fencing,))
+
+
+FLOOR, FLOOR_ATTRIBUTE = "longreach.fencing", "user.longreach.fencing"
+
+
+def read_floor(folder: Path) -> int:
+    """The highest number that was given in this folder, whatever became of its database; 0 where none is known.
+
+    It is in a file, and in an attribute of the folder, which stays when all files in it are removed.
+    """
+    found = [0]
+    with contextlib.suppress(OSError, ValueError):
+        found.append(int((folder / FLOOR).read_bytes()))
+    with contextlib.suppress(OSError, ValueError, AttributeError):  # not every system has attributes
+        found.append(int(os.getxattr(folder, FLOOR_ATTRIBUTE)))
+    return max(found)
+
+
+def keep_floor(folder: Path, fencing: int) -> None:
+    """Have a number on disk before a client gets it. Raises: OSError: it is not."""
+    if fencing <= read_floor(folder):
+        return
+    with contextlib.suppress(OSError, AttributeError):  # the file is there as well
+        os.setxattr(folder, FLOOR_ATTRIBUTE, str(fencing).encode())
+    write_durably(folder / FLOOR, f"{fencing}\n")  # the folder, too
 
 
 # What jobs found, as an index: previewed plans with their expiry, and calibrations.

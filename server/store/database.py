@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from server.errors import ServerError
-from server.store.audit_rows import first_fencing
+from server.store.audit_rows import first_fencing, read_floor
 
 # The database's schema, one script per version; PRAGMA user_version says how many have run.
 
@@ -289,6 +289,8 @@ def _connected(path: Path | None) -> sqlite3.Connection:
         db.execute("PRAGMA journal_mode = WAL")
         db.execute("PRAGMA synchronous = FULL")  # a fencing number or a key that was answered survives a power cut
         migrate(db, 0 if path is None else first_fencing(time.time()))
+        if path is not None:  # a database that is new, or an old one from a backup, begins above what was given
+            db.execute("UPDATE meta SET value = max(value, ?) WHERE name = 'fencing'", (read_floor(path.parent),))
     except BaseException as error:
         db.close()
         if isinstance(error, sqlite3.DatabaseError) and not isinstance(error, sqlite3.OperationalError):

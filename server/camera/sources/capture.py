@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
-from server.camera.sources.live import LiveSource
+from server.camera.sources.live import HELD_UP, LiveSource
 
 Picture = NDArray[Any]
 Capture = cv2.VideoCapture
@@ -75,7 +75,10 @@ class CapturedSource(LiveSource[tuple[Picture, int, int, int, int]]):
             good, picture = capture.read()
             if not good:
                 break
+            held_up = self._heartbeat.was_held_up()
             t_exposure_ns, t_receive_ns = self._stamp(capture)
+            if held_up and t_exposure_ns == t_receive_ns:  # stamped by arrival
+                raise CameraError(f"{self._subject}: {HELD_UP}")
             sequence += 1
             self._newest.put((picture, t_exposure_ns, t_receive_ns, sequence, self._connection))
         return sequence > 0

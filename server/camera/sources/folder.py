@@ -3,6 +3,7 @@
 import csv
 import glob
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from recording.clock import mono_ns
@@ -71,11 +72,13 @@ class FolderStereoSource:
 
     def __init__(self, settings: FolderSource) -> None:
         lefts, rights = _listed(settings.left_glob), _listed(settings.right_glob)
-        _require_partners(settings, lefts, rights)
-        names = sorted(lefts, key=_natural)
-        self._files = [(lefts[name], rights[name]) for name in names]
+        by = f"by '{settings.left_glob}'", f"by '{settings.right_glob}'"
+        names = paired_names(lefts, rights, by, "; the wildcards must stand for what the names of both eyes share")
+        stamps = stamps_ns(names, settings.stamp_unit, settings.rate_hz)
+        played = sorted(range(len(names)), key=stamps.__getitem__)  # 9.25 before 9.3, where the names are times
+        self._files = [(lefts[names[k]], rights[names[k]]) for k in played]
         self._pacing = Pacing(settings.rate_hz)
-        self._stamps_ns = stamps_ns(names, settings.stamp_unit, settings.rate_hz)
+        self._stamps_ns = [stamps[k] for k in played]
         self._number = 0
         self.skipped = 0
         self.state = ""
@@ -155,26 +158,35 @@ def _listed(pattern: str) -> dict[str, str]:
     return found
 
 
-def _require_partners(settings: FolderSource, lefts: dict[str, str], rights: dict[str, str]) -> None:
-    """Raises: CameraError naming the first picture without the other eye's."""
-    odd = sorted(lefts.keys() ^ rights.keys(), key=_natural)
+def paired_names(lefts: dict[str, str], rights: dict[str, str], places: tuple[str, str], more: str = "") -> list[str]:
+    """The names of the pairs, each in both eyes' files, in natural order. `places`, `more`: for the error.
+
+    Raises: CameraError naming the first picture without the other eye's.
+    """
+    odd = natural_order(lefts.keys() ^ rights.keys())
     if lefts and rights and not odd:
-        return
-    patterns = (
-        f"{len(lefts)} left files by '{settings.left_glob}' and {len(rights)} right files by '{settings.right_glob}'"
-    )
+        return natural_order(lefts)
+    counts = f"{len(lefts)} left files {places[0]} and {len(rights)} right files {places[1]}"
     if not (lefts and rights):
-        raise CameraError(f"image folder: {patterns}; give patterns that find pictures of both eyes")
+        raise CameraError(f"image folder: {counts}; give patterns, or folders, with pictures of both eyes")
     eye, other, file = ("left", "right", lefts[odd[0]]) if odd[0] in lefts else ("right", "left", rights[odd[0]])
     raise CameraError(
         f"image folder: {eye} picture '{file}' has no {other} one of the same name, the first of {len(odd)} "
-        f"({patterns}); restore it or take it away; the wildcards must stand for what the names of both eyes share"
+        f"({counts}); restore it or take it away{more}"
     )
 
 
-def _natural(name: str) -> list[tuple[int, int | str]]:
-    """2 before 10."""
-    return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"([0-9]+)", name) if part]
+def natural_order(names: Iterable[str]) -> list[str]:
+    """2 before 10, and -1 before 0 where not all names begin with a minus (a separator then)."""
+    listed = list(names)
+    signed = not all(name.startswith("-") for name in listed)
+
+    def key(name: str) -> list[tuple[int, int | str]]:
+        below = [(-1, int(name))] if signed and re.fullmatch("-[0-9]+", name) else []
+        parts = [part for part in re.split(r"([0-9]+)", name) if part]
+        return below or [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
+
+    return sorted(listed, key=key)
 
 
 def read_grey(path: str) -> Image:

@@ -14,7 +14,7 @@ from urllib.parse import SplitResult, unquote, urljoin, urlsplit
 from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
-from server.camera.sources.live import LiveSource
+from server.camera.sources.live import HELD_UP, LiveSource
 from server.camera.sources.multipart import MultipartParser, Part
 from server.camera.sources.settings import HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side
@@ -194,12 +194,16 @@ class HttpStereoSource(LiveSource[_Received]):
 
     def _read_parts(self, response: http.client.HTTPResponse) -> bool:
         parser = MultipartParser((response.headers.get_boundary() or "").encode(errors="replace"))
-        any_part = False
+        any_part = held_up = False
         while not self._stop.is_set():
             data = response.read1(CHUNK_BYTES)
             if not data:
                 return any_part
+            held_up |= self._heartbeat.was_held_up()
             for part in parser.feed(data, mono_ns()):
+                if held_up and part.t_exposure_ns is None:  # it would be stamped as of now; asking again drops the rest
+                    raise StreamError(HELD_UP)
+                held_up = False
                 any_part = True
                 self._state = ""
                 self._counted += 1

@@ -5,7 +5,13 @@ import threading
 from abc import ABC, abstractmethod
 from typing import ClassVar, Generic, TypeVar
 
+from recording.clock import mono_ns
+
 Item = TypeVar("Item")
+
+BEAT_S = 0.05
+HELD_UP_NS = 500_000_000  # a busy computer leaves a process without a turn for some tenths of a second
+HELD_UP = "this process was held up; pictures that waited meanwhile are dropped"
 
 _log = logging.getLogger(__name__)
 
@@ -35,6 +41,36 @@ class Newest(Generic[Item]):
             return item
 
 
+class Heartbeat:
+    """Notices that this process did not run for a while: what came meanwhile has waited for an unknown time."""
+
+    def __init__(self) -> None:
+        self._lock, self._stop = threading.Lock(), threading.Event()
+        self._last_ns, self._held_up = mono_ns(), False
+        threading.Thread(target=self._run, name="camera-heartbeat", daemon=True).start()
+
+    def was_held_up(self) -> bool:
+        """Whether it was since the last call."""
+        self._beat()
+        with self._lock:
+            held_up, self._held_up = self._held_up, False
+        return held_up
+
+    def stop(self) -> None:
+        """End its thread."""
+        self._stop.set()
+
+    def _beat(self) -> None:
+        with self._lock:
+            now_ns = mono_ns()
+            self._held_up |= now_ns - self._last_ns > HELD_UP_NS
+            self._last_ns = now_ns
+
+    def _run(self) -> None:
+        while not self._stop.wait(BEAT_S):
+            self._beat()
+
+
 class LiveSource(ABC, Generic[Item]):
     """The thread and its state. What a connection is, and how an item becomes a pair, is the subclass's matter."""
 
@@ -49,6 +85,7 @@ class LiveSource(ABC, Generic[Item]):
         self._stop = threading.Event()
         self._state = f"{subject}: {opening}"
         self._connection = 0
+        self._heartbeat = Heartbeat()
         self._thread = threading.Thread(target=self._run, name="camera-reader", daemon=True)
 
     @property
@@ -69,6 +106,7 @@ class LiveSource(ABC, Generic[Item]):
     def close(self) -> None:
         """Let go of the camera."""
         self._stop.set()
+        self._heartbeat.stop()
         self._thread.join(self.CLOSE_S)
 
     @abstractmethod

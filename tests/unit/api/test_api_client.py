@@ -3,6 +3,7 @@ gets a job done on a served stand-in though answers are lost."""
 
 import asyncio
 import re
+import signal
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -180,3 +181,18 @@ def test_the_run_of_a_job_is_found_where_it_was_recorded(answer, told):
         )
         assert client.run_id_of("0a").endswith(told)
         assert bool(client.run_id_of("0a")) == bool(told)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_ends_a_program_of_the_api_stops_the_machine(address, number):
+    url, made = address
+    made.performer.hold = asyncio.Event()  # never set: the job goes on until it is stopped
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        with JobClient(url, kind="fleet", key=made.keys["fleet"]) as client, pytest.raises(KeyboardInterrupt):
+            client.run({"kind": "park"}, lambda _event: signal.raise_signal(number))
+        assert signal.getsignal(number) is signal.SIG_DFL  # afterwards it is the program's own matter
+    finally:
+        signal.signal(number, before)
+    (job,) = made.service.engine.jobs
+    assert (job.state.value, job.reason) == ("stopped", "stopped over REST")

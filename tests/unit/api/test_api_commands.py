@@ -1,10 +1,14 @@
 """Commands that a fleet can trust: keys, retries, expiry, cancel, audit; and nothing moves that is not written down."""
 
 import asyncio
+import time
+from urllib.parse import urljoin
 
 import pytest
 
+from recording.clock import mono_ns
 from server.jobs.engine import JobState
+from server.store.audit_rows import add_plan
 
 PARK = {"kind": "park"}
 
@@ -177,3 +181,32 @@ async def test_models_are_strict(open_bench, body):
     async with open_bench.client() as client:
         answer = await client.post("/v1/jobs", json=body, headers=open_bench.control())
     assert (answer.status_code, answer.json()["code"]) == (422, "invalid_request")
+
+
+@pytest.mark.parametrize("path", ["", "/crane-3"])
+async def test_the_location_of_a_job_stays_under_the_path_that_a_proxy_has_taken_off(open_bench, path):
+    async with open_bench.client() as client:
+        headers = await leased(client) | {"Idempotency-Key": "k1"}
+        answer = await client.post("/v1/jobs", json=PARK, headers=headers)
+        place = urljoin(f"http://crane.example{path}/v1/jobs", answer.headers["location"])
+        assert place == f"http://crane.example{path}/v1/jobs/{answer.json()['job_id']}"
+        assert (await client.get(answer.headers["location"])).status_code == 200  # joined to the server's address
+        await open_bench.settled()
+
+
+async def test_a_plan_expires_by_the_clock_that_execution_reads(open_bench, monkeypatch):
+    now_s, keeper, plan_hash = time.time(), open_bench.keeper, "0123456789abcdef"
+    view = "{}"
+    keeper.database.write(lambda db: add_plan(db, plan_hash, "job", now_s, now_s + 60.0, view))
+    async with open_bench.client() as client:
+
+        async def expired():
+            return (await client.get(f"/v1/plans/{plan_hash}")).json()["expired"]
+
+        assert await expired() is True  # of an earlier life
+        keeper.plan_expiries_ns[plan_hash] = mono_ns() + 60 * 10**9
+        monkeypatch.setattr("time.time", lambda: now_s + 1e6)
+        assert await expired() is False
+        keeper.plan_expiries_ns[plan_hash] = mono_ns() - 1
+        monkeypatch.setattr("time.time", lambda: 5.0)
+        assert await expired() is True

@@ -240,3 +240,16 @@ def test_under_nohup_a_closed_terminal_ends_nothing() -> None:
         assert program.stdout.readline() == "ready\n"
         program.send_signal(signal.SIGHUP)
         assert program.wait(30.0) == 0
+
+
+def test_the_python_api_has_a_place_for_compiled_code_where_nothing_can_be_written(tmp_path: Path) -> None:
+    code = (
+        "import os, tempfile; from pathlib import Path; import longreach.cli as cli\n"
+        "cli._writable = lambda folder: False\n"
+        "import numba, longreach; longreach.tcp_pose\n"
+        "assert os.environ[cli.CACHE] == numba.config.CACHE_DIR != '', numba.config.CACHE_DIR\n"
+    )
+    surrounded = os.environ | {"TMPDIR": str(tmp_path), surroundings.CACHE: ""}
+    done = subprocess.run([sys.executable, "-c", code], env=surrounded, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "compiled code is kept in" in done.stderr

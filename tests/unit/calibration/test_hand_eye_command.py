@@ -13,6 +13,9 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from longreach.cli import app
+from longreach.hand_eye_poses import poses_of_pictures, read_lens
+from longreach.target_sources import board_of
+from server.errors import ServerError
 
 SHARED = next(
     (p / "shared" / "data" / "hand_eye" for p in Path(__file__).resolve().parents if (p / "shared").is_dir()), None
@@ -154,3 +157,43 @@ def test_pictures_of_a_board_and_poses_of_the_hand_are_enough(tmp_path: Path) ->
     T = np.array(json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))["T_parent_cam"])
     assert np.linalg.norm(T[:3, 3] - X[:3, 3]) < 1e-3
     assert np.linalg.norm(Rotation.from_matrix(T[:3, :3] @ X[:3, :3].T).as_rotvec()) < 2e-3
+
+
+LENS = {
+    "camera_matrix": {"rows": 3, "cols": 3, "data": [500.0, 0.0, 320.0, 0.0, 500.0, 240.0, 0.0, 0.0, 1.0]},
+    "distortion_coefficients": {"rows": 1, "cols": 5, "data": [-0.01, 0.02, 0.0, 0.0, 0.0]},
+    "image_width": 640,
+    "image_height": 480,
+}
+FOUR = {"distortion_coefficients": {"rows": 1, "cols": 4, "data": [-0.01, 0.02, -0.01, 0.003]}}
+
+
+@pytest.mark.parametrize(
+    ("more", "why"),
+    [
+        (FOUR | {"distortion_model": "equidistant"}, "fisheye model"),
+        (FOUR | {"fisheye_model": 1}, "fisheye model"),
+        (FOUR, "does not state which"),
+        ({"xi": 1.2}, "omnidirectional"),
+        ({"xi": 1.2, "distortion_model": "plumb_bob"}, "omnidirectional"),
+        ({"distortion_model": "division"}, "known are"),
+        ({"binning_x": 2}, "binning"),
+        ({"binning_y": 2, "distortion_model": "plumb_bob"}, "binning"),
+        ({"roi": {"x_offset": 0, "y_offset": 120, "width": 640, "height": 240}}, "region of interest"),
+        ({"image_width": 1280, "image_height": 960}, "give the calibration of this picture size"),
+        ({"camera_matrix": [500, 0, 660, 0, 500, 240, 0, 0, 1], "image_width": 640}, "outside the image"),
+    ],
+)
+def test_a_lens_that_is_not_of_these_pictures_is_refused(tmp_path: Path, more: dict[str, object], why: str) -> None:
+    file, board = tmp_path / "lens.yaml", board_of("11x8", 30.0, 22.0, "DICT_5X5_100", False)
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((480, 640), np.uint8))
+    file.write_text(yaml.safe_dump(LENS | more), encoding="utf-8")
+    with pytest.raises(ServerError, match=why):
+        poses_of_pictures(tmp_path, board, read_lens(file))
+
+
+def test_a_plain_lens_of_these_pictures_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "lens.yaml"
+    file.write_text(yaml.safe_dump(LENS | FOUR | {"distortion_model": "plumb_bob", "binning_x": 1}), encoding="utf-8")
+    lens = read_lens(file)
+    assert (lens.size_px, lens.eye.distortion) == ((640, 480), (-0.01, 0.02, -0.01, 0.003))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from camera_stand_in import jpeg_of, picture
 
-from server.camera.errors import StreamError
+from server.camera.errors import CameraError, StreamError
 from server.camera.sources.http import HttpStereoSource, open_stream
 from server.camera.sources.multipart import MultipartParser
 from server.camera.sources.settings import HttpSource
@@ -206,10 +206,32 @@ def test_a_password_in_an_address_is_shown_nowhere() -> None:
         ("http://h/a?access_token=t", "http://h/a?access_token=***"),
         ("{'url': 'ftp://u:p@h'}", "{'url': 'ftp://u:***@h'}"),
         ("http://h:80/a?channel=1", "http://h:80/a?channel=1"),
+        ("http://u:p/w@h/a", "http://u:***@h/a"),
+        ("http://u:pa@ss/w@h/1", "http://u:***@h/1"),
+        ("http://u:p?w#x@h/1", "http://u:***@h/1"),
+        ("http://u:1?2@h/a", "http://u:***@h/a"),
+        ("http://token@h/a", "http://***@h/a"),
+        ("http://to/ken@h/a", "http://***@h/a"),
+        ("rtsp://u:p w@h/1", "rtsp://u:***@h/1"),
+        ("u:p@h/a", "u:***@h/a"),
+        ("http:/u:p@h/a", "http:***@h/a"),
+        ("http://h/a?p=1&pw=2&fps=5;psw=3", "http://h/a?p=***&pw=***&fps=5;psw=***"),
+        ("http://h/a?mail=u@x", "http://h/a?mail=***"),
+        ("/dev/v4l/by-path/pci-0000:00:14.0-usb-0:1", "/dev/v4l/by-path/pci-0000:00:14.0-usb-0:1"),
     ],
 )
 def test_what_an_address_shows(address: str, shown: str) -> None:
     assert without_password(address) == shown
+
+
+@pytest.mark.parametrize(
+    "address", ["http://u:geh/eim@h/a", "http://u:geh?eim@h/a", "u:geh/eim@h", "ftp://u:geh eim@h/1"]
+)
+def test_the_refusal_of_an_address_does_not_show_its_password(address: str) -> None:
+    with pytest.raises(CameraError) as refused:
+        HttpStereoSource(HttpSource(address))
+    assert "geh" not in str(refused.value)
+    assert "eim" not in str(refused.value)
 
 
 def test_random_bytes_with_bare_line_feeds_give_parts_or_stream_error() -> None:

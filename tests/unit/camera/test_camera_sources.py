@@ -9,8 +9,9 @@ import pytest
 from camera_stand_in import CameraStandIn, jpeg_of, part_of, picture
 
 from server.camera.errors import CameraError, StreamError
+from server.camera.sources.folder import FolderStereoSource
 from server.camera.sources.http import HttpStereoSource
-from server.camera.sources.live import Newest
+from server.camera.sources.live import HELD_UP_NS, Newest
 from server.camera.sources.opening import open_source
 from server.camera.sources.settings import FileSource, FolderSource, HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side, split_side_by_side
@@ -233,3 +234,39 @@ def test_video_file_gives_every_frame(tmp_path: Path) -> None:
 def test_missing_video_file_is_refused() -> None:
     with pytest.raises(CameraError, match="cannot be opened"):
         open_source(FileSource("no/such/file.avi"))
+
+
+@pytest.mark.parametrize(
+    ("names", "order"),
+    [
+        (["1403636579.25.png", "1403636579.3.png", "1403636579.5.png"], [0, 1, 2]),  # as Python's str(float) ends
+        (["1403636579.3.png", "1403636579.25.png"], [1, 0]),
+        (["0.png", "1.png", "-1.png", "-2.png"], [3, 2, 0, 1]),
+        (["-10.png", "-2.png"], [1, 0]),  # a separator
+    ],
+)
+def test_folder_is_played_in_the_order_of_its_times_and_signs(
+    tmp_path: Path, names: list[str], order: list[int]
+) -> None:
+    source = FolderStereoSource(write_eyes(tmp_path, names, names))
+    assert [Path(left).name for left, _ in source._files] == [names[k] for k in order]
+    assert source._stamps_ns == sorted(source._stamps_ns)
+
+
+@pytest.mark.parametrize("stamp_ns", [None, 123_456])
+def test_what_waited_while_this_process_was_held_up_is_not_stamped_as_of_now(stamp_ns: int | None) -> None:
+    with CameraStandIn() as camera:
+        source = HttpStereoSource(HttpSource(camera.url))
+        camera.send(part_of(jpeg_of(picture(50, 200)), stamp_ns, 1))
+        assert source.read(WAIT_S) is not None
+        source._heartbeat._last_ns -= 10 * HELD_UP_NS  # no thread of it ran
+        camera.send(part_of(jpeg_of(picture(50, 200)), stamp_ns, 2))
+        frame = source.read(2.0 if stamp_ns is None else WAIT_S)
+        connections = source._connection
+        source.close()
+    if stamp_ns is None:
+        assert frame is None
+        assert connections > 1  # asked again: what the system had kept is gone
+    else:
+        assert frame is not None
+        assert frame.t_exposure_ns == stamp_ns

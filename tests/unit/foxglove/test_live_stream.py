@@ -3,8 +3,11 @@
 import asyncio
 import importlib.util
 import json
+import os
 import socket
 import struct
+import subprocess
+import sys
 import time
 from base64 import b64decode
 from types import SimpleNamespace
@@ -21,6 +24,7 @@ from served import bench
 from machine.urdf import urdf_text
 from recording.clock import mono_ns
 from server.errors import SettingsError
+from server.faces import shell
 from server.faces.foxglove import BACKLOG, FoxgloveFace, check_foxglove, foxglove_face
 from server.jobs.engine import Job, JobEvent
 from server.jobs.records import ErrorMm
@@ -210,3 +214,56 @@ async def test_a_port_that_is_taken_is_refused_by_name(service):
         taken.listen()
         with pytest.raises(SettingsError, match=r"\[foxglove\]"):
             FoxgloveFace(service, "127.0.0.1", taken.getsockname()[1]).start()
+
+
+async def until(is_so):
+    while not is_so():  # noqa: ASYNC110 - the system has no event for it
+        await asyncio.sleep(0.02)
+
+
+def connect_idly(port, count):
+    """Connections of another process, that say nothing."""
+    code = (
+        f"import contextlib, socket, sys\nkept = []\nwith contextlib.suppress(OSError):\n  for _ in range({count}):\n"
+        f"    kept.append(socket.create_connection(('127.0.0.1', {port})))\n"
+        "print('there', flush=True)\nsys.stdin.read()"
+    )
+    other = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    other.stdout.readline()
+    return other
+
+
+@needs_sdk
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="descriptors cannot be counted here")
+async def test_it_gives_its_descriptors_back_before_a_stop_has_none(service, monkeypatch, caplog):
+    monkeypatch.setattr(shell, "PAUSE_S", 0.5)
+    limit = 2 * len(os.listdir("/proc/self/fd")) + 200
+    monkeypatch.setattr(shell.resource, "getrlimit", lambda _which: (limit, limit))
+    async with foxglove_face(service, FoxgloveSettings(enabled=True, port=free_port())) as face:
+        before, port = len(os.listdir("/proc/self/fd")), face.port
+        other = await asyncio.to_thread(connect_idly, port, limit - before)
+        try:
+            async with asyncio.timeout(30.0):
+                await until(lambda: "closed for" in caplog.text)
+                await until(lambda: not face._aside)
+        finally:
+            other.communicate()
+        async with asyncio.timeout(30.0):  # and is there again
+            await until(lambda: face._server is not None and len(os.listdir("/proc/self/fd")) <= before + 20)
+            async with Viewer(port) as viewer:
+                await viewer.take()
+
+
+@needs_sdk
+async def test_a_stop_has_a_descriptor_while_the_viewers_are_still_being_closed(service, monkeypatch):
+    face = FoxgloveFace(service, "127.0.0.1", free_port())
+    face.listen()
+    server, face._server = face._server, SimpleNamespace(stop=lambda: time.sleep(1.0))  # as idle handshakes make it
+    server.stop()
+    before = len(os.listdir("/proc/self/fd"))
+    stopping = asyncio.create_task(asyncio.to_thread(face.stop))
+    async with asyncio.timeout(30.0):
+        await until(lambda: not face._aside)
+    assert not stopping.done()
+    assert len(os.listdir("/proc/self/fd")) <= before - shell.SPARE // 2 + 8
+    await stopping

@@ -16,7 +16,7 @@ from recording.clock import mono_ns
 from server.errors import SettingsError
 from server.faces import opcua as face_module
 from server.faces.opcua import OperationalMode, Shown, check_opcua, opcua_face, shown
-from server.faces.shell import running
+from server.faces.shell import CONNECTIONS_MAX, running
 from server.link.contracts import LinkHealth, LinkPhase, PlcSample
 from server.settings import OpcUaSettings
 
@@ -229,3 +229,17 @@ async def test_a_face_that_dies_is_told(service, caplog):
     async with running("face", dies(), "values are no longer updated"):
         await asyncio.sleep(0.01)
     assert "values are no longer updated" in caplog.text
+
+
+@needs_asyncua
+async def test_idle_connections_leave_descriptors_for_a_stop(service):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    async with opcua_face(service, OpcUaSettings(enabled=True, port=port)), asyncio.timeout(30.0):
+        opened = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX + 5)]
+        for reader, _ in opened[CONNECTIONS_MAX:]:
+            assert await reader.read() == b""
+        assert not any(reader.at_eof() for reader, _ in opened[:CONNECTIONS_MAX])
+        for _, writer in opened:
+            writer.close()

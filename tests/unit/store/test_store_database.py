@@ -1,5 +1,6 @@
 """The store: one writer, transactions, migrations, and disks that are full, read-only or damaged."""
 
+import os
 import shutil
 import sqlite3
 import subprocess
@@ -288,3 +289,35 @@ def test_plans_are_kept_in_the_order_of_their_writing_whatever_their_clock_said(
         store.write(lambda db, h=plan_hash, t=made_unix_s: add_plan(db, h, "job", t, t + 60.0, "{}"))
     kept = [plan_hash for plan_hash in "abc" if store.read(lambda db, h=plan_hash: read_plan(db, h)) is not None]
     assert kept == ["b", "c"]
+
+
+@pytest.mark.parametrize("lost", ["the database", "everything in the folder", "an old copy"])
+def test_fencing_never_falls_though_the_database_is_lost_and_the_clock_is_behind(tmp_path, monkeypatch, lost):
+    monkeypatch.setattr("server.store.database.time.time", lambda: 1.8e9)
+    store = Database(tmp_path / "runs" / "longreach.sqlite3")
+    store.open()
+    if lost == "an old copy":
+        shutil.copy(store.path, tmp_path / "copy")
+    given = store.read(read_fencing) + 5
+    store.write(lambda db: save_fencing(db, given))
+    store.close()
+    keeps_attributes = True
+    try:
+        os.getxattr(store.path.parent, "user.longreach.fencing")
+    except (OSError, AttributeError):
+        keeps_attributes = False
+    match lost:
+        case "the database":
+            store.path.unlink()
+        case "everything in the folder":
+            if not keeps_attributes:
+                pytest.skip("this file system keeps no attributes")
+            for file in store.path.parent.iterdir():
+                file.unlink()
+        case "an old copy":
+            shutil.copy(tmp_path / "copy", store.path)
+    monkeypatch.setattr("server.store.database.time.time", lambda: 5.0)
+    again = Database(store.path)
+    again.open()
+    assert again.read(read_fencing) == given
+    again.close()

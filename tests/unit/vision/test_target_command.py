@@ -228,11 +228,27 @@ def test_stored_pairs_in_several_forms(tmp_path):
         "euroc/cam0/data/1.png", "euroc/cam1/data/1.png", "uneven/left/1.png", "uneven/left/2.png", "uneven/right/1.png"
     )
     assert len(stored_pairs(tmp_path / "euroc")) == 1
-    with pytest.raises(TargetError, match="2 pictures in left and 1 in right"):
+    with pytest.raises(TargetError, match="2 left files in left and 1 right files in right"):
         stored_pairs(tmp_path / "uneven")
     (tmp_path / "both" / "3.png").write_bytes(b"no picture")
     with pytest.raises(TargetError, match="not a picture"):
         read_pair(tmp_path / "both" / "3.png", None)
+
+
+def test_stored_pairs_of_two_folders_have_equal_names(tmp_path):
+    def write(folder, lefts, rights):
+        for eye, names in (("left", lefts), ("right", rights)):
+            (tmp_path / folder / eye).mkdir(parents=True)
+            for name in names:
+                (tmp_path / folder / eye / f"{name}.png").touch()
+        return tmp_path / folder
+
+    pairs = stored_pairs(write("whole", ["left9", "left10", "left11"], ["Right11", "Right9", "Right10"]))
+    assert [(left.stem, right.stem) for left, right in pairs] == [(f"left{n}", f"Right{n}") for n in (9, 10, 11)]
+    with pytest.raises(TargetError, match=r"right picture '.*right/2\.png' has no left one.*first of 2"):
+        stored_pairs(write("odd", "01345", "01235"))
+    with pytest.raises(TargetError, match="has no right one of the same name"):
+        stored_pairs(write("other", ["9", "10"], ["r09", "r10"]))
 
 
 class Camera:

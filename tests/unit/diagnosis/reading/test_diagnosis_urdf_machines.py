@@ -159,3 +159,14 @@ def test_a_spoilt_urdf_is_a_finding_with_its_joint() -> None:
 def fatal(result: Read) -> str:
     (one,) = [one for one in result.findings if one.severity == "fatal"]
     return str(one)
+
+
+@pytest.mark.parametrize("data", ["<robot/>".encode("utf-16"), "<!-- \u00fc --><robot/>".encode("latin-1")])
+@pytest.mark.parametrize("recorded", [False, True])
+def test_a_urdf_that_is_not_utf_8_is_refused_with_its_encoding(tmp_path, data, recorded):
+    (tmp_path / "a.urdf").write_bytes(data)
+    files = UrdfFiles((Attachment("a.urdf", "application/xml", data),)) if recorded else UrdfFiles((), tmp_path)
+    with pytest.raises(DiagnosisError, match=r"URDF a\.urdf cannot be read: .*save it as UTF-8"):
+        files.text("a.urdf")
+    (tmp_path / "b.urdf").write_bytes(b"\xef\xbb\xbf<robot/>")
+    assert UrdfFiles((), tmp_path).text("b.urdf") == "<robot/>"
