@@ -182,9 +182,10 @@ def natural_order(names: Iterable[str]) -> list[str]:
     signed = not all(name.startswith("-") for name in listed)
 
     def key(name: str) -> list[tuple[int, int | str]]:
-        below = [(-1, int(name))] if signed and re.fullmatch("-[0-9]+", name) else []
+        if signed and re.fullmatch("-[0-9]+", name):
+            return [(-1, int(name))]
         parts = [part for part in re.split(r"([0-9]+)", name) if part]
-        return below or [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
+        return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
 
     return sorted(listed, key=key)
 
