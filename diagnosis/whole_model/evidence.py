@@ -110,7 +110,9 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
                 gain_nats=gain_nats,
                 sd=sd,
                 z=z,
-                scatter=_share_of_size(term, scatter(J, residual, own[: term.sizes], groupings)),
+                scatter=_share_of_size(
+                    term, scatter(J, residual, own[: term.sizes], groupings, fit.cell.usual is not None)
+                ),
                 equals=_with_sharing(fit, equals, sharing),
                 left=left,
                 above=_share_above(lin.x[own], S[np.ix_(own, own)], max(left - 1.0, 0.0) * len(residual)),
@@ -254,25 +256,28 @@ def _cost(one: Fitted, fit: WholeFit) -> float:
     return float((costs(one.lin.residual) * fit.trust).sum())
 
 
-def scatter(J: Array, residual: Array, own: NDArray[np.int64], groupings: Sequence[NDArray[np.int64]]) -> float:
+def scatter(
+    J: Array, residual: Array, own: NDArray[np.int64], groupings: Sequence[NDArray[np.int64]], known: bool = False
+) -> float:
     """Standard deviation of a size between groups of rows beyond its noise, the largest of the groupings; 0 by chance.
 
+    `known`: whether a baseline knows the noise. Then chance is ruled out at 5 % over all groupings; else what exceeds
+    the mean of chance by its deviation counts, since the noise that chance goes by was itself fitted.
+
     Model:  a number of their own in every group for columns `own` of J, against all of J common to all; their sum of
-            squares d'Wd has the mean df + tau^2 tr W if the sizes scatter by tau (method of moments). A grouping counts
-            where chance does not explain it, at 5 % over all groupings: a contrast that the data hardly determine has
-            any tau by chance.
+            squares d'Wd has the mean df + tau^2 tr W if the sizes scatter by tau (method of moments).
     Why projected: a fit stops short of its optimum and leans on its priors; what J still explains is not a difference.
     Source: invariance as a sign of a cause: Peters, Buehlmann, Meinshausen 2016; tau: DerSimonian, Laird 1986.
     """
     norm = np.sqrt((J**2).sum(axis=0))
     U, sizes, _ = np.linalg.svd(J[:, norm > 0.0] / norm[norm > 0.0], full_matrices=False)
     Q = U[:, sizes > RANK * sizes.max(initial=0.0)]
-    level = 1.0 - BY_CHANCE / max(1, len(groupings))
+    level = 1.0 - BY_CHANCE / max(1, len(groupings)) if known else None
     return max((_scatter(Q, J[:, own], residual, group, level) for group in groupings), default=0.0)
 
 
-def _scatter(Q: Array, columns: Array, residual: Array, group: NDArray[np.int64], level: float) -> float:
-    """Of one grouping; Q: orthonormal columns of what is common to all groups."""
+def _scatter(Q: Array, columns: Array, residual: Array, group: NDArray[np.int64], level: float | None) -> float:
+    """Of one grouping; Q: orthonormal columns of what is common to all groups. `level`: quantile of chance."""
     apart = (columns[:, None] * (group[:, None] == np.unique(group))[:, :, None]).reshape(len(residual), -1)
     power = float((apart**2).sum(axis=0).max())
     apart = apart - Q @ (Q.T @ apart)
@@ -282,6 +287,8 @@ def _scatter(Q: Array, columns: Array, residual: Array, group: NDArray[np.int64]
         return 0.0
     scores = vectors[:, kept].T @ (apart.T @ residual)
     squares, df = float((scores**2 / values[kept]).sum()), int(kept.sum())
+    if level is None:
+        return float(np.sqrt(max(0.0, squares - df - np.sqrt(2.0 * df)) / values[kept].sum()))
     return float(np.sqrt((squares - df) / values[kept].sum())) if squares > float(chi2.ppf(level, df)) else 0.0
 
 

@@ -34,7 +34,7 @@ def test_what_settles_two_of_three_pairs_is_no_nothing(monkeypatch: pytest.Monke
 def test_what_tells_nothing_of_any_pair_is_not_proposed(monkeypatch: pytest.MonkeyPatch) -> None:
     told = proposed(monkeypatch, {"X": (4.0, 4.0, 4.0), "Y": (0.0, 1.0, 1.0)})
     assert told["what"] is None
-    assert "no motion tells valve_lag from transport_delay" in told["why"]
+    assert "no motion distinguishes valve_lag from transport_delay" in told["why"]
 
 
 def test_the_weightiest_pair_that_is_told_is_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None:
