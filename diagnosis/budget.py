@@ -127,7 +127,7 @@ def _weighed(fit: WholeFit) -> list[tuple[Evidence, float]]:
     if fit.cell.usual is None or len(held) in (0, len(found)):
         return found
     again = {alone.term.effect.variant: probability(alone) for alone in evidence_of(reduced(fit, held))}
-    return [(one, min(likely, again.get(one.term.effect.variant, likely))) for (one, likely) in found]
+    return [(evidence, min(likely, again.get(evidence.term.effect.variant, likely))) for evidence, likely in found]
 
 
 def _machine_of(fits: Iterable[WholeFit], chance: dict[int, float], least: float) -> tuple[Term, ...]:

@@ -110,7 +110,8 @@ def _grown(cell: Cell, fitted: Fitted, trust: Array, own: Members) -> tuple[Fitt
     then effects enter one at a time, each refitted before the next.
     """
     terms = tuple(replace(term, present=False) for term in fitted.terms)
-    grown, own_trust = _fitted(cell, terms, trusted(cell, terms)), trusted(cell, terms)
+    own_trust = trusted(cell, terms)
+    grown = _fitted(cell, terms, own_trust)
     if cell.usual is None:
         even = grown.lin.problem(np.ones(cell.rows.count))
         return _better(cell, fitted, trust, grown.lin, best_set(even, grown.present, own))[:2]
@@ -194,20 +195,22 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
 
 def only(fit: WholeFit, terms: Sequence[Term]) -> tuple[Term, ...]:
     """Some present terms of a fit (the same objects), fitted again as if nothing else were there."""
-    kept = [any(term is wanted for wanted in terms) for term in fit.best.terms]
-    if (np.array(kept) == fit.best.present).all():
-        return tuple(term for term in fit.best.terms if term.present)
-    alone = tuple(replace(term, present=keep) for term, keep in zip(fit.best.terms, kept, strict=True))
-    return tuple(term for term in refined(fit.cell, alone, fit.trust) if term.present)
+    kept = {id(term) for term in terms}
+    whole = all(id(term) in kept for term in fit.best.terms if term.present)
+    return tuple(term for term in (fit.best.terms if whole else _with_only(fit, terms)) if term.present)
 
 
 def reduced(fit: WholeFit, terms: Sequence[Term]) -> WholeFit:
     """A fit with some of its present terms only, fitted again, trusted as far as what they leave allows."""
-    kept = {id(term) for term in terms}
-    some = tuple(replace(term, present=id(term) in kept) for term in fit.best.terms)
-    some = refined(fit.cell, some, fit.trust)
+    some = _with_only(fit, terms)
     trust = trusted(fit.cell, some)
     return replace(fit, best=_fitted(fit.cell, some, trust), trust=trust, rivals={})
+
+
+def _with_only(fit: WholeFit, terms: Sequence[Term]) -> tuple[Term, ...]:
+    kept = {id(term) for term in terms}
+    some = tuple(replace(term, present=id(term) in kept) for term in fit.best.terms)
+    return refined(fit.cell, some, fit.trust)
 
 
 def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:

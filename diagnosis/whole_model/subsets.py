@@ -73,9 +73,8 @@ def best_set_without(problem: LinearProblem, members: Members, term: int, allowe
 def best_addition(problem: LinearProblem, members: Members, allowed: Members) -> Members | None:
     """A set with the one allowed term more that raises its score most; None where none raises it."""
     larger = [members | term for term in np.eye(problem.terms, dtype=bool)[allowed]]
-    tried = {problem.score(subset): subset for subset in larger}
-    best = max(tried, default=-np.inf)
-    return tried[best] if best > problem.score(members) else None
+    best = max(larger, key=problem.score, default=members)
+    return best if problem.score(best) > problem.score(members) else None
 
 
 @njit(cache=True)

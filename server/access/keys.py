@@ -69,7 +69,7 @@ def with_key(keys: tuple[ApiKey, ...], name: str, role: Role, secret: str, t_uni
 
 
 def without_key(keys: tuple[ApiKey, ...], name: str, t_unix_s: float) -> tuple[ApiKey, ...]:
-    """The key of that name revoked; it stays in the list. Raises: KeysError: there is none."""
+    """The key of that name revoked; it stays in the list. Raises: KeysError: no key has that name."""
     if not any(key.name == name and key.revoked_unix_s is None for key in keys):
         raise KeysError(f"no valid key '{name}'; `longreach keys list` shows all")
     return tuple(

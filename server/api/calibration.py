@@ -24,7 +24,7 @@ NOW_UNKNOWN = Validity(ValidityStatus.VALID, "the machine's position is unknown:
 
 
 def calibration_view(cell: Cell, ctx: PlanContext, t_mono_ns: int) -> CalibrationView | None:
-    """The view, None while there is none."""
+    """The view; None while nothing is calibrated."""
     record, life = cell.knowledge.calibration, cell.knowledge.life
     if record is None:
         return None

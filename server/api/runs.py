@@ -41,7 +41,7 @@ class GrowingFile(FileResponse):
 
 
 def run_path(folder: Path, run_id: str) -> Path | None:
-    """The recording of that id (its file name without .mcap); None when there is none in the folder itself."""
+    """The recording of that id (its file name without .mcap); None when the folder itself does not hold it."""
     if not _RUN_ID.fullmatch(run_id) or ".." in run_id:
         return None
     path = folder / f"{run_id}.mcap"

@@ -198,7 +198,7 @@ class Teaching:
     async def use(self, name: str) -> TaughtObject:
         """Use an object as the object of interest.
 
-        Raises: JobFailedError: there is none of that name, or its file cannot be read. BusyError: a job is running.
+        Raises: JobFailedError: no object has that name, or its file cannot be read. BusyError: a job is running.
         """
         if name not in self.names():
             raise JobFailedError(f"no object '{name}' has been taught; see the list", "no_such_object")
@@ -210,7 +210,7 @@ class Teaching:
         return found
 
     def remove(self, name: str) -> None:
-        """Forget a taught object. Raises: JobFailedError: there is none of that name, or it is in use."""
+        """Forget a taught object. Raises: JobFailedError: no object has that name, or it is in use."""
         if name not in self.names():
             raise JobFailedError(f"no object '{name}' has been taught; see the list", "no_such_object")
         if name == self.in_use:

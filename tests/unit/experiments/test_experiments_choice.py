@@ -23,21 +23,21 @@ def proposed(monkeypatch: pytest.MonkeyPatch, nats: dict[str, tuple[float, float
 
 
 def test_what_settles_two_of_three_pairs_is_no_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = proposed(monkeypatch, {"X": (0.3, 30.0, 30.0), "Y": (25.0, 1.0, 1.0)})
-    assert told["what"] == "X"
-    assert told["separates"] == [{"name": "load_droop", "joint": 1}]
-    assert told["expected_nats"] == 30.0
-    assert "load_droop from a sound machine" in told["why"]
-    assert [one["expected_nats"] for one in told["pairs"]] == [0.3, 30.0, 30.0]
+    choice = proposed(monkeypatch, {"X": (0.3, 30.0, 30.0), "Y": (25.0, 1.0, 1.0)})
+    assert choice["what"] == "X"
+    assert choice["separates"] == [{"name": "load_droop", "joint": 1}]
+    assert choice["expected_nats"] == 30.0
+    assert "load_droop from a sound machine" in choice["why"]
+    assert [one["expected_nats"] for one in choice["pairs"]] == [0.3, 30.0, 30.0]
 
 
 def test_what_tells_nothing_of_any_pair_is_not_proposed(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = proposed(monkeypatch, {"X": (4.0, 4.0, 4.0), "Y": (0.0, 1.0, 1.0)})
-    assert told["what"] is None
-    assert "no motion distinguishes valve_lag from transport_delay" in told["why"]
+    choice = proposed(monkeypatch, {"X": (4.0, 4.0, 4.0), "Y": (0.0, 1.0, 1.0)})
+    assert choice["what"] is None
+    assert "no motion distinguishes valve_lag from transport_delay" in choice["why"]
 
 
 def test_the_weightiest_pair_that_is_told_is_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = proposed(monkeypatch, {"X": (0.3, 5.0, 5.0), "Y": (25.0, 1.0, 1.0)})
-    assert told["what"] == "Y"
-    assert told["alternatives"] == {"X": 0.3, "Y": 25.0}
+    choice = proposed(monkeypatch, {"X": (0.3, 5.0, 5.0), "Y": (25.0, 1.0, 1.0)})
+    assert choice["what"] == "Y"
+    assert choice["alternatives"] == {"X": 0.3, "Y": 25.0}

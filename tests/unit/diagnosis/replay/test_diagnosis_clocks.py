@@ -29,7 +29,7 @@ def without_offset(place: Path, fault: Fault) -> Read:
 def test_pictures_are_placed_by_how_they_move(tmp_path: Path, fault: Fault, named: list[str]) -> None:
     whole = without_offset(tmp_path, fault)
     notes = [str(one) for one in whole.findings if one.code == "clock_offset_unknown"]
-    assert any("a camera that stamps late cannot be found" in one for one in notes)
+    assert any("a camera that stamps late cannot be found" in note for note in notes)
     assert "gap" not in {one.code for one in whole.findings}
     found: dict[str, Any] = answer(budget_of(whole))
     assert found["verdict"] == ("effects" if named else "none"), found["why"]
