@@ -25,6 +25,7 @@ from diagnosis.verdict import (
     has_baseline,
     stages_of,
     together_mm,
+    usual_level,
     verdict_of,
 )
 from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
@@ -198,15 +199,16 @@ def _column(
     left = _measured_mm(after, "structure")
     if left is None:  # nothing measured it: all that is known is what the confirmed effects do
         return Column(error.column, explained, 0.0, 0.0, False)
-    beyond = left * _beyond_noise(closing, "structure") if has_baseline(whole) else left
+    beyond = left * _beyond_noise(whole, closing, "structure") if has_baseline(whole) else left
     return Column(error.column, float(np.hypot(explained, beyond)), beyond, float(np.sqrt(left**2 - beyond**2)), True)
 
 
-def _beyond_noise(closing: Closing, stage: str) -> float:
-    """Which part of what a stage leaves (RMS, 0 to 1) its noise, a baseline's remainder with it, does not explain."""
-    own = [sums for parts in closing for row, sums in parts if row.stage == stage]
-    left, rows = sum(float(sums.after.sum()) for sums in own), sum(sums.rows for sums in own)
-    return float(np.sqrt(max(0.0, 1.0 - rows / left))) if left > 0.0 else 1.0
+def _beyond_noise(whole: Read, closing: Closing, stage: str) -> float:
+    """Which part of what a stage leaves (RMS, 0 to 1) is more than a healthy machine leaves at most."""
+    own = [(row, sums) for parts in closing for row, sums in parts if row.stage == stage]
+    left = sum(float(sums.after.sum()) for _, sums in own)
+    usual = sum(sums.rows * usual_level(whole, row) for row, sums in own)
+    return float(np.sqrt(max(0.0, 1.0 - usual / left))) if left > 0.0 else 1.0
 
 
 def _corners_left_mm(fits: tuple[WholeFit, ...]) -> float:

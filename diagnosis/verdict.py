@@ -83,6 +83,12 @@ def has_baseline(whole: Read) -> bool:
     return whole.nominal is not None and bool(whole.nominal.remainders)
 
 
+def usual_level(whole: Read, row: Shrink) -> float:
+    """Mean square, in floors, that a healthy machine's part stays below; 1 without a baseline."""
+    usual = None if whole.nominal is None else whole.nominal.remainder(row.stage, row.joint, row.measurement)
+    return 1.0 if usual is None else usual.level
+
+
 STAGES_OF_JOINTS = ("link", "controller", "actuator")
 WOULD_MEASURE = {
     "link": "log the reference as sent and as received",
@@ -106,7 +112,8 @@ def stages_of(
         (row.stage, row.joint)
         for parts in closing
         for row, sums in parts
-        if row.closed != UNKNOWN and sums.before.sum() > sums.rows  # more than the least noise that is believed
+        # more than the least noise that is believed, and than one more recording of the healthy machine leaves
+        if row.closed != UNKNOWN and sums.before.sum() > sums.rows * usual_level(whole, row)
     }
     before, after = places
     present = stages_present(whole)

@@ -17,6 +17,7 @@ LARGEST = 1e12  # of any number here: squares and sums of more leave what a floa
 # fmt: off
 KEYS = {
     "stage", "joint", "on", "sigma", "rms", "ar", "usual", "by_axis", "oscillation_rad", "form", "form_most", "wander",
+    "level",
 }
 # fmt: on
 Form = tuple[tuple[str, tuple[float, ...]], ...]
@@ -35,6 +36,7 @@ class Remainder:
     itself is wrong by there, as a function of what drives it (actuator [rad], points [m]): families and the numbers of
     each; `form_most`: the most that it gave for a baseline recording, mean square in floors, 0 where that does not
     matter. `wander`: how far numbers of effects are off from one day to the next, in each one's own unit.
+    `level`: mean square, in floors, that one more recording of the healthy machine stays below (99 % prediction limit).
     """
 
     stage: str
@@ -49,6 +51,7 @@ class Remainder:
     form: Form = ()
     form_most: float = 0.0
     wander: tuple[tuple[str, float], ...] = ()
+    level: float = 1.0
 
 
 def parse_baseline(tables: object, n_joints: int) -> "tuple[EffectEntry, ...]":
@@ -106,6 +109,7 @@ def _one(table: object, where: str) -> Remainder:
         _form(table.get("form", {}), where),
         _number(table, "form_most", 0.0, where),
         _wander(table.get("wander", {}), f"{where}: wander"),
+        _number({"level": 1.0, **table}, "level", 1.0, where),
     )
 
 
@@ -168,6 +172,7 @@ def _toml(one: Remainder) -> str:
         families = ", ".join(f"{json.dumps(name)} = [{', '.join(map(repr, row))}]" for name, row in one.form)
         more += f"form = {{ {families} }}\nform_most = {one.form_most!r}\n"
     more += _table("wander", one.wander)
+    more += f"level = {one.level!r}\n" if one.level != 1.0 else ""
     numbers = f"sigma = {one.sigma!r}\nrms = {one.rms!r}\n"
     return f'\n[[remainder]]\nstage = "{one.stage}"\n{joint}{on}{numbers}ar = [{", ".join(map(repr, one.ar))}]\n{more}'
 

@@ -8,7 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.baseline.left_over import cells_of, forms_of, remainders_of, with_baseline, with_mosts, with_wanders
+from diagnosis.baseline.left_over import (
+    cells_of,
+    forms_of,
+    remainders_of,
+    with_baseline,
+    with_levels,
+    with_mosts,
+    with_wanders,
+)
 from diagnosis.cells.behind import joined
 from diagnosis.errors import DiagnosisError
 from diagnosis.known.days import JUDGED_ENOUGH
@@ -91,6 +99,7 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     left = remainders_of(seen)
     progress("what its numbers wander by from day to day")
     left = with_wanders(left, _with_predicted(checked, entries, predicted, left))
+    left = with_levels(left, _with_predicted(checked, entries, predicted, left))
     remainders = _with_forms(left, forms)
     remainders = with_mosts(remainders, [with_baseline(recording, entries, remainders) for recording in wholes])
     progress("what each effect gains on the other recordings")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from scipy.special import stdtrit
 
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.point_residual import PointResidual
@@ -30,6 +31,7 @@ from machine.rotations import Array
 
 AXES = 3  # radial, tangential, up
 NOTHING = 1e-6  # share of the mean square
+LIKELY_BELOW = 0.99  # share of healthy recordings below a level
 WHITE = 1e-3  # of the variance: the least eigenvalue of the moments
 
 
@@ -84,6 +86,33 @@ def with_mosts(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[R
         replace(remainder, form_most=most_of(own, remainder.form)) if remainder.form else remainder
         for remainder, own in places
     )
+
+
+def with_levels(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[Remainder, ...]:
+    """Remainders with the mean square that one more recording like these, which they belong to, stays below."""
+    found = {
+        place: prediction_limit([_mean_square(cell) for cell in cells]) for place, cells in _by_place(wholes).items()
+    }
+    return tuple(
+        replace(remainder, level=max(1.0, found.get((remainder.stage, remainder.joint, remainder.on), 1.0)))
+        for remainder in remainders
+    )
+
+
+def prediction_limit(values: list[float]) -> float:
+    """What one more value of a log-normal sample stays below with LIKELY_BELOW; 1 for fewer than two.
+
+    Source: prediction interval of one future observation, unknown mean and variance (Student's t).
+    """
+    if len(values) < 2:
+        return 1.0
+    logs = np.log(np.maximum(values, NOTHING))
+    wide = float(stdtrit(len(logs) - 1, LIKELY_BELOW)) * np.sqrt(1.0 + 1.0 / len(logs))
+    return float(np.exp(logs.mean() + wide * logs.std(ddof=1)))
+
+
+def _mean_square(cell: Cell) -> float:
+    return float(np.mean(cell.whitened(cell.base)[0] ** 2))
 
 
 def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:

@@ -10,6 +10,7 @@ from diagnosis_cases import MACHINE_TOML, entry
 from made_up_cell import made_up
 from scipy.signal import lfilter
 
+from diagnosis.baseline.left_over import prediction_limit
 from diagnosis.cells.behind import joined, shown_behind, without
 from diagnosis.log.nominal import nominal_of
 from diagnosis.noise.floor import Floor, Whitener, with_remainder
@@ -27,7 +28,7 @@ from machine.errors import MachineFileError
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
 
 REMAINDER = Remainder("actuator", 2, "", 1.5e-5, 4e-5, (0.7, -0.1))
-OF_POINTS = Remainder("structure", None, "tracker", 1e-4, 2e-4, by_axis=(1e-4, 2e-4, 3e-4), oscillation_rad=4e-4)
+OF_POINTS = Remainder("structure", None, "tracker", 1e-4, 2e-4, by_axis=(1e-4, 2e-4, 3e-4), oscillation_rad=4e-4, level=1.2)
 
 
 def test_a_machine_file_carries_its_baseline() -> None:
@@ -48,6 +49,7 @@ def test_a_machine_file_carries_its_baseline() -> None:
         ({"stage": "link", "sigma": -1.0}, "sigma = -1"),
         ({"stage": "link", "spread": 1.5}, "a baseline of an older version has to be fitted again".capitalize()),
         ({"stage": "link", "joint": 0}, "joint = 0"),
+        ({"stage": "link", "level": 0.5}, "level = 0.5"),
         ({"stage": "link", "colour": 1}, "unknown key 'colour'"),
         ({"stage": "link", "ar": ["x"]}, "ar = 'x'"),
         ({"stage": "structure", "oscillation_rad": -1.0}, "oscillation_rad = -1"),
@@ -121,6 +123,14 @@ def test_joined_cells_ask_for_an_effect_once() -> None:
         term.effect.key for term in one.best.terms if term.present
     ]
     assert two.best.score < 1.5 * one.best.score < 0.0  # twice the cost of what is left
+
+
+def test_a_healthy_recording_stays_below_the_level_that_others_predict() -> None:
+    rng = np.random.default_rng(5)
+    sets = rng.lognormal(0.1, 0.3, (2000, 7))
+    below = [row[-1] < prediction_limit(list(row[:-1])) for row in sets]
+    assert 0.98 < np.mean(below) < 0.997
+    assert prediction_limit([1.3]) == 1.0
 
 
 def test_an_effect_can_be_taken_out_of_the_library() -> None:

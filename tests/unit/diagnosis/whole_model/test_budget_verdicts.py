@@ -5,7 +5,9 @@ from typing import Any, cast
 
 import pytest
 
-from diagnosis.verdict import Column, Line, StageLine, stage_verdict, verdict_of
+from diagnosis.shrink import Shrink
+from diagnosis.verdict import Column, Line, StageLine, stage_verdict, usual_level, verdict_of
+from machine.remainder import Remainder
 
 
 def line_of(probability: float) -> Line:
@@ -70,3 +72,11 @@ def test_a_stage_is_judged_by_its_own_millimetres(
     was: float | None, left: float | None, confirmed: bool, word: str
 ) -> None:
     assert stage_verdict(was, left, confirmed, small=0.5) == word
+
+
+def test_what_a_healthy_machine_leaves_is_read_from_its_baseline() -> None:
+    remainders = {("structure", None, "tracker"): Remainder("structure", None, "tracker", 1e-4, 1e-4, level=1.3)}
+    nominal = SimpleNamespace(remainder=lambda *place: remainders.get(place))
+    row = cast(Any, Shrink)("structure", None, "tracker", "m", 1.0, 1.0, 1.0, (None, None, None))
+    assert usual_level(cast(Any, SimpleNamespace(nominal=nominal)), row) == 1.3
+    assert usual_level(cast(Any, SimpleNamespace(nominal=None)), row) == 1.0
