@@ -10,7 +10,8 @@ from scipy.stats import chi2
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import costs
 from diagnosis.whole_model.linear import Term, linearised
-from diagnosis.whole_model.solve import Fitted, WholeFit, alike_delays
+from diagnosis.whole_model.refine import alike_delays
+from diagnosis.whole_model.solve import Fitted, WholeFit
 from diagnosis.whole_model.subsets import best_set
 from machine.rotations import Array
 

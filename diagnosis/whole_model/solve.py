@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from diagnosis.search.candidates import Candidate
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import STEP_SHARE, Fit, costs, evaluated_at, weights
-from diagnosis.whole_model.linear import Linearised, Term, about, linearised, packed
+from diagnosis.search.fit import Fit, costs, evaluated_at, weights
+from diagnosis.whole_model.linear import Linearised, Term, linearised, packed
+from diagnosis.whole_model.refine import SETTLED_NATS, bounded, refined
 from diagnosis.whole_model.subsets import (
     LinearProblem,
     Members,
@@ -21,12 +22,7 @@ from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 ROUNDS = 6
-STEPS = 10  # of Gauss-Newton between two choices
 FALLS = 0.9  # of the noise: a round that lowers it less ends the approach
-NEARLY_NATS = 0.5  # a step that gains less by tangents that were kept is followed by one of fresh ones
-SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
-SETTLED_NATS = 0.05
-CYCLES = 10  # of a PLC, to either side of a delay that a fit ended at
 CLEAR_NATS = 50.0  # by the linear model: a set that is so much worse is not refitted
 
 
@@ -265,116 +261,8 @@ def _chosen(lin: Linearised, problem: LinearProblem, members: Members) -> tuple[
         scanned = term.limits or term.effect.narrow
         if members[k] and not scanned and (term.smooth or not term.present):
             theta[: term.sizes] = x[lin.first[k] : lin.first[k] + term.sizes]
-        out.append(Term(term.effect, _bounded(term, theta), bool(members[k])))
+        out.append(Term(term.effect, bounded(term, theta), bool(members[k])))
     return tuple(out)
-
-
-def _bounded(term: Term, theta: Array) -> Array:
-    low = np.array([slot.low for slot in term.effect.slots])
-    high = np.array([slot.highest for slot in term.effect.slots])
-    inside = np.clip(theta, low, high)
-    return inside if term.present or not term.limits else theta
-
-
-def refined(
-    cell: Cell, terms: tuple[Term, ...], trust: Array, columns: dict[int, Array] | None = None
-) -> tuple[Term, ...]:
-    """Gauss-Newton of the present terms under their priors, from where they stand.
-
-    Args:  columns: by term, its tangents where the terms stood nearby; without them they are computed.
-    Model: tangents are kept while full steps by them help (chord method); the last step is by fresh ones.
-    """
-    some = [k for k, term in enumerate(terms) if term.present]
-    own = tuple(terms[k] for k in some)
-    if not own:
-        return terms
-    fresh = columns is None
-    lin = linearised(cell, own, to_move=True) if columns is None else about(cell, own, [columns[k] for k in some])
-    total = _total(lin, trust)
-    for _ in range(STEPS):
-        moved = _step(cell, lin, trust, SHARES if fresh else (1.0,), total)
-        gained = 0.0
-        if moved is not None:
-            gained, (lin, total) = total - moved[1], moved
-        if fresh and gained <= SETTLED_NATS:
-            break
-        if columns is not None and gained > NEARLY_NATS:
-            fresh = False
-        else:
-            lin, fresh = linearised(cell, lin.terms, to_move=True), True
-    moved = _at_whole_cycles(cell, lin, trust)
-    if _total(moved, trust) < total - NEARLY_NATS:
-        whole_cycles = dict(zip(some, moved.terms, strict=True))
-        return refined(cell, tuple(whole_cycles.get(k, term) for k, term in enumerate(terms)), trust)
-    lin = moved
-    by_number = dict(zip(some, (replace(term, present=not _vanished(term)) for term in lin.terms), strict=True))
-    return tuple(by_number.get(k, term) for k, term in enumerate(terms))
-
-
-def _step(
-    cell: Cell, lin: Linearised, trust: Array, shares: tuple[float, ...], total: float
-) -> tuple[Linearised, float] | None:
-    """The best of some shares of a Gauss-Newton step, with its total; None where none of them helps."""
-    own = lin.terms
-    now = np.concatenate([term.theta for term in own])
-    x = lin.problem(trust).estimate(np.ones(len(own), dtype=bool))[0]
-    ends = np.cumsum([len(term.theta) for term in own])[:-1]
-    moved = np.split(now + x - lin.x, ends)
-    target = np.concatenate([_bounded(term, theta) for term, theta in zip(own, moved, strict=True)])
-    trials = now + np.array(shares)[:, None] * (target - now)
-    tried = []
-    for row, left in zip(trials, evaluated_at(cell, packed(cell, own, trials)), strict=True):
-        there = tuple(replace(term, theta=theta) for term, theta in zip(own, np.split(row, ends), strict=True))
-        one = lin.at(there, left)
-        tried.append((_total(one, trust), one))
-    best, at = min(tried, key=lambda pair: pair[0])
-    return (at, best) if best < total else None
-
-
-def _at_whole_cycles(cell: Cell, lin: Linearised, trust: Array) -> Linearised:
-    """The terms with every delay in the middle of those whole PLC cycles near it that fit best; at none if that is
-    one of them.
-    """
-    for k, term in enumerate(lin.terms):
-        if term.effect.cycles is not None:
-            run = alike_delays(cell, lin, k, trust)
-            theta = run[0] if run[0, 0] == term.absent else run[len(run) // 2]
-            terms = tuple(other if j != k else replace(term, theta=theta) for j, other in enumerate(lin.terms))
-            lin = lin.at(terms, evaluated_at(cell, packed(cell, terms))[0])
-    return lin
-
-
-def alike_delays(cell: Cell, lin: Linearised, k: int, trust: Array) -> Array:
-    """Whole PLC cycles (m, 1) near a present delay, term k, that fit best and alike [s].
-
-    Why: what arrives is taken over at the next cycle and logged with the next row, so the cost is a staircase, which no
-    gradient crosses, and any delay on one tread is as good as any other.
-    """
-    term = lin.terms[k]
-    cycle_s = (term.effect.cycles or (0.0, 0.0))[0]
-    near = term.effect.settled(term.theta) + cycle_s * np.arange(-CYCLES, CYCLES + 1)[:, None]
-    tried = np.unique([_bounded(term, theta) for theta in near], axis=0)
-    sets = [
-        tuple(other if j != k else replace(term, theta=theta) for j, other in enumerate(lin.terms)) for theta in tried
-    ]
-    thetas = np.array([np.concatenate([term.theta for term in terms]) for terms in sets])
-    left = evaluated_at(cell, packed(cell, lin.terms, thetas))
-    totals = np.array([_total(lin.at(terms, residual), trust) for terms, residual in zip(sets, left, strict=True)])
-    alike, best = totals < totals.min() + NEARLY_NATS, int(np.argmin(totals))
-    first = best - int(np.argmin(alike[best::-1])) + 1 if not alike[: best + 1].all() else 0
-    end = best + int(np.argmin(alike[best:])) if not alike[best:].all() else len(tried)
-    return tried[first:end]
-
-
-def _total(lin: Linearised, trust: Array) -> float:
-    """Costs and priors of the terms as they stand, of columns to move by [nats]."""
-    return float((costs(lin.residual) * trust).sum() + 0.5 * ((lin.x / lin.slab) ** 2).sum())
-
-
-def _vanished(term: Term) -> bool:
-    """Whether a size that cannot be negative ended at nothing."""
-    slot = term.effect.slots[0]
-    return not term.limits and slot.low >= 0.0 and float(term.theta[0]) <= STEP_SHARE * slot.start
 
 
 def trusted(cell: Cell, terms: tuple[Term, ...]) -> Array:
