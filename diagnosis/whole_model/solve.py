@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from diagnosis.search.candidates import Candidate
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import STEP_SHARE, Fit, costs, evaluated_at, weights
-from diagnosis.whole_model.linear import Linearised, Term, about, linearised, packed
+from diagnosis.search.fit import STEP_SHARE, Fit, evaluated_at, soft_l1_costs, soft_l1_weights
+from diagnosis.whole_model.linear import EffectTerm, LinearModel, about, linearise_terms, pack_terms
 from diagnosis.whole_model.subsets import (
     LinearProblem,
     Members,
@@ -36,12 +36,12 @@ class Fitted:
     of the set [nats, up to a constant of the part].
     """
 
-    lin: Linearised
+    lin: LinearModel
     problem: LinearProblem
     score: float
 
     @property
-    def terms(self) -> tuple[Term, ...]:
+    def terms(self) -> tuple[EffectTerm, ...]:
         """The library's terms as they stand."""
         return self.lin.terms
 
@@ -69,18 +69,18 @@ class WholeFit:
     settled: bool
 
 
-def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = ()) -> WholeFit:
+def fit_and_prune(cell: Cell, library: tuple[Candidate, ...], start: tuple[EffectTerm, ...] = ()) -> WholeFit:
     """Fit a part by all effects of a library together, and prune. `start`: terms to begin with, in place of a library.
 
     Model: rounds of (columns about where the terms stand; best set of the linear model; Gauss-Newton of that set). At
            the end the best set without each term is refitted; where one of these is better, it takes the place.
     """
-    terms = start or tuple(Term(effect, np.zeros(len(effect.slots)), False) for effect in library)
+    terms = start or tuple(EffectTerm(effect, np.zeros(len(effect.slots)), False) for effect in library)
     twins = _twins(cell, terms)
     own = np.ones(len(terms), dtype=bool)
     own[[out for _, out in twins]] = False
     terms = start or _approached(cell, terms, own)
-    trust = trusted(cell, terms)
+    trust = trusted_rows(cell, terms)
     fitted = _fitted(cell, terms, trust)
     if not start:
         fitted, trust = _grown(cell, fitted, trust, own)
@@ -110,7 +110,7 @@ def _grown(cell: Cell, fitted: Fitted, trust: Array, own: Members) -> tuple[Fitt
     then effects enter one at a time, each refitted before the next.
     """
     terms = tuple(replace(term, present=False) for term in fitted.terms)
-    own_trust = trusted(cell, terms)
+    own_trust = trusted_rows(cell, terms)
     grown = _fitted(cell, terms, own_trust)
     if cell.usual is None:
         even = grown.lin.problem(np.ones(cell.rows.count))
@@ -125,16 +125,16 @@ def _grown(cell: Cell, fitted: Fitted, trust: Array, own: Members) -> tuple[Fitt
     return (grown, own_trust) if grown.score > score_at(fitted.lin, own_trust) else (fitted, trust)
 
 
-def _better(cell: Cell, fitted: Fitted, trust: Array, lin: Linearised, members: Members) -> tuple[Fitted, Array, bool]:
+def _better(cell: Cell, fitted: Fitted, trust: Array, lin: LinearModel, members: Members) -> tuple[Fitted, Array, bool]:
     """The fit of another set, from columns `lin`, with its trust, where it is better by that; else the one at hand."""
-    terms = refined(cell, _chosen(lin, lin.problem(trust), members), trust)
-    own_trust = trusted(cell, terms)
+    terms = refine_present_terms(cell, _chosen(lin, lin.problem(trust), members), trust)
+    own_trust = trusted_rows(cell, terms)
     tried = _fitted(cell, terms, own_trust)
     better = tried.score > score_at(fitted.lin, own_trust)
     return (tried, own_trust, True) if better else (fitted, trust, False)
 
 
-def _approached(cell: Cell, terms: tuple[Term, ...], own: Members) -> tuple[Term, ...]:
+def _approached(cell: Cell, terms: tuple[EffectTerm, ...], own: Members) -> tuple[EffectTerm, ...]:
     """The best set of the terms `own` that may enter, found from far away: all smooth effects together, then pruned.
 
     Model: each part's noise is taken for as large as what the terms leave of it, until that falls no more. So the
@@ -146,10 +146,12 @@ def _approached(cell: Cell, terms: tuple[Term, ...], own: Members) -> tuple[Term
     left = _by_part(cell, tuple(replace(term, present=False) for term in terms))
     for k in range(ROUNDS):
         near = replace(cell, whitened=_Inflated(cell.whitened, left))
-        terms = refined(near, terms, even)
-        lin = linearised(near, terms)
+        terms = refine_present_terms(near, terms, even)
+        lin = linearise_terms(near, terms)
         problem = lin.problem(even)
-        terms = refined(near, _chosen(lin, problem, best_set(problem, own if k == 0 else lin.present, own)), even)
+        terms = refine_present_terms(
+            near, _chosen(lin, problem, best_set(problem, own if k == 0 else lin.present, own)), even
+        )
         before, left = left, _by_part(cell, terms)
         if (left > FALLS * before).all():
             break
@@ -167,22 +169,22 @@ class _Inflated:
         return np.asarray(self.whitened(sets) / self.times, dtype=float)
 
 
-def _by_part(cell: Cell, terms: tuple[Term, ...]) -> Array:
+def _by_part(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
     """By how much what terms leave exceeds the noise, of each row's part (N,), at least 1."""
-    residual = evaluated_at(cell, packed(cell, terms))[0]
+    residual = evaluated_at(cell, pack_terms(cell, terms))[0]
     return np.concatenate(
         [np.full(len(own), max(1.0, float(np.sqrt(np.mean(own**2))))) for _, own in cell.by_part(residual)]
     )
 
 
-def _twins(cell: Cell, terms: tuple[Term, ...]) -> tuple[tuple[int, int], ...]:
+def _twins(cell: Cell, terms: tuple[EffectTerm, ...]) -> tuple[tuple[int, int], ...]:
     """Pairs of smooth terms that do the same where both are absent: the one kept, and the one it stands for."""
     smooth = [k for k, term in enumerate(terms) if term.smooth]
     absent = tuple(replace(terms[k], theta=np.zeros_like(terms[k].theta), present=False) for k in smooth)
-    return tuple((smooth[kept], smooth[out]) for kept, out in linearised(cell, absent).twins())
+    return tuple((smooth[kept], smooth[out]) for kept, out in linearise_terms(cell, absent).twins())
 
 
-def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
+def fit_of(terms: Sequence[EffectTerm], lin: LinearModel | None = None) -> Fit:
     """The present terms as a plain fit, for what compares, writes or plans by one. `lin`: about them, for J."""
     some = [term for term in terms if term.present]
     theta = np.concatenate([term.theta for term in some]) if some else np.zeros(0)
@@ -190,42 +192,42 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
     residual = np.zeros(0) if lin is None else lin.residual
     J = np.zeros((0, len(theta))) if lin is None else lin.J[:, cols]
     effects = tuple(term.effect for term in some)
-    return Fit(effects, theta, residual, J, float(costs(residual).sum()))
+    return Fit(effects, theta, residual, J, float(soft_l1_costs(residual).sum()))
 
 
-def only(fit: WholeFit, terms: Sequence[Term]) -> tuple[Term, ...]:
+def refit_terms(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
     """Some present terms of a fit (the same objects), fitted again as if nothing else were there."""
     kept = {id(term) for term in terms}
     whole = all(id(term) in kept for term in fit.best.terms if term.present)
     return tuple(term for term in (fit.best.terms if whole else _with_only(fit, terms)) if term.present)
 
 
-def reduced(fit: WholeFit, terms: Sequence[Term]) -> WholeFit:
+def refit_reduced(fit: WholeFit, terms: Sequence[EffectTerm]) -> WholeFit:
     """A fit with some of its present terms only, fitted again, trusted as far as what they leave allows."""
     some = _with_only(fit, terms)
-    trust = trusted(fit.cell, some)
+    trust = trusted_rows(fit.cell, some)
     return replace(fit, best=_fitted(fit.cell, some, trust), trust=trust, rivals={})
 
 
-def _with_only(fit: WholeFit, terms: Sequence[Term]) -> tuple[Term, ...]:
+def _with_only(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
     kept = {id(term) for term in terms}
     some = tuple(replace(term, present=id(term) in kept) for term in fit.best.terms)
-    return refined(fit.cell, some, fit.trust)
+    return refine_present_terms(fit.cell, some, fit.trust)
 
 
-def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:
-    lin = linearised(cell, terms, absent=absent)
+def _fitted(cell: Cell, terms: tuple[EffectTerm, ...], trust: Array, absent: bool = True) -> Fitted:
+    lin = linearise_terms(cell, terms, absent=absent)
     return Fitted(lin, lin.problem(trust), score_at(lin, trust))
 
 
-def score_at(lin: Linearised, trust: Array) -> float:
+def score_at(lin: LinearModel, trust: Array) -> float:
     """Log posterior of the present set where it stands: Laplace, with the costs as they are [nats]."""
     problem, members = lin.problem(trust), lin.present
     cols = np.repeat(members, np.diff(lin.first))
     x, slab = lin.x[cols], problem.slab[cols]
     A = np.eye(len(x)) + slab[:, None] * problem.H[np.ix_(cols, cols)] * slab
     prior = float(problem.log_odds[members].sum()) - 0.5 * float(((x / slab) ** 2).sum())
-    return prior - float((costs(lin.residual) * trust).sum()) - 0.5 * float(np.linalg.slogdet(A)[1])
+    return prior - float((soft_l1_costs(lin.residual) * trust).sum()) - 0.5 * float(np.linalg.slogdet(A)[1])
 
 
 def _rival(
@@ -245,16 +247,16 @@ def _rival(
     }
     short = [k for k, J in entering.items() if J.shape[1] < len(chosen[k].theta)]  # shapes have no column while absent
     given = None if short else {**columns, **entering}
-    return _fitted(cell, refined(cell, chosen, trust, given), trust, absent=False)
+    return _fitted(cell, refine_present_terms(cell, chosen, trust, given), trust, absent=False)
 
 
 def _tangents(cell: Cell, fitted: Fitted) -> dict[int, Array]:
     some = [k for k, term in enumerate(fitted.terms) if term.present]
-    lin = linearised(cell, tuple(fitted.terms[k] for k in some), to_move=True)
+    lin = linearise_terms(cell, tuple(fitted.terms[k] for k in some), to_move=True)
     return {k: lin.columns(at) for at, k in enumerate(some)}
 
 
-def _chosen(lin: Linearised, problem: LinearProblem, members: Members) -> tuple[Term, ...]:
+def _chosen(lin: LinearModel, problem: LinearProblem, members: Members) -> tuple[EffectTerm, ...]:
     """The terms with the sizes that the linear model gives to a set's members; present thresholds and shapes stay, and
     what is limited or narrow enters as it was scanned.
     """
@@ -265,20 +267,20 @@ def _chosen(lin: Linearised, problem: LinearProblem, members: Members) -> tuple[
         scanned = term.limits or term.effect.narrow
         if members[k] and not scanned and (term.smooth or not term.present):
             theta[: term.sizes] = x[lin.first[k] : lin.first[k] + term.sizes]
-        out.append(Term(term.effect, _bounded(term, theta), bool(members[k])))
+        out.append(EffectTerm(term.effect, _bounded(term, theta), bool(members[k])))
     return tuple(out)
 
 
-def _bounded(term: Term, theta: Array) -> Array:
+def _bounded(term: EffectTerm, theta: Array) -> Array:
     low = np.array([slot.low for slot in term.effect.slots])
     high = np.array([slot.highest for slot in term.effect.slots])
     inside = np.clip(theta, low, high)
     return inside if term.present or not term.limits else theta
 
 
-def refined(
-    cell: Cell, terms: tuple[Term, ...], trust: Array, columns: dict[int, Array] | None = None
-) -> tuple[Term, ...]:
+def refine_present_terms(
+    cell: Cell, terms: tuple[EffectTerm, ...], trust: Array, columns: dict[int, Array] | None = None
+) -> tuple[EffectTerm, ...]:
     """Gauss-Newton of the present terms under their priors, from where they stand.
 
     Args:  columns: by term, its tangents where the terms stood nearby; without them they are computed.
@@ -289,7 +291,7 @@ def refined(
     if not own:
         return terms
     fresh = columns is None
-    lin = linearised(cell, own, to_move=True) if columns is None else about(cell, own, [columns[k] for k in some])
+    lin = linearise_terms(cell, own, to_move=True) if columns is None else about(cell, own, [columns[k] for k in some])
     total = _total(lin, trust)
     for _ in range(STEPS):
         moved = _step(cell, lin, trust, SHARES if fresh else (1.0,), total)
@@ -301,19 +303,19 @@ def refined(
         if columns is not None and gained > NEARLY_NATS:
             fresh = False
         else:
-            lin, fresh = linearised(cell, lin.terms, to_move=True), True
+            lin, fresh = linearise_terms(cell, lin.terms, to_move=True), True
     moved = _at_whole_cycles(cell, lin, trust)
     if _total(moved, trust) < total - NEARLY_NATS:
         whole_cycles = dict(zip(some, moved.terms, strict=True))
-        return refined(cell, tuple(whole_cycles.get(k, term) for k, term in enumerate(terms)), trust)
+        return refine_present_terms(cell, tuple(whole_cycles.get(k, term) for k, term in enumerate(terms)), trust)
     lin = moved
     by_number = dict(zip(some, (replace(term, present=not _vanished(term)) for term in lin.terms), strict=True))
     return tuple(by_number.get(k, term) for k, term in enumerate(terms))
 
 
 def _step(
-    cell: Cell, lin: Linearised, trust: Array, shares: tuple[float, ...], total: float
-) -> tuple[Linearised, float] | None:
+    cell: Cell, lin: LinearModel, trust: Array, shares: tuple[float, ...], total: float
+) -> tuple[LinearModel, float] | None:
     """The best of some shares of a Gauss-Newton step, with its total; None where none of them helps."""
     own = lin.terms
     now = np.concatenate([term.theta for term in own])
@@ -323,7 +325,7 @@ def _step(
     target = np.concatenate([_bounded(term, theta) for term, theta in zip(own, moved, strict=True)])
     trials = now + np.array(shares)[:, None] * (target - now)
     tried = []
-    for row, left in zip(trials, evaluated_at(cell, packed(cell, own, trials)), strict=True):
+    for row, left in zip(trials, evaluated_at(cell, pack_terms(cell, own, trials)), strict=True):
         there = tuple(replace(term, theta=theta) for term, theta in zip(own, np.split(row, ends), strict=True))
         one = lin.at(there, left)
         tried.append((_total(one, trust), one))
@@ -331,7 +333,7 @@ def _step(
     return (at, best) if best < total else None
 
 
-def _at_whole_cycles(cell: Cell, lin: Linearised, trust: Array) -> Linearised:
+def _at_whole_cycles(cell: Cell, lin: LinearModel, trust: Array) -> LinearModel:
     """The terms with every delay in the middle of those whole PLC cycles near it that fit best; at none if that is
     one of them.
     """
@@ -340,11 +342,11 @@ def _at_whole_cycles(cell: Cell, lin: Linearised, trust: Array) -> Linearised:
             run = alike_delays(cell, lin, k, trust)
             theta = run[0] if run[0, 0] == term.absent else run[len(run) // 2]
             terms = tuple(other if j != k else replace(term, theta=theta) for j, other in enumerate(lin.terms))
-            lin = lin.at(terms, evaluated_at(cell, packed(cell, terms))[0])
+            lin = lin.at(terms, evaluated_at(cell, pack_terms(cell, terms))[0])
     return lin
 
 
-def alike_delays(cell: Cell, lin: Linearised, k: int, trust: Array) -> Array:
+def alike_delays(cell: Cell, lin: LinearModel, k: int, trust: Array) -> Array:
     """Whole PLC cycles (m, 1) near a present delay, term k, that fit best and alike [s].
 
     Why: what arrives is taken over at the next cycle and logged with the next row, so the cost is a staircase, which no
@@ -358,7 +360,7 @@ def alike_delays(cell: Cell, lin: Linearised, k: int, trust: Array) -> Array:
         tuple(other if j != k else replace(term, theta=theta) for j, other in enumerate(lin.terms)) for theta in tried
     ]
     thetas = np.array([np.concatenate([term.theta for term in terms]) for terms in sets])
-    left = evaluated_at(cell, packed(cell, lin.terms, thetas))
+    left = evaluated_at(cell, pack_terms(cell, lin.terms, thetas))
     totals = np.array([_total(lin.at(terms, residual), trust) for terms, residual in zip(sets, left, strict=True)])
     alike, best = totals < totals.min() + NEARLY_NATS, int(np.argmin(totals))
     first = best - int(np.argmin(alike[best::-1])) + 1 if not alike[: best + 1].all() else 0
@@ -366,25 +368,25 @@ def alike_delays(cell: Cell, lin: Linearised, k: int, trust: Array) -> Array:
     return tried[first:end]
 
 
-def _total(lin: Linearised, trust: Array) -> float:
+def _total(lin: LinearModel, trust: Array) -> float:
     """Costs and priors of the terms as they stand, of columns to move by [nats]."""
-    return float((costs(lin.residual) * trust).sum() + 0.5 * ((lin.x / lin.slab) ** 2).sum())
+    return float((soft_l1_costs(lin.residual) * trust).sum() + 0.5 * ((lin.x / lin.slab) ** 2).sum())
 
 
-def _vanished(term: Term) -> bool:
+def _vanished(term: EffectTerm) -> bool:
     """Whether a size that cannot be negative ended at nothing."""
     slot = term.effect.slots[0]
     return not term.limits and slot.low >= 0.0 and float(term.theta[0]) <= STEP_SHARE * slot.start
 
 
-def trusted(cell: Cell, terms: tuple[Term, ...]) -> Array:
+def trusted_rows(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
     """How far each row speaks for itself (N,), from what the present terms leave.
 
     Model:  per part, k / tr(H^-1 K), H = J'J, K the sum over blocks of the blocks' scores squared: the size by which a
             working likelihood of independent rows has to be scaled so that its mean drop is that of the true one.
     Source: Pauli, Racugno, Ventura 2011, eq. 2.4 (magnitude adjustment of a composite likelihood).
     """
-    lin = linearised(cell, tuple(term for term in terms if term.present))
+    lin = linearise_terms(cell, tuple(term for term in terms if term.present))
     out, start = np.ones(len(lin.residual)), 0
     for part in cell.parts or (cell,):
         own = slice(start, start + part.rows.count)
@@ -394,7 +396,7 @@ def trusted(cell: Cell, terms: tuple[Term, ...]) -> Array:
 
 
 def _magnitude(J: Array, residual: Array, block: NDArray[np.int64]) -> float:
-    w = weights(residual)
+    w = soft_l1_weights(residual)
     spread = float((w * residual**2).sum() / max(1, len(residual) - J.shape[1]))
     norm = np.sqrt((J**2).sum(axis=0))
     J = J[:, norm > 0.0] / norm[norm > 0.0]

@@ -84,7 +84,7 @@ class Identification:
             raise JobFailedError("no identification was planned; send plan_identify first", "plan_refused")
         return planned, session.drive
 
-    def follow(self, job: Job, recording: Path | None) -> None:
+    def after_drive(self, job: Job, recording: Path | None) -> None:
         """After a drive, whole or cut short: keep its recording, and diagnose all of them once nothing is left."""
         session = self.session
         if job.kind != "identify" or session is None:

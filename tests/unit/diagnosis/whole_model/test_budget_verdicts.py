@@ -5,15 +5,15 @@ from typing import Any, cast
 
 import pytest
 
-from diagnosis.verdict import Column, Line, StageLine, stage_verdict, verdict_of
+from diagnosis.verdict import BudgetColumn, EffectLine, StageLine, stage_verdict, verdict_of
 
 
-def line_of(probability: float) -> Line:
-    return Line(cast(Any, None), "stands", 1.0, 0.9, 1.1, 1.0, 1.0, probability)
+def line_of(probability: float) -> EffectLine:
+    return EffectLine(cast(Any, None), "stands", 1.0, 0.9, 1.1, 1.0, 1.0, probability)
 
 
-def column_of(before_mm: float, after_mm: float) -> Column:
-    return Column("stands", before_mm, after_mm, 0.0, True)
+def column_of(before_mm: float, after_mm: float) -> BudgetColumn:
+    return BudgetColumn("stands", before_mm, after_mm, 0.0, True)
 
 
 def verdict(
