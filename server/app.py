@@ -37,7 +37,7 @@ from server.jobs.service import JobService
 from server.link.client import LinkClient
 from server.recorder import Recorder
 from server.settings import HttpSettings, ServerSettings, read_machine_text
-from server.settings_source import machine_text_with, source_and_machine
+from server.settings_source import machine_text_with_camera, source_and_machine
 from server.shell_settings import link_settings, vision_settings
 from server.store.database import Database
 from server.store.folder_lock import alone_in
@@ -59,7 +59,7 @@ def build_cell(settings: ServerSettings) -> Cell:
     not_commissioned = why_not_commissioned(settings.jog.commissioning_report, machine_text)
     source, machine = source_and_machine(settings.camera, parse_machine_toml(machine_text))
     if settings.camera.calibration is not None:
-        machine_text = machine_text_with(machine_text, machine.camera)  # recordings say what their pictures were
+        machine_text = machine_text_with_camera(machine_text, machine.camera)  # recordings say what their pictures were
     return Cell(
         settings=settings,
         machine=machine,

@@ -9,7 +9,7 @@ from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.experiments.described import describe_motions
 from diagnosis.experiments.library import Experiment, Motion, library_motions
 from diagnosis.experiments.postures import candidate_postures, gravity_extremes, is_object_visible, look_posture_choices
-from diagnosis.experiments.prediction import Hypothesis, rows_of_motion, rows_of_postures, sets_of
+from diagnosis.experiments.prediction import Hypothesis, residuals_with_postures, rows_of_motion, sets_of
 from diagnosis.experiments.separation import separation_nats
 from diagnosis.log.nominal import Nominal
 from diagnosis.reading.read import Read
@@ -135,7 +135,7 @@ def _nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
         if isinstance(experiment, Motion):
             rows, holds = rows_of_motion(whole, cell, experiment, truth), True
         else:
-            rows, holds = rows_of_postures(whole, cell, experiment, truth), False
+            rows, holds = residuals_with_postures(whole, cell, experiment, truth), False
         if rows is None:
             return 0.0
         both.append(separation_nats(pair.cell, pair.spread, rows, truth, other, holds))

@@ -92,7 +92,7 @@ def _predicted(whole: Read, replayer: Replayer, motion: Motion, truth: Parameter
     return Stretch(motion.name, motion.kind, "", 0.0, plant.log_cycle_s, t_log, ref, out.enc[0], u, sent)
 
 
-def rows_of_postures(whole: Read, cell: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
+def residuals_with_postures(whole: Read, cell: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
     """Residuals of the cell's looks or points together with those from more postures; None where it has neither."""
     parts = cell.parts or (cell,)
     extended = [_extended(part, postures, truth) for part in parts]

@@ -53,7 +53,7 @@ class Identification:
         ended = f" after '{session.ended}'" if session.ended else ""
         return f"paused{ended}: {left}; plan the rest with resume, or diagnose what is recorded"
 
-    def unfinished(self, body: PlanIdentifyRequest) -> Drive | None:
+    def drive_to_resume(self, body: PlanIdentifyRequest) -> Drive | None:
         """The drive of which the rest is to be planned; None where the request is for a new one.
 
         Raises: JobFailedError: there is none to resume.

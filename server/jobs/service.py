@@ -230,7 +230,7 @@ class JobService:
                 return servo(ctx)
             case PlanIdentifyRequest():
                 desk = self.identification
-                return plan_identification(ctx, body.minutes, body.wall_free, desk.unfinished(body), desk.keep)
+                return plan_identification(ctx, body.minutes, body.wall_free, desk.drive_to_resume(body), desk.keep)
             case IdentifyRequest():
                 return drive_identification(ctx, *self.identification.executable(body, mono_ns()))
             case RetractRequest():
