@@ -9,16 +9,16 @@ import numpy as np
 from diagnosis.budget import Budget
 from diagnosis.cells.points import left_out
 from diagnosis.experiments.choice import Key, Pair, experiment_for
-from diagnosis.experiments.prediction import held
+from diagnosis.experiments.prediction import hypothesis_at_fit
 from diagnosis.localise import Place, merged_stages, totals_of
 from diagnosis.search.candidates import Candidate
 from diagnosis.search.fit import Fit
-from diagnosis.shrink import closed_share, rms_of, together
+from diagnosis.shrink import closed_share, gap_closed_of_parts, rms_of
 from diagnosis.sliding import in_metres
-from diagnosis.verdict import Line
-from diagnosis.whole_model.evidence import EQUAL_T, detectable
-from diagnosis.whole_model.linear import Term
-from diagnosis.whole_model.probability import FEATURES, features
+from diagnosis.verdict import EffectLine
+from diagnosis.whole_model.evidence import EQUAL_T, smallest_detectable
+from diagnosis.whole_model.linear import EffectTerm
+from diagnosis.whole_model.probability import FEATURES, evidence_features
 from diagnosis.whole_model.solve import Fitted, WholeFit, fit_of
 from machine.effects.registry import effect_of
 from machine.effects.spec import Direction
@@ -29,7 +29,7 @@ OPEN_NATS = 0.5 * EQUAL_T  # two sets closer than this are a doubt that an exper
 DIGITS = 4
 
 
-def answer(found: Budget) -> dict[str, Any]:
+def answer_json(found: Budget) -> dict[str, Any]:
     """Everything the contract asks for."""
     hypotheses = _hypotheses(found)
     result: dict[str, Any] = {
@@ -78,11 +78,11 @@ def answer(found: Budget) -> dict[str, Any]:
         "next_experiment": experiment_for(found.whole, _open_pairs(found), found.verdict in ("none", "effects")),
     }
     nominal = found.whole.nominal
-    result["budget"]["sentence"] = sentence(result["budget"])
+    result["budget"]["sentence"] = summary_sentence(result["budget"])
     return in_metres(result, nominal.sliding) if nominal is not None and any(nominal.sliding) else result
 
 
-def sentence(budget: dict[str, Any]) -> str:
+def summary_sentence(budget: dict[str, Any]) -> str:
     """What the model misses by, how much of it is explained, what is left."""
     if not budget["columns"]:
         return "Nothing in this recording says what the effects do at the tool."
@@ -120,7 +120,7 @@ def _budget(found: Budget) -> dict[str, Any]:
     }
 
 
-def _line(line: Line, machine: tuple[Term, ...]) -> dict[str, Any]:
+def _line(line: EffectLine, machine: tuple[EffectTerm, ...]) -> dict[str, Any]:
     evidence = line.evidence
     used = next((term for term in machine if term.effect == evidence.term.effect), None)
     return {
@@ -129,24 +129,24 @@ def _line(line: Line, machine: tuple[Term, ...]) -> dict[str, Any]:
         "tool_mm": _mm(line.mm),
         "tool_low_mm": _mm(line.low_mm),
         "tool_high_mm": _mm(line.high_mm),
-        "squares_mm2": rounded(line.squares_mm2),
-        "share_frac": rounded(line.share_frac),
-        "probability": rounded(line.probability),
+        "squares_mm2": round_numbers(line.squares_mm2),
+        "share_frac": round_numbers(line.share_frac),
+        "probability": round_numbers(line.probability),
         "status": line.status,
         "used": None if used is None else _used(used),
         "equals": [[_key(member) for member in members] for members in evidence.equals],
         "evidence": {
-            "gain_nats": rounded(evidence.gain_nats),
-            "size_over_sd": rounded(evidence.z),
-            "scatter_frac": rounded(evidence.scatter),
-            "left_floors": rounded(evidence.left),
+            "gain_nats": round_numbers(evidence.gain_nats),
+            "size_over_sd": round_numbers(evidence.z),
+            "scatter_frac": round_numbers(evidence.scatter),
+            "left_floors": round_numbers(evidence.left),
             "noise_known": evidence.noise_known,
-            "figures": dict(zip(FEATURES, [rounded(float(x)) for x in features(evidence)], strict=True)),
+            "figures": dict(zip(FEATURES, [round_numbers(float(x)) for x in evidence_features(evidence)], strict=True)),
         },
     }
 
 
-def _used(term: Term) -> dict[str, Any]:
+def _used(term: EffectTerm) -> dict[str, Any]:
     """A machine file's numbers of an effect, fitted without the doubtful ones."""
     table = _effect_table(term.effect, np.stack([term.theta] * 3, axis=1))
     return {
@@ -155,7 +155,7 @@ def _used(term: Term) -> dict[str, Any]:
     }
 
 
-def _effect(line: Line) -> dict[str, Any]:
+def _effect(line: EffectLine) -> dict[str, Any]:
     term, (low, high) = line.evidence.term, line.evidence.limits
     return _effect_table(term.effect, np.stack([term.theta, low, high], axis=1))
 
@@ -179,7 +179,7 @@ def _effect_table(candidate: Candidate, numbers: Array) -> dict[str, Any]:
 
 def _number(number: Array, unit: str) -> dict[str, Any]:
     low, high = _round_outward(float(number[1]), -1), _round_outward(float(number[2]), 1)
-    return {"value": rounded(float(number[0])), "unit": unit, "low": low, "high": high}
+    return {"value": round_numbers(float(number[0])), "unit": unit, "low": low, "high": high}
 
 
 def _vector(name: str, unit: str, direction: Direction, numbers: Array) -> dict[str, Any]:
@@ -190,8 +190,8 @@ def _vector(name: str, unit: str, direction: Direction, numbers: Array) -> dict[
     along = (vector / size).tolist() if size > 0.0 else vector.tolist()
     low, high = _round_outward(max(0.0, size - half), -1), _round_outward(size + half, 1)
     return {
-        name: {"value": rounded(size), "unit": unit, "low": low, "high": high},
-        direction.name: {"value": [rounded(x) for x in along], "unit": "1", "low": None, "high": None},
+        name: {"value": round_numbers(size), "unit": unit, "low": low, "high": high},
+        direction.name: {"value": [round_numbers(x) for x in along], "unit": "1", "low": None, "high": None},
     }
 
 
@@ -204,12 +204,12 @@ def _hypotheses(found: Budget) -> list[dict[str, Any]]:
     return [
         {
             "effects": [_effect(line) for line in likely],
-            "probability": rounded(all_there),
+            "probability": round_numbers(all_there),
         }
     ]
 
 
-def _key(term: Term) -> dict[str, Any]:
+def _key(term: EffectTerm) -> dict[str, Any]:
     return {"name": term.effect.name, "joint": term.effect.joint}
 
 
@@ -247,14 +247,14 @@ def _shrink(found: Budget) -> dict[str, Any]:
     sums = [sums for gap, _, sums in parts if gap.fit.k] or [sums for _, _, sums in parts]
     if not sums:
         return {"overall": {}, "stages": stages}
-    whole = together(sums)
+    whole = gap_closed_of_parts(sums)
     metric = {"metric": "RMS of held-out residuals where a gap was found", "unit": "noise floors"}
     return {"overall": {**metric, **_closed(rms_of(whole), closed_share(whole))}, "stages": stages}
 
 
 def _closed(rms: Sequence[float], closed: Sequence[float | None]) -> dict[str, Any]:
     names = ("before", "after", "floor", "closed_frac", "low", "high")
-    return dict(zip(names, map(rounded, (*rms, *closed)), strict=True))
+    return dict(zip(names, map(round_numbers, (*rms, *closed)), strict=True))
 
 
 def _localisation(places: tuple[Place, ...]) -> list[dict[str, Any]]:
@@ -265,11 +265,11 @@ def _localisation(places: tuple[Place, ...]) -> list[dict[str, Any]]:
             "joint": place.joint,
             "axis": place.axis,
             "regime": place.regime,
-            "gap": rounded(place.gap),
-            "floor": rounded(place.floor),
+            "gap": round_numbers(place.gap),
+            "floor": round_numbers(place.floor),
             "unit": place.unit,
-            "gap_tcp_mm": rounded(place.tcp_mm),
-            "share_frac": rounded(place.share_frac),
+            "gap_tcp_mm": round_numbers(place.tcp_mm),
+            "share_frac": round_numbers(place.share_frac),
         }
         for place in (*totals_of(places), *places)
     ]
@@ -277,12 +277,12 @@ def _localisation(places: tuple[Place, ...]) -> list[dict[str, Any]]:
 
 def _detection_limits(found: Budget) -> Iterator[dict[str, Any]]:
     for fit in found.fits:
-        for k, size in detectable(fit).items():
+        for k, size in smallest_detectable(fit).items():
             slot = fit.best.terms[k].effect.slots[0]
             yield {
                 **_key(fit.best.terms[k]),
                 "parameter": slot.parameter,
-                "size": rounded(float(size)),
+                "size": round_numbers(float(size)),
                 "unit": slot.spec.unit,
             }
 
@@ -315,8 +315,8 @@ def _searched(fit: WholeFit) -> dict[str, Any]:
         "rows": fit.cell.rows.count,
         "rivals": sum(rival is not None for rival in fit.rivals.values()),
         "candidates": len(fit.best.terms),
-        "spread": rounded(float(np.mean(fit.best.lin.residual**2))),
-        "trust": rounded(float(np.mean(fit.trust))),
+        "spread": round_numbers(float(np.mean(fit.best.lin.residual**2))),
+        "trust": round_numbers(float(np.mean(fit.trust))),
         "floor_known": fit.cell.floor_known,
         "settled": fit.settled,
     }
@@ -326,10 +326,10 @@ def _open_pairs(found: Budget) -> list[list[Pair]]:
     """Doubts by part: the best set against each rival that the recording does not exclude, heaviest first."""
     out = []
     for fit in found.fits:
-        mine = held(fit_of(fit.best.terms, fit.best.lin), _spread(fit))
+        mine = hypothesis_at_fit(fit_of(fit.best.terms, fit.best.lin), _spread(fit))
         pairs = []
         for number, rival in _rivals(fit):
-            other = held(fit_of(rival.terms, rival.lin), _spread(fit))
+            other = hypothesis_at_fit(fit_of(rival.terms, rival.lin), _spread(fit))
             weight = next((line.mm for line in found.lines if line.evidence.term is fit.best.terms[number]), 0.0)
             names = _first_apart(mine.fit, other.fit), _first_apart(other.fit, mine.fit)
             pairs.append(Pair(fit.cell, _spread(fit), mine, other, weight + 1e-6, names))
@@ -373,15 +373,15 @@ def _swapped(fit: WholeFit, kept: int, out: int) -> Fitted:
     return replace(fit.best, lin=moved)
 
 
-def rounded(value: float | None) -> float | None:
+def round_numbers(value: float | None) -> float | None:
     """Six digits; None for what is not a finite number."""
     return float(f"{value:.6g}") if value is not None and np.isfinite(value) else None
 
 
 def _round_outward(limit: float, side: int) -> float | None:
     """Six digits, down (side -1) or up (+1): a step that is known to a millionth is not outside its limits by them."""
-    near = rounded(limit)
+    near = round_numbers(limit)
     if near is None or (near - limit) * side >= 0.0:
         return near
     digit = 10.0 ** (np.floor(np.log10(abs(limit))) - 5.0)
-    return rounded(near + side * digit)
+    return round_numbers(near + side * digit)

@@ -9,17 +9,17 @@ from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.link_angles import without_encoders
 from diagnosis.localise import Localisation, localise
 from diagnosis.reading.read import Read
-from diagnosis.replay.repeats import overlaid
+from diagnosis.replay.repeats import align_repeats
 from diagnosis.replay.stretches import repeat_groups
 from diagnosis.search.fit import entries_of as entries_of_fit
-from diagnosis.search.work import Progress, Work, silent
-from diagnosis.shrink import shrinks
+from diagnosis.search.work import Progress, WorkProgress, no_progress
+from diagnosis.shrink import gaps_closed
 from diagnosis.verdict import (
     CONFIRMED,
     LIKELY,
+    BudgetColumn,
     Closing,
-    Column,
-    Line,
+    EffectLine,
     StageLine,
     Verdict,
     has_baseline,
@@ -30,10 +30,10 @@ from diagnosis.verdict import (
 )
 from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
 from diagnosis.whole_model.held_out import HeldOut, held_out
-from diagnosis.whole_model.linear import Term
+from diagnosis.whole_model.linear import EffectTerm
 from diagnosis.whole_model.parts import fit_machine
 from diagnosis.whole_model.probability import probability
-from diagnosis.whole_model.solve import WholeFit, fit_of, only, reduced
+from diagnosis.whole_model.solve import WholeFit, fit_of, refit_reduced, refit_terms
 from diagnosis.whole_model.tool_error import ToolError, tool_errors
 from machine.effects.entries import EffectEntry
 from machine.effects.layout import neutral_sets
@@ -51,9 +51,9 @@ class Budget:
 
     whole: Read
     fits: tuple[WholeFit, ...]
-    lines: tuple[Line, ...]
-    machine: tuple[Term, ...]
-    columns: tuple[Column, ...]
+    lines: tuple[EffectLine, ...]
+    machine: tuple[EffectTerm, ...]
+    columns: tuple[BudgetColumn, ...]
     stages: tuple[StageLine, ...]
     before: Localisation
     after: Localisation
@@ -73,7 +73,7 @@ class Budget:
         return together_mm(column.after_mm for column in self.columns if column.name != "sees")
 
     @property
-    def confirmed(self) -> tuple[Line, ...]:
+    def confirmed(self) -> tuple[EffectLine, ...]:
         """Effects that are confirmed."""
         return tuple(line for line in self.lines if line.status == "confirmed")
 
@@ -86,14 +86,14 @@ class Budget:
         return entries_of(self.machine)
 
 
-def entries_of(terms: Sequence[Term]) -> tuple[EffectEntry, ...]:
+def entries_of(terms: Sequence[EffectTerm]) -> tuple[EffectEntry, ...]:
     """Terms as entries of a machine file."""
     return tuple(entries_of_fit(fit_of(terms)))
 
 
-def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...] = ()) -> Budget:
+def budget_of(whole: Read, progress: Progress = no_progress, left_out: tuple[str, ...] = ()) -> Budget:
     """The budget of a recording that is usable. `left_out`: effects taken out of the library, to test refusals."""
-    work = Work(progress)
+    work = WorkProgress(progress)
     fits = fit_machine(whole, work, left_out)
     work.conclude("weighing", 0.0)
     weighed = [found for fit in fits for found in _weighed(fit)]
@@ -105,7 +105,7 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     before, after = localise(whole), localise(_with_effects(whole, entries_of(sure)))
     work.conclude("held-out data", 0.8)
     predicted = tuple(held_out(fit.cell, fit_of(fit.best.terms, fit.best.lin)) for fit in fits)
-    closing = tuple(tuple(shrinks(prediction)) for prediction in predicted)
+    closing = tuple(tuple(gaps_closed(prediction)) for prediction in predicted)
     columns = tuple(_column(whole, error, chance, after, fits, closing) for error in errors)
     total = sum(column.before_mm**2 for column in columns)
     lines = tuple(line for error in errors for line in _lines(error, evidence, chance, total)) + _unplaced(
@@ -127,14 +127,14 @@ def _weighed(fit: WholeFit) -> list[tuple[Evidence, float]]:
     held = [evidence.term for evidence, likely in found if likely >= LIKELY]
     if fit.cell.usual is None or len(held) in (0, len(found)):
         return found
-    again = {alone.term.effect.variant: probability(alone) for alone in evidence_of(reduced(fit, held))}
+    again = {alone.term.effect.variant: probability(alone) for alone in evidence_of(refit_reduced(fit, held))}
     return [(evidence, min(likely, again.get(evidence.term.effect.variant, likely))) for evidence, likely in found]
 
 
-def _machine_of(fits: Iterable[WholeFit], chance: dict[int, float], least: float) -> tuple[Term, ...]:
+def _machine_of(fits: Iterable[WholeFit], chance: dict[int, float], least: float) -> tuple[EffectTerm, ...]:
     """The effects of at least this probability, each part's fitted as if it had no other."""
     some = [term for fit in fits for term in fit.best.terms if chance.get(id(term), 0.0) >= least]
-    return tuple(term for fit in fits for term in only(fit, some))
+    return tuple(term for fit in fits for term in refit_terms(fit, some))
 
 
 def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:
@@ -144,7 +144,7 @@ def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:
     )
 
 
-def _lines(error: ToolError, evidence: list[Evidence], chance: dict[int, float], total_mm2: float) -> list[Line]:
+def _lines(error: ToolError, evidence: list[Evidence], chance: dict[int, float], total_mm2: float) -> list[EffectLine]:
     by_term = {id(found.term): found for found in evidence}
     out = []
     for term, rms, squares in zip(error.terms, error.rms_m * MM, error.squares_m2 * MM**2, strict=True):
@@ -154,7 +154,7 @@ def _lines(error: ToolError, evidence: list[Evidence], chance: dict[int, float],
         sd = float(np.linalg.norm(one.size_sd * sizes) / size) if not term.limits and size > 0.0 else 0.0
         spread = QUANTILE_95 * sd / size if size > 0.0 else 0.0
         out.append(
-            Line(
+            EffectLine(
                 one,
                 error.column,
                 float(rms),
@@ -168,11 +168,13 @@ def _lines(error: ToolError, evidence: list[Evidence], chance: dict[int, float],
     return out
 
 
-def _unplaced(evidence: list[Evidence], errors: tuple[ToolError, ...], chance: dict[int, float]) -> tuple[Line, ...]:
+def _unplaced(
+    evidence: list[Evidence], errors: tuple[ToolError, ...], chance: dict[int, float]
+) -> tuple[EffectLine, ...]:
     """Effects of which nothing says what they do at the tool (no arm in the machine file, no controller)."""
     placed = {id(term) for error in errors for term in error.terms}
     return tuple(
-        Line(found, "", 0.0, 0.0, 0.0, 0.0, 0.0, chance[id(found.term)])
+        EffectLine(found, "", 0.0, 0.0, 0.0, 0.0, 0.0, chance[id(found.term)])
         for found in evidence
         if id(found.term) not in placed
     )
@@ -185,22 +187,26 @@ def _column(
     after: Localisation,
     fits: tuple[WholeFit, ...],
     closing: Closing,
-) -> Column:
+) -> BudgetColumn:
     """One column's miss before and after; measured where the recording measured it."""
     chosen = [k for k, term in enumerate(error.terms) if chance[id(term)] >= CONFIRMED]
     explained = _rms_mm(error.by_effect[chosen].sum(axis=0)) if chosen else 0.0
     floor = _tracking_floor_mm(whole) if error.column == "gets_there" else 0.0
     if error.measured is not None and error.left is not None:
-        return Column(error.column, _rms_mm(error.measured, floor), _rms_mm(error.left, floor), floor, True)
+        return BudgetColumn(error.column, _rms_mm(error.measured, floor), _rms_mm(error.left, floor), floor, True)
     unconfirmed = _rms_mm(error.total - error.by_effect[chosen].sum(axis=0))
     if error.column == "sees":
         left_mm = float(np.hypot(unconfirmed, _corners_left_mm(fits)))
-        return Column(error.column, float(np.hypot(_rms_mm(error.total), _corners_left_mm(fits))), left_mm, 0.0, True)
+        return BudgetColumn(
+            error.column, float(np.hypot(_rms_mm(error.total), _corners_left_mm(fits))), left_mm, 0.0, True
+        )
     left = _measured_mm(after, "structure")
     if left is None:  # nothing measured it: all that is known is what the confirmed effects do
-        return Column(error.column, explained, 0.0, 0.0, False)
+        return BudgetColumn(error.column, explained, 0.0, 0.0, False)
     beyond = left * _beyond_noise(whole, closing, "structure") if has_baseline(whole) else left
-    return Column(error.column, float(np.hypot(explained, beyond)), beyond, float(np.sqrt(left**2 - beyond**2)), True)
+    return BudgetColumn(
+        error.column, float(np.hypot(explained, beyond)), beyond, float(np.sqrt(left**2 - beyond**2)), True
+    )
 
 
 def _beyond_noise(whole: Read, closing: Closing, stage: str) -> float:
@@ -249,7 +255,7 @@ def _tracking_floor_mm(whole: Read) -> float:
     for members in repeat_groups(whole.stretches).values():
         if nominal is None or nominal.arm is None or any(stretch.enc is None for stretch in members):
             continue
-        laid = overlaid(members, [np.nan_to_num(stretch.enc) for stretch in members if stretch.enc is not None])
+        laid = align_repeats(members, [np.nan_to_num(stretch.enc) for stretch in members if stretch.enc is not None])
         flat = laid.reshape(-1, nominal.n)
         at = tcp_poses(nominal.arm, neutral_sets(nominal.n), flat)[:, :3, 3].reshape(*laid.shape[:2], 3)
         off = at - at.mean(axis=0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.behind.link_angles import inside, link_angles, paths_of, without_encoders
+from diagnosis.behind.link_angles import link_angles, path_index, paths_of, without_encoders
 from diagnosis.behind.views import views_of
 from diagnosis.datagrams.clocks import camera_to_plc_s
 from diagnosis.errors import DiagnosisError
@@ -30,7 +30,7 @@ MM = 1e3
 
 
 @dataclass(frozen=True, slots=True)
-class Miss:
+class ToolMiss:
     """One machine file's miss at the tool. `t_s` (m,) on the PLC's clock, `mm` (m,); by what it was measured.
 
     `by`: "camera" (where the object seems to be, about its median: all that is wrong is in it), or "encoders" (how the
@@ -48,13 +48,13 @@ class Miss:
         return float(np.sqrt(np.mean(self.mm**2))) if len(self.mm) else float("nan")
 
 
-def misses(whole: Read, machines: Sequence[tuple[str, str]]) -> tuple[Miss, ...]:
+def tool_misses(whole: Read, machines: Sequence[tuple[str, str]]) -> tuple[ToolMiss, ...]:
     """Every machine file's miss, by the encoders and, where the object was seen, by the camera.
 
     Args:   machines: (name, text) of each file.
     Raises: DiagnosisError: nothing in the recording can drive a simulation.
     """
-    out: list[Miss] = []
+    out: list[ToolMiss] = []
     for name, text in machines:
         nominal = nominal_of(text)
         runs = _runs(whole, nominal)
@@ -83,7 +83,7 @@ def _runs(whole: Read, nominal: Nominal) -> list[tuple[Stretch, Stretch]]:
     return out
 
 
-def _by_encoders(name: str, nominal: Nominal, runs: list[tuple[Stretch, Stretch]]) -> Miss:
+def _by_encoders(name: str, nominal: Nominal, runs: list[tuple[Stretch, Stretch]]) -> ToolMiss:
     times, miss = [], []
     for recorded, simulated in runs:
         if nominal.arm is None or recorded.enc is None or simulated.enc is None:
@@ -93,10 +93,10 @@ def _by_encoders(name: str, nominal: Nominal, runs: list[tuple[Stretch, Stretch]
         at = [tcp_poses(nominal.arm, plain, enc[rows])[:, :3, 3] for enc in (recorded.enc, simulated.enc)]
         times.append(recorded.t_s[rows])
         miss.append(MM * np.linalg.norm(at[0] - at[1], axis=1))
-    return Miss(name, "encoders", np.concatenate(times), np.concatenate(miss))
+    return ToolMiss(name, "encoders", np.concatenate(times), np.concatenate(miss))
 
 
-def _by_camera(name: str, tables: Tables | None, nominal: Nominal, simulated: list[Stretch]) -> Miss | None:
+def _by_camera(name: str, tables: Tables | None, nominal: Nominal, simulated: list[Stretch]) -> ToolMiss | None:
     """Where the object seems to be by the simulated machine; about its mean, since its true place is unknown."""
     if tables is None or tables.markers is None or nominal.camera is None or nominal.arm is None:
         return None
@@ -108,15 +108,15 @@ def _by_camera(name: str, tables: Tables | None, nominal: Nominal, simulated: li
     stamps = tables.markers.t_s + camera_to_plc_s(tables)
     starts = np.array([path.t_s[0] for path in paths])
     exposed = true_times(base, stamps, float(starts.min()))
-    there = inside(paths, exposed, SKIPPED_S) >= 0
+    there = path_index(paths, exposed, SKIPPED_S) >= 0
     seen = views_of(eyes, _rows(tables.markers, np.nonzero(there)[0]), "ooi")
     if len(seen.t_s) < 2:
         return None
     t_s = true_times(base, seen.t_s + camera_to_plc_s(tables), float(starts.min()))
-    angles = link_angles(paths, base, 0, inside(paths, t_s), t_s)
+    angles = link_angles(paths, base, 0, path_index(paths, t_s), t_s)
     Ts = tcp_poses(nominal.arm, without_encoders(base), angles) @ camera_mount(base, nominal.T_tcp_cam_left)
     places = (Ts @ seen.Ts_cam_object)[:, :3, 3]
-    return Miss(name, "camera", t_s, MM * np.linalg.norm(places - np.median(places, axis=0), axis=1))
+    return ToolMiss(name, "camera", t_s, MM * np.linalg.norm(places - np.median(places, axis=0), axis=1))
 
 
 def _eyes(nominal: Nominal, base: ParameterSets) -> Nominal:

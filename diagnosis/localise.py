@@ -11,15 +11,15 @@ from diagnosis.behind.points import fit_points, static_data, tracked_data
 from diagnosis.behind.views import ooi_residual, tool_residual, views_of
 from diagnosis.datagrams.clocks import camera_to_plc_s
 from diagnosis.log.nominal import Nominal
-from diagnosis.noise.floor import BLOCK_S, block_means, increments
+from diagnosis.noise.floor import BLOCK_S, block_increments, block_means
 from diagnosis.reading.read import Read
 from diagnosis.regimes import regimes_of
 from diagnosis.replay.merge import merged_drives
-from diagnosis.replay.repeats import overlaid
-from diagnosis.replay.replayer import Prepared, Replayer, replayer_of
+from diagnosis.replay.repeats import align_repeats
+from diagnosis.replay.replayer import PreparedStretch, Replayer, replayer_of
 from diagnosis.replay.stretches import Stretch, repeat_groups
 from diagnosis.sliding import unit_of
-from machine.effects.entries import pack
+from machine.effects.entries import pack_effects
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array
@@ -65,7 +65,7 @@ def localise(whole: Read) -> Localisation:
     nominal, tables = whole.nominal, whole.tables
     if nominal is None or tables is None or not whole.usable:
         return Localisation((), (), False)
-    sets = pack(nominal.baseline, nominal.n)
+    sets = pack_effects(nominal.baseline, nominal.n)
     groups = repeat_groups(whole.stretches)
     replayer, places = replayer_of(nominal, whole.stretches), []
     lever = levers_mm(nominal, whole.stretches)
@@ -81,7 +81,7 @@ def localise(whole: Read) -> Localisation:
 def _dynamic(
     replayer: Replayer,
     stage: str,
-    prepared: list[Prepared],
+    prepared: list[PreparedStretch],
     groups: dict[str, tuple[Stretch, ...]],
     sets: ParameterSets,
     lever: Array,
@@ -103,7 +103,7 @@ def _dynamic(
             pooled = np.concatenate([by_name[regime] for by_name in values if regime in by_name])
             if not np.isfinite(pooled).all():
                 continue  # a column that was not recorded
-            gap = excess(pooled, float(floor[j]))
+            gap = error_above_floor(pooled, float(floor[j]))
             tcp_mm = gap * float(carried[j])
             unit = unit_of(STAGE_UNITS[stage], replayer.nominal.sliding, j)
             places.append(Place(stage, j + 1, None, regime, gap, float(floor[j]), unit, tcp_mm))
@@ -117,14 +117,14 @@ def _remainder(nominal: Nominal, stage: str) -> Array:
     return per_second * np.array([record.rms if record is not None else 0.0 for record in records])
 
 
-def stage_error(replayer: Replayer, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
+def stage_error(replayer: Replayer, stage: str, prepared: PreparedStretch, sets: ParameterSets) -> Array | None:
     """A stage's error at 20 Hz (m, n): reference [rad], command [1], or speed of the actuator [rad/s]."""
     residual = replayer.residuals(stage, prepared, sets)
     if residual is None:
         return None
     dt_s = prepared.stretch.dt_s
     if stage == "actuator":  # open loop: its error of position is a random walk, its error of speed is not
-        return increments(residual[0], dt_s) / max(BLOCK_S, dt_s)
+        return block_increments(residual[0], dt_s) / max(BLOCK_S, dt_s)
     return block_means(residual[0], dt_s)[1:]
 
 
@@ -134,7 +134,9 @@ def _floor(stage: str, groups: dict[str, tuple[Stretch, ...]], errors: dict[str,
     for members in groups.values():
         known = tuple(member for member in members if member.name in errors)
         if len(known) > 1:
-            laid = overlaid(tuple(_at_20_hz(stretch) for stretch in known), [errors[stretch.name] for stretch in known])
+            laid = align_repeats(
+                tuple(_at_20_hz(stretch) for stretch in known), [errors[stretch.name] for stretch in known]
+            )
             squares.append(np.mean((laid - laid.mean(axis=0)) ** 2, axis=(0, 1)) * len(known) / (len(known) - 1.0))
     if squares:
         return np.sqrt(np.mean(squares, axis=0))
@@ -156,7 +158,7 @@ def _regime_values(stretch: Stretch, error: Array, j: int) -> dict[str, Array]:
     return {name: error[mask] for name, mask in regimes_of(blocks, max(BLOCK_S, stretch.dt_s)).items()}
 
 
-def excess(error: Array, floor: float) -> float:
+def error_above_floor(error: Array, floor: float) -> float:
     """sqrt(max(0, MSE - floor^2)) of errors (m,)."""
     return float(np.sqrt(max(0.0, float(np.mean(error**2)) - floor**2)))
 
@@ -245,7 +247,7 @@ def _axes(stage: str, regime: str, error: Array, floor: Array) -> list[Place]:
     """One place an axis; positions [m] count at the tcp as they are, rotations are not carried on."""
     places = []
     for k in range(error.shape[1]):
-        gap = excess(error[:, k], float(floor[k]))
+        gap = error_above_floor(error[:, k], float(floor[k]))
         unit, tcp_mm = ("m", 1e3 * gap) if k < 3 else ("rad", 0.0)
         places.append(Place(stage, None, AXES[k], regime, gap, float(floor[k]), unit, tcp_mm))
     return places

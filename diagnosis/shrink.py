@@ -18,7 +18,7 @@ UNKNOWN: Closed = (None, None, None)
 
 
 @dataclass(frozen=True, slots=True)
-class Squares:
+class BlockSquares:
     """Whitened squares by block (blocks,): without effects, with them, of the noise; `rows` in all blocks."""
 
     before: Array
@@ -28,7 +28,7 @@ class Squares:
 
 
 @dataclass(frozen=True, slots=True)
-class Shrink:
+class GapClosed:
     """The gap of one part on held-out motions: RMS before, after and of the noise in `unit`; share closed with its
     90 % limits. `measurement`: static, tracker, ooi, tool or odometry behind the encoders, else empty.
     """
@@ -43,37 +43,37 @@ class Shrink:
     closed: Closed
 
 
-def shrinks(held_out: HeldOut) -> list[tuple[Shrink, Squares]]:
+def gaps_closed(held_out: HeldOut) -> list[tuple[GapClosed, BlockSquares]]:
     """Of each part of a cell; a plain cell is its own only part."""
     squares = np.stack([held_out.before**2, held_out.after**2], axis=1)
     out = []
     for part, own in held_out.cell.by_part(squares):
         block = part.rows.block
         before, after = (np.bincount(block, weights=column).astype(float) for column in own.T)
-        sums = Squares(before, after, np.asarray(part.quiet * np.bincount(block), dtype=float), part.rows.count)
+        sums = BlockSquares(before, after, np.asarray(part.quiet * np.bincount(block), dtype=float), part.rows.count)
         out.append((_shrink(part, sums), sums))
     return out
 
 
-def together(parts: Iterable[Squares]) -> Squares:
+def gap_closed_of_parts(parts: Iterable[BlockSquares]) -> BlockSquares:
     """Parts as one."""
     some = tuple(parts)
     joined = [np.concatenate([getattr(part, name) for part in some]) for name in ("before", "after", "noise")]
-    return Squares(*joined, rows=sum(part.rows for part in some))
+    return BlockSquares(*joined, rows=sum(part.rows for part in some))
 
 
-def _shrink(part: Cell, sums: Squares) -> Shrink:
+def _shrink(part: Cell, sums: BlockSquares) -> GapClosed:
     unit_scale = float(np.sqrt(np.mean(part.scale**2)))
     rms = [unit_scale * x for x in rms_of(sums)]
-    return Shrink(part.stage, part.joint, measurement_of(part), part.unit, *rms, closed=closed_share(sums))
+    return GapClosed(part.stage, part.joint, measurement_of(part), part.unit, *rms, closed=closed_share(sums))
 
 
-def rms_of(sums: Squares) -> Sequence[float]:
+def rms_of(sums: BlockSquares) -> Sequence[float]:
     """RMS before, after and of the noise, in noise floors."""
     return [float(np.sqrt(x.sum() / sums.rows)) for x in (sums.before, sums.after, _noise(sums))]
 
 
-def closed_share(sums: Squares, seed: int = 0) -> Closed:
+def closed_share(sums: BlockSquares, seed: int = 0) -> Closed:
     """1 - (after - noise) / (before - noise) of the sums of squares, never clipped; None without a gap before."""
     noise = _noise(sums)
     excess = float(sums.before.sum() - noise.sum())
@@ -87,6 +87,6 @@ def closed_share(sums: Squares, seed: int = 0) -> Closed:
     return closed, float(np.quantile(shares, LIMIT_SHARE)), float(np.quantile(shares, 1.0 - LIMIT_SHARE))
 
 
-def _noise(sums: Squares) -> Array:
+def _noise(sums: BlockSquares) -> Array:
     """The noise's squares by block (blocks,): where less is left than the noise is said to be, what is left."""
     return sums.noise * min(1.0, float(sums.after.sum()) / max(float(sums.noise.sum()), 1e-300))

@@ -9,20 +9,20 @@ TILTS = ("joint_axis_tilt",)  # of a sliding joint's axis, an angle all the same
 ANGLES = ("tilt_rad", "phase_rad")
 
 
-def slides(sliding: Sequence[bool], j: int) -> bool:
+def is_joint_sliding(sliding: Sequence[bool], j: int) -> bool:
     """Whether joint j (0-based) slides; one without an entry turns."""
     return j < len(sliding) and sliding[j]
 
 
 def unit_of(unit: str, sliding: Sequence[bool], j: int) -> str:
     """The unit that a number of joint j (0-based) has, which is written in `unit` of joints that turn."""
-    return METRES.get(unit, unit) if slides(sliding, j) else unit
+    return METRES.get(unit, unit) if is_joint_sliding(sliding, j) else unit
 
 
 def column_of(pattern: str, sliding: Sequence[bool], j: int) -> str:
     """The name of joint j's (0-based) column: `q_{j}_rad` is q_1_rad, or q_1_m of a joint that slides."""
     name = pattern.replace("{j}", str(j + 1))
-    return name.replace("_rad", "_m") if slides(sliding, j) else name
+    return name.replace("_rad", "_m") if is_joint_sliding(sliding, j) else name
 
 
 def in_metres(answer: Any, sliding: tuple[bool, ...], joint: int | None = None) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 from diagnosis.localise import Localisation, Place
 from diagnosis.reading.read import Read, stages_present
 from diagnosis.replay.stretches import stood_still
-from diagnosis.shrink import UNKNOWN, Shrink, Squares
+from diagnosis.shrink import UNKNOWN, BlockSquares, GapClosed
 from diagnosis.whole_model.evidence import Evidence
 from diagnosis.whole_model.remainder import lead_of
 from diagnosis.whole_model.solve import WholeFit
@@ -19,14 +19,14 @@ LIKELY = 0.5
 SMALL_MM, SMALL_SHARE = 0.5, 0.05  # at the tool, of the whole miss: a remainder too small to act on
 EXPLAINED = 0.9  # of the squared miss: then the effects explain the gap
 
-Closing = tuple[tuple[tuple[Shrink, Squares], ...], ...]
+Closing = tuple[tuple[tuple[GapClosed, BlockSquares], ...], ...]
 Status = Literal["confirmed", "likely", "doubtful"]
 Verdict = Literal["none", "effects", "partly", "outside", "undecided"]
 StageVerdict = Literal["none", "explained", "partly", "unexplained", "not_measured"]
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class EffectLine:
     """One effect of the budget. `mm`: what it does at the tool by itself (RMS), with 90 % limits; `squares_mm2`: its
     Shapley value in the column's mean square.
     """
@@ -49,7 +49,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class BudgetColumn:
     """Where the tool stands, how it gets there, or what the camera sees: RMS miss of the nominal model, of the model
     with the confirmed effects, and the noise [mm]. `measured`: whether the miss was measured, or the model says it.
     """
@@ -83,7 +83,7 @@ def has_baseline(whole: Read) -> bool:
     return whole.nominal is not None and bool(whole.nominal.remainders)
 
 
-def usual_level(whole: Read, row: Shrink) -> float:
+def usual_level(whole: Read, row: GapClosed) -> float:
     """Mean square, in floors, that a healthy machine's part stays below; 1 without a baseline."""
     usual = None if whole.nominal is None else whole.nominal.remainder(row.stage, row.joint, row.measurement)
     return 1.0 if usual is None else usual.level
@@ -101,8 +101,8 @@ WOULD_MEASURE = {
 
 def stages_of(
     whole: Read,
-    lines: tuple[Line, ...],
-    columns: tuple[Column, ...],
+    lines: tuple[EffectLine, ...],
+    columns: tuple[BudgetColumn, ...],
     places: tuple[Localisation, Localisation],
     fits: tuple[WholeFit, ...],
     closing: Closing,
@@ -144,18 +144,18 @@ def stages_of(
     return tuple(out)
 
 
-def _is_sure(line: Line) -> bool:
+def _is_sure(line: EffectLine) -> bool:
     return line.status == "confirmed"
 
 
-def _belongs(line: Line, stage: str, joint: int | None) -> bool:
+def _belongs(line: EffectLine, stage: str, joint: int | None) -> bool:
     effect = line.evidence.term.effect
     own = {"joint": "structure", "time": "camera"}.get(effect.stage, effect.stage)
     return own == stage and (joint is None or effect.joint in (None, joint))
 
 
 def _stage_mm(
-    columns: tuple[Column, ...], places: Localisation, stage: str, joint: int | None, after: bool = False
+    columns: tuple[BudgetColumn, ...], places: Localisation, stage: str, joint: int | None, after: bool = False
 ) -> float | None:
     if stage not in STAGES_OF_JOINTS:
         name = "stands" if stage == "structure" else "sees"
@@ -169,7 +169,7 @@ def _is(place: Place, stage: str, joint: int | None) -> bool:
     return place.stage == stage and place.regime == "all" and joint in (None, place.joint)
 
 
-def small_mm(columns: tuple[Column, ...]) -> float:
+def small_mm(columns: tuple[BudgetColumn, ...]) -> float:
     """A miss at the tool that is too small to act on [mm]."""
     return max(SMALL_MM, SMALL_SHARE * together_mm(column.before_mm for column in columns))
 
@@ -191,8 +191,8 @@ def stage_verdict(was: float | None, left: float | None, confirmed: bool, small:
 
 def verdict_of(
     whole: Read,
-    lines: tuple[Line, ...],
-    columns: tuple[Column, ...],
+    lines: tuple[EffectLine, ...],
+    columns: tuple[BudgetColumn, ...],
     stages: tuple[StageLine, ...],
     fits: tuple[WholeFit, ...],
     closing: Closing,

@@ -15,8 +15,8 @@ from rich.table import Table
 
 from longreach.lens_calibrate_command import calibrate
 from machine.description import Machine
-from server.camera.check import Gathering, check_camera, steps
-from server.camera.check_findings import CheckFinding, Level, exit_code, worst
+from server.camera.check import CheckSampler, check_camera, progress_steps
+from server.camera.check_findings import CheckFinding, Level, exit_code, worst_level
 from server.camera.check_picture import edge_blur_px
 from server.camera.check_scale import Tape
 from server.camera.contracts import StereoSource
@@ -86,7 +86,7 @@ def check(
     chosen = settings.camera if source is None else camera_settings_of(source)
     chosen = _with_calibration(chosen, calibration, eye_size)
     opened, seen_machine = source_and_machine(chosen, read_machine(machine or settings.machine_file))
-    gathering = Gathering(keep=pairs, seconds=seconds)
+    gathering = CheckSampler(keep=pairs, seconds=seconds)
     stereo = open_source(opened)
     try:
         _gather(stereo, gathering, seconds, console)
@@ -139,7 +139,7 @@ def camera_settings_of(text: str) -> CameraSettings:
     raise SettingsError(f"--source '{without_password(text)}' is not an address, device, file or folder; see --help")
 
 
-def _gather(stereo: StereoSource, gathering: Gathering, seconds: float, console: Console) -> None:
+def _gather(stereo: StereoSource, gathering: CheckSampler, seconds: float, console: Console) -> None:
     """Read for some seconds from the first pair on, or until a stored source ends; a live table meanwhile."""
     end_s = time.monotonic() + seconds
     shown_s, measured, blur = 0.0, 0, ""
@@ -159,12 +159,12 @@ def _gather(stereo: StereoSource, gathering: Gathering, seconds: float, console:
                 live.update(_live_table(gathering, blur, stereo.state))
 
 
-def _blur_text(gathering: Gathering) -> str:
+def _blur_text(gathering: CheckSampler) -> str:
     left, right, _ = gathering.pairs[-1]
     return f"{edge_blur_px(left):.1f} px left, {edge_blur_px(right):.1f} px right"
 
 
-def _live_table(gathering: Gathering, blur: str, state: str) -> Table:
+def _live_table(gathering: CheckSampler, blur: str, state: str) -> Table:
     table = Table(show_header=False, box=None)
     table.add_row("pairs", str(gathering.n))
     table.add_row("rate", f"{gathering.rate_hz:.1f} pairs/s")
@@ -179,7 +179,7 @@ def _live_table(gathering: Gathering, blur: str, state: str) -> Table:
 
 
 def _judge(
-    gathering: Gathering,
+    gathering: CheckSampler,
     stereo: StereoSource,
     opened: SourceSettings,
     machine: Machine,
@@ -195,9 +195,9 @@ def _judge(
     device = isinstance(plain, DeviceSource)
     wanted_hz = plain.rate_hz if isinstance(plain, DeviceSource) else None
     stored = not isinstance(plain, DeviceSource | HttpSource | RtspSource)
-    gathered = gathering.gathered(stereo.skipped, own_clock=device, wanted_hz=wanted_hz, stored=stored)
+    gathered = gathering.sample(stereo.skipped, own_clock=device, wanted_hz=wanted_hz, stored=stored)
     with Progress(console=console, transient=True) as progress:
-        task = progress.add_task("analysing the pairs", total=steps(gathered))
+        task = progress.add_task("analysing the pairs", total=progress_steps(gathered))
         findings = check_camera(
             gathered,
             machine,
@@ -214,7 +214,7 @@ def _judge(
 
 def report(findings: list[CheckFinding]) -> Table:
     """A table for people."""
-    table = Table(title="camera check", title_justify="left", caption=f"camera: {worst(findings).value}")
+    table = Table(title="camera check", title_justify="left", caption=f"camera: {worst_level(findings).value}")
     for heading in ("", "what", "how it is", "to do"):
         table.add_column(heading, overflow="fold")
     for finding in findings:
@@ -227,7 +227,7 @@ def as_document(findings: list[CheckFinding], source: str) -> dict[str, object]:
     """The findings for machines; figures that are not finite are left out."""
     return {
         "source": source,
-        "level": worst(findings).value,
+        "level": worst_level(findings).value,
         "findings": [
             {
                 "name": finding.name,

@@ -182,7 +182,7 @@ def main(command: typer.Typer = app) -> None:
     except SystemExit as ending:
         code = exit_code(ending.code)
         if (warm_up := sys.modules.get("server.warm_up")) is not None:  # a command that ran link and vision
-            warm_up.leave(code)
+            warm_up.exit_process(code)
         raise SystemExit(code) from None
 
 

@@ -20,10 +20,10 @@ from machine.description import Machine, parse_machine_toml
 from protocol.layout import LAYOUT_ID, VERSION_MAJOR, VERSION_MINOR
 from recording.files import read_text, write_durably
 from server.camera.client import VisionClient
-from server.commissioning.check_list import ONE_CONTROLLER, PLC_WAIT_S, STEPS, Need, Step, go_through
+from server.commissioning.check_list import ONE_CONTROLLER, PLC_WAIT_S, STEPS, Step, StepRequirement, go_through
 from server.commissioning.contracts import StepResult, Verdict
 from server.commissioning.report import Report, exit_code, from_json, to_json, to_markdown
-from server.commissioning.site import Options, Site
+from server.commissioning.site import CommissioningOptions, Site
 from server.errors import SettingsError
 from server.link.client import LinkClient
 from server.link.errors import LinkSilentError
@@ -68,7 +68,7 @@ def commission(
     settings = _with_options(read_settings(settings_file), plc, camera_url, machine, runs)
     console = Console()
     operator = TerminalOperator(console, read_answers(answers), assume_yes=yes, move=move)
-    options = Options(
+    options = CommissioningOptions(
         listen_s=listen_s,
         ask_for_ends=ends,
         each_joint=each_joint,
@@ -109,7 +109,7 @@ async def _commission(
     settings: ServerSettings,
     steps: tuple[Step, ...],
     operator: TerminalOperator,
-    options: Options,
+    options: CommissioningOptions,
     earlier: Report | None,
     console: Console,
 ) -> Report:
@@ -172,7 +172,7 @@ async def _vision(
     settings: ServerSettings, machine: Machine, steps: tuple[Step, ...], stack: contextlib.AsyncExitStack
 ) -> tuple[VisionClient | None, Machine]:
     """The vision process, only where a step looks; the machine with the camera that its pictures are of."""
-    if not any(Need.CAMERA in step.needs for step in steps):
+    if not any(StepRequirement.CAMERA in step.needs for step in steps):
         return None, machine
     source, seen_by = source_and_machine(settings.camera, machine)
     vision = VisionClient(vision_settings(source, settings.camera, seen_by.camera), seen_by)

@@ -9,11 +9,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from diagnosis.compare import Miss, misses
+from diagnosis.compare import ToolMiss, tool_misses
 from diagnosis.errors import DiagnosisError
 from diagnosis.reading.together import read_together
-from diagnosis.report.html import document, section, table
-from diagnosis.report.svg import Line, chart
+from diagnosis.report.html import html_document, html_section, html_table
+from diagnosis.report.svg import CurveLine, chart
 from longreach.shipped_machine import file_of_machine, text_of_machine
 from machine.errors import MachineError, MachineFileError
 from recording.files import write_durably
@@ -35,7 +35,7 @@ def compare(
         whole = read_together([recording], files[0])
         if not whole.usable:
             raise DiagnosisError("; ".join(str(finding) for finding in whole.findings if finding.severity == "fatal"))
-        found = misses(whole, texts)
+        found = tool_misses(whole, texts)
         if html_file is not None:
             write_durably(html_file, page(recording.name, found))
     except (DiagnosisError, MachineError, MachineFileError, OSError) as error:
@@ -44,7 +44,7 @@ def compare(
     Console().print(shown(found))
 
 
-def shown(found: tuple[Miss, ...]) -> Table:
+def shown(found: tuple[ToolMiss, ...]) -> Table:
     """Machine files by RMS and largest miss, each against the first."""
     out = Table(box=None, padding=(0, 2, 0, 0))
     for heading in ("machine file", "measured", "RMS mm", "95 % below mm", "of the first"):
@@ -57,7 +57,7 @@ def shown(found: tuple[Miss, ...]) -> Table:
     return out
 
 
-def page(name: str, found: tuple[Miss, ...]) -> str:
+def page(name: str, found: tuple[ToolMiss, ...]) -> str:
     """The curves as a page without scripts."""
     parts = []
     for by, what in BY.items():
@@ -66,14 +66,16 @@ def page(name: str, found: tuple[Miss, ...]) -> str:
             continue
         start_s = min(float(curve.t_s.min()) for curve in own)
         lines = [
-            Line(curve.name, css, curve.t_s - start_s, curve.mm)
+            CurveLine(curve.name, css, curve.t_s - start_s, curve.mm)
             for curve, css in zip(own, cycle(COLOURS), strict=False)
         ]
         rows = [(curve.name, f"{curve.rms_mm:.2f}", f"{_high(curve):.2f}") for curve in own]
         drawn = chart(lines, "time [s]", "tool error [mm]", f"Tool error, {what}")
-        parts.append(section(f"Tool error, {what}", drawn + table(("machine file", "RMS mm", "95 % below"), rows)))
-    return document(f"Compared: {name}", f"<h1>{escape(name)}</h1>" + "".join(parts))
+        parts.append(
+            html_section(f"Tool error, {what}", drawn + html_table(("machine file", "RMS mm", "95 % below"), rows))
+        )
+    return html_document(f"Compared: {name}", f"<h1>{escape(name)}</h1>" + "".join(parts))
 
 
-def _high(one: Miss) -> float:
+def _high(one: ToolMiss) -> float:
     return sorted(one.mm.tolist())[int(0.95 * (len(one.mm) - 1))]

@@ -41,10 +41,17 @@ def compile_numerics(
     if check or (is_compiled() and not again):
         console.print("the numerics are compiled" if is_compiled() else "the numerics are not compiled yet")
         raise typer.Exit(0 if is_compiled() else 1)
-    console.print("compiling the numerics for this processor, once; one to three minutes")
+    console.print("compiling the numerics for this processor, once; one to three minutes on idle cores")
     started_s = time.monotonic()
     with console.status("clearing what is of another version") as status:
-        _run_stages(machine, lambda text: status.update(f"{text}; {time.monotonic() - started_s:.0f} s"))
+
+        def report(text: str) -> None:
+            line = f"{text}; {time.monotonic() - started_s:.0f} s"
+            status.update(line)
+            if not console.is_terminal:  # a log file shows no status line
+                console.print(line)
+
+        _run_stages(machine, report)
     _mark_file().write_text(json.dumps({"key": key()}), encoding="utf-8")
     console.print(f"compiled in {time.monotonic() - started_s:.0f} s")
 

@@ -13,15 +13,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import Budget, budget_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.reading.read import Read
 from diagnosis.reading.together import read_together
 from diagnosis.report.budget import budget_lines
 from diagnosis.report.curves import CellCurves, curves_of
-from diagnosis.report.page import page
-from diagnosis.report.text import lines
+from diagnosis.report.page import report_page
+from diagnosis.report.text import report_lines
 from longreach.fit_baseline import BaselineError, make_baseline
 from longreach.foreign_log import MappingFile, Urdf, Yes, as_recordings
 from longreach.machine_out import MachineOutError, machine_text, require_room, write_machine
@@ -167,10 +167,10 @@ def diagnose(
         _set_aside((json_file, html_file, machine_out), screen)
         raise _refused(error, screen) from error
     result["recordings"] = [path.name for path in recordings]
-    for line in (*budget_lines(result), *lines(result)):
+    for line in (*budget_lines(result), *report_lines(result)):
         typer.echo(line)
     _write(json_file, json.dumps(result, indent=1, allow_nan=False) + "\n", screen)
-    _write(html_file, page(result, recording.name, curves), screen)
+    _write(html_file, report_page(result, recording.name, curves), screen)
     if machine_out is not None:
         _machine_out(text, found, machine_out, screen)
 
@@ -231,7 +231,7 @@ def _diagnosed(
         found = budget_of(whole, shown.heard, left_out)
         shown.also("next experiment")
         sliding = () if whole.nominal is None else whole.nominal.sliding
-        return found, answer(found), curves_of(found.held_out, sliding)
+        return found, answer_json(found), curves_of(found.held_out, sliding)
 
 
 def _within_reach(place: Path | None, screen: Console) -> None:

@@ -8,7 +8,7 @@ from rich.markup import escape
 from diagnosis.baseline.baseline import Baseline, fit_baseline
 from diagnosis.errors import DiagnosisError
 from diagnosis.known.days import FITTED_MOST, JUDGED_ENOUGH, RECORDINGS_ENOUGH
-from diagnosis.reading.read import Read, read
+from diagnosis.reading.read import Read, read_for_diagnosis
 from longreach.machine_out import MachineOutError, machine_text
 from machine.effects.entries import entries_to_toml
 from machine.effects.registry import effect_of
@@ -47,7 +47,7 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
 
 def _usable(recordings: list[Path], machine_file: Path | None) -> list[Read]:
     """All of them read, or one error that names every one that cannot be used."""
-    wholes = [read(path, machine_file) for path in recordings]
+    wholes = [read_for_diagnosis(path, machine_file) for path in recordings]
     bad = [
         f"{recording.path}: {'; '.join(map(str, recording.findings))}" for recording in wholes if not recording.usable
     ]

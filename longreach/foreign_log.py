@@ -15,9 +15,9 @@ from rich.table import Column, Table
 
 from recording.errors import RecordingError
 from recording.files import write_durably
-from recording.foreign.assemble import Assembled
+from recording.foreign.assemble import AssembledRecording
 from recording.foreign.convert import convert_foreign, is_foreign
-from recording.foreign.found import Found
+from recording.foreign.found import SourceContents
 
 Urdf = Annotated[Path | None, typer.Option("--urdf", help="the robot of a ROS bag or a table: its URDF file")]
 MappingFile = Annotated[
@@ -38,7 +38,7 @@ def convert_log(
 ) -> None:
     """Convert a log into a folder. Raises: RecordingError: unreadable, or a guess was not confirmed."""
 
-    def confirm(found: Found, assembled: Assembled) -> bool:
+    def confirm(found: SourceContents, assembled: AssembledRecording) -> bool:
         show(found, assembled, screen)
         if mapping_out is not None:
             _write_mapping(mapping_out, found.proposal)
@@ -56,7 +56,7 @@ def _write_mapping(path: Path, text: str) -> None:
         raise RecordingError(f"mapping file {path} cannot be written: {error.strerror}") from error
 
 
-def show(found: Found, assembled: Assembled, screen: Console) -> None:
+def show(found: SourceContents, assembled: AssembledRecording, screen: Console) -> None:
     """What was found, what it was taken for, and why the rest is not used."""
     table = Table("topic or column", "type", Column("messages", justify="right"), "use", "why")
     for entry in sorted(found.entries, key=lambda entry: (entry.use == "ignored", entry.name)):

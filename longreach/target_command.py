@@ -23,7 +23,7 @@ from server.vision.errors import VisionError
 from server.vision.marker_search import dictionary_by_name
 from server.vision.teach import FrameName, LayoutFrame, TeachTask, teach_layout
 from server.vision.teach_contracts import TaughtLayout, TeachSettings, TeachStatus, TeachView
-from server.vision.teach_views import Offer
+from server.vision.teach_views import OfferedView
 
 if TYPE_CHECKING:
     from server.camera.sources.settings import SourceSettings
@@ -213,9 +213,9 @@ def _from_camera(
     )
     with console.status("waiting for images") as status:
 
-        def report(offer: Offer, view: TeachView, kept: list[TeachView]) -> None:
+        def report(offer: OfferedView, view: TeachView, kept: list[TeachView]) -> None:
             _guide(offer, view, kept, n_views, status, console)
-            if offer is Offer.TAKEN and len(kept) >= settings.views_min:
+            if offer is OfferedView.TAKEN and len(kept) >= settings.views_min:
                 console.print(
                     f"  so far: {_so_far(teach_layout(kept, task, search.camera, settings))}", highlight=False
                 )
@@ -227,15 +227,15 @@ def _from_camera(
 
 
 def _guide(
-    offer: Offer, view: TeachView, kept: list[TeachView], n_views: int, status: Status, console: Console
+    offer: OfferedView, view: TeachView, kept: list[TeachView], n_views: int, status: Status, console: Console
 ) -> None:
     advice = {
-        Offer.TOO_FEW_MARKERS: "show at least two complete markers",
-        Offer.MOVING: "hold still",
-        Offer.ALIKE: "move to the side, up or down, closer or away",
-        Offer.TAKEN: "taken",
+        OfferedView.TOO_FEW_MARKERS: "show at least two complete markers",
+        OfferedView.MOVING: "hold still",
+        OfferedView.ALIKE: "move to the side, up or down, closer or away",
+        OfferedView.TAKEN: "taken",
     }[offer]
-    if offer is Offer.TAKEN:
+    if offer is OfferedView.TAKEN:
         console.print(f"view {len(kept)} of {n_views}: markers {_shown(view)}", highlight=False)
     status.update(f"{len(kept)} of {n_views} views; sees {_shown(view) or 'none'}; {advice}")
 

@@ -20,7 +20,7 @@ from server.vision.contracts import Image
 from server.vision.errors import VisionError
 from server.vision.marker_search import dictionary_by_name
 from server.vision.teach_contracts import TeachSettings, TeachView
-from server.vision.teach_views import Offer, ViewKeeper, teach_view
+from server.vision.teach_views import OfferedView, ViewKeeper, teach_view
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 TWO_FOLDERS = (
@@ -149,7 +149,7 @@ def live_views(
     settings: TeachSettings,
     n_views: int,
     timeout_s: float,
-    report: Callable[[Offer, TeachView, list[TeachView]], None],
+    report: Callable[[OfferedView, TeachView, list[TeachView]], None],
 ) -> list[TeachView]:
     """Views kept from a live camera, until there are enough, time is up, the source ends, or Ctrl-C.
 

@@ -10,7 +10,7 @@ import numpy as np
 from machine.description import Machine
 from machine.effects.arm import Arm
 from machine.effects.arm_urdf import arm_from_urdf, axis_turn
-from machine.effects.entries import EffectEntry, pack
+from machine.effects.entries import EffectEntry, pack_effects
 from machine.effects.kernel import BIAS
 from machine.effects.layout import BASE_TILT, LENGTH_A, LENGTH_D, TILT_X, TILT_Y, ParameterSets
 from machine.effects.registry import effect_of
@@ -56,7 +56,7 @@ def split_entries(entries: Sequence[EffectEntry]) -> tuple[tuple[EffectEntry, ..
 
 def machine_urdf(machine: Machine, entries: Sequence[EffectEntry]) -> str:
     """A machine, drawn as in the panel, with zeros, lengths, tilts and mount applied."""
-    sets = pack(entries, len(machine.joints))
+    sets = pack_effects(entries, len(machine.joints))
     P = sets.joint[0]
     joints = tuple(
         replace(
@@ -80,7 +80,7 @@ def arm_urdf(
 
     Args: mount: T_tcp_cam_left (4, 4).
     """
-    sets = pack(entries, arm.n)
+    sets = pack_effects(entries, arm.n)
     P, tilts = sets.joint[0], _tilts(sets)
     parts, parent = [f"<robot name={quoteattr(name or 'arm')}>", '<link name="base"/>'], "base"
     for k in range(arm.n):
@@ -115,7 +115,7 @@ def edited_urdf(
     if any(joint.rising for joint in chain):
         rising = ", ".join(joint.name for joint in chain if joint.rising)
         raise MachineError(f"urdf: the chain passes {rising} from child to parent; give a base_link above the arm")
-    sets = pack(entries, len(names))
+    sets = pack_effects(entries, len(names))
     P, tilts = sets.joint[0], _tilts(sets)
     lengths = _length_directions(text, base_link, tip_link, names)
     root = ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"), ElementTree.XMLParser(target=_with_comments()))

@@ -29,7 +29,7 @@ class StateReceived:
 
 
 @dataclass(frozen=True, slots=True)
-class Dropped:
+class DatagramDropped:
     """A datagram was not used."""
 
     code: RejectCode
@@ -72,10 +72,10 @@ class TrajectoryEnded:
 
 
 @dataclass(frozen=True, slots=True)
-class Closed:
+class LinkClosed:
     """This link object is over; connect with a new one and a new session."""
 
     reason: str
 
 
-ClientEvent = StateReceived | Dropped | RejectSeen | GateRefused | TailAnswered | TrajectoryEnded | Closed
+ClientEvent = StateReceived | DatagramDropped | RejectSeen | GateRefused | TailAnswered | TrajectoryEnded | LinkClosed

@@ -10,15 +10,15 @@ from dataclasses import dataclass, field
 from protocol.client_events import (
     ClientEvent,
     ClientPhase,
-    Closed,
-    Dropped,
+    DatagramDropped,
     GateRefused,
+    LinkClosed,
     RejectSeen,
     StateReceived,
     TailAnswered,
     TrajectoryEnded,
 )
-from protocol.client_run import MOVING, Run, Stop
+from protocol.client_run import MOVING, Run, StopReference
 from protocol.client_state import ClientCounters, ClockOffset, PendingRequest, RequestKind, SentCommands, other_pc_text
 from protocol.codec import decode_state, encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
@@ -74,7 +74,7 @@ class ClientLink:
     _seq: int = 0
     _t_hello_ns: int | None = None
     _request: PendingRequest = field(default_factory=PendingRequest)
-    _stop: Stop | None = None
+    _stop: StopReference | None = None
     _run: Run | None = None
     _sent: SentCommands = field(default_factory=SentCommands)
     _pending: list[ClientEvent] = field(default_factory=list)
@@ -190,7 +190,7 @@ class ClientLink:
     def request_stop(self, reason: str, quick: bool = False) -> None:
         """Ramp down and hold, along the path or (quick) every joint as fast as it may: sent until it is done."""
         if self._stop is None or (quick and not self._stop.quick):
-            self._stop = Stop(reason, next_sequence(self._seq), quick)
+            self._stop = StopReference(reason, next_sequence(self._seq), quick)
 
     def _idle(self, traj_id: int, t_mono_ns: int) -> State:
         phase = self.phase(t_mono_ns)
@@ -215,7 +215,7 @@ class ClientLink:
             state = decode_state(self.framing.unwrap(datagram), self.key)
         except RemoteProtocolError as error:
             self.counters.bad += 1
-            return [Dropped(error.code, error.text)]
+            return [DatagramDropped(error.code, error.text)]
         if state.session == self.session:
             return self._own_state(state, t_mono_ns)
         if self.linked:
@@ -254,7 +254,7 @@ class ClientLink:
             sequenced = classify_sequence(self.state.seq, state.seq)
             if sequenced.kind is SequenceKind.JUMP:
                 self.counters.bad += 1
-                return [Dropped(RejectCode.SEQ_JUMP, f"state {state.seq} after {self.state.seq}")]
+                return [DatagramDropped(RejectCode.SEQ_JUMP, f"state {state.seq} after {self.state.seq}")]
             if not sequenced.usable:
                 self.counters.stale += 1
                 return []
@@ -334,7 +334,7 @@ class ClientLink:
     def _close(self, reason: str) -> list[ClientEvent]:
         events = self._ended(False, reason, self.state) if self.state else []
         self.closed, self._stop, self._request = True, None, PendingRequest()
-        return [*events, Closed(reason)]
+        return [*events, LinkClosed(reason)]
 
     # --- output -------------------------------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ _OF_OTHERS = (RejectCode.SOURCE, RejectCode.SESSION)  # refusals of another clie
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class StopReference:
     """A stop under way: wanted since command `first_seq`."""
 
     reason: str
@@ -80,7 +80,7 @@ class Run:
             return self.motion.reached(state)
         return self.motion.ending and self.started and state.traj_id == self.traj_id
 
-    def end(self, state: State, stop: Stop | None) -> tuple[bool, str] | None:
+    def end(self, state: State, stop: StopReference | None) -> tuple[bool, str] | None:
         """Whether it is over: (reached, reason); None while it goes on."""
         if state.plc_state in MOVING:
             return None
@@ -100,7 +100,7 @@ class Run:
         ours = bool(state.reject_count) and state.reject_code not in _OF_OTHERS
         return ours and is_at_or_after(state.reject_seq, self.first_seq)
 
-    def _why_stopped(self, state: State, stop: Stop | None, refused: bool) -> str:
+    def _why_stopped(self, state: State, stop: StopReference | None, refused: bool) -> str:
         if stop:
             return stop.reason
         if refused:

@@ -49,7 +49,7 @@ class LinkState(IntEnum):
 
 
 class Interp(IntEnum):
-    """Command field interp; 0 only where there are no knots."""
+    """How the PLC interpolates between knots (command field interp); NONE only where there are none."""
 
     NONE = 0
     LINEAR = 1

@@ -9,7 +9,7 @@ from protocol.messages import Command
 from protocol.plc_states import PlcEvent
 
 
-class Effect(Enum):
+class PlcAction(Enum):
     """What an accepted command asks the PLC logic to do."""
 
     KEEPALIVE = "keepalive"
@@ -23,15 +23,15 @@ class Effect(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Accepted:
+class CommandAccepted:
     """A command passed every rule and fed the watchdog."""
 
     command: Command
-    effect: Effect
+    effect: PlcAction
 
 
 @dataclass(frozen=True, slots=True)
-class Rejected:
+class CommandRejected:
     """A datagram was refused; it fed nothing and changed nothing."""
 
     code: RejectCode
@@ -66,4 +66,4 @@ class SessionVoid:
     reason: str
 
 
-PlcLinkEvent = Accepted | Rejected | StateChanged | SessionOpened | SessionVoid
+PlcLinkEvent = CommandAccepted | CommandRejected | StateChanged | SessionOpened | SessionVoid

@@ -14,7 +14,15 @@ from protocol.framing import Framing
 from protocol.layout import COMMAND_BODY, HEADER, VERSION_MINOR
 from protocol.messages import Command, PlcStatus, State
 from protocol.objection import Objection
-from protocol.plc_events import Accepted, Effect, PlcLinkEvent, Rejected, SessionOpened, SessionVoid, StateChanged
+from protocol.plc_events import (
+    CommandAccepted,
+    CommandRejected,
+    PlcAction,
+    PlcLinkEvent,
+    SessionOpened,
+    SessionVoid,
+    StateChanged,
+)
 from protocol.plc_states import ARMED_STATES, PlcEvent, next_state
 from protocol.sequence import SequenceKind, classify_sequence, next_sequence
 from protocol.timeouts import COMMAND_LATE, COMMAND_LOST, ECHO_STALE, GOOD_COMMANDS_TO_ARM, SESSION_VOID
@@ -88,20 +96,20 @@ _LEGAL: dict[PlcState, frozenset[Mode]] = {
     PlcState.LOCAL: frozenset({Mode.HEARTBEAT, Mode.HOLD}) | _SAFE_MODES,
 }
 _EFFECTS = {
-    Mode.ARM: Effect.ARM,
-    Mode.HOLD: Effect.STOP,
-    Mode.STOP: Effect.STOP,
-    Mode.QUICK_STOP: Effect.QUICK_STOP,
-    Mode.RESET: Effect.RESET,
-    Mode.DISARM: Effect.DISARM,
+    Mode.ARM: PlcAction.ARM,
+    Mode.HOLD: PlcAction.STOP,
+    Mode.STOP: PlcAction.STOP,
+    Mode.QUICK_STOP: PlcAction.QUICK_STOP,
+    Mode.RESET: PlcAction.RESET,
+    Mode.DISARM: PlcAction.DISARM,
 }
-_STOPS = frozenset({Effect.STOP, Effect.QUICK_STOP, Effect.DISARM})
+_STOPS = frozenset({PlcAction.STOP, PlcAction.QUICK_STOP, PlcAction.DISARM})
 _EVENTS = {
-    Effect.ARM: PlcEvent.ARM,
-    Effect.STOP: PlcEvent.SOFT_STOP,
-    Effect.QUICK_STOP: PlcEvent.QUICK_STOP,
-    Effect.RESET: PlcEvent.RESET,
-    Effect.DISARM: PlcEvent.DISARM,
+    PlcAction.ARM: PlcEvent.ARM,
+    PlcAction.STOP: PlcEvent.SOFT_STOP,
+    PlcAction.QUICK_STOP: PlcEvent.QUICK_STOP,
+    PlcAction.RESET: PlcEvent.RESET,
+    PlcAction.DISARM: PlcEvent.DISARM,
 }
 
 
@@ -342,24 +350,24 @@ class PlcLink:
         self._feed(command, t_plc_ns)
         if mode in _MOTION_MODES:
             return self._take_motion(command, mode, t_plc_ns)
-        effect = _EFFECTS.get(mode, Effect.KEEPALIVE)
+        effect = _EFFECTS.get(mode, PlcAction.KEEPALIVE)
         if effect in _STOPS:
             self._session.spent = True  # also what was only prefilled: the stop was meant for it
-        accepted: list[PlcLinkEvent] = [Accepted(command, effect)]
+        accepted: list[PlcLinkEvent] = [CommandAccepted(command, effect)]
         event = _EVENTS.get(effect)
         return accepted if event is None else [*self.apply(event, t_plc_ns), *accepted]
 
     def _take_motion(self, command: Command, mode: Mode, t_plc_ns: int) -> list[PlcLinkEvent]:
         if self.state is PlcState.STOPPING or self._is_spent(command, mode):
-            return [Accepted(command, Effect.KEEPALIVE)]
+            return [CommandAccepted(command, PlcAction.KEEPALIVE)]
         if self.state is PlcState.RUN and command.traj_id != self._session.traj_id:
-            return [*self.apply(PlcEvent.SOFT_STOP, t_plc_ns), Accepted(command, Effect.KEEPALIVE)]
+            return [*self.apply(PlcEvent.SOFT_STOP, t_plc_ns), CommandAccepted(command, PlcAction.KEEPALIVE)]
         self._session.traj_id, self._session.servo = command.traj_id, mode is Mode.SERVO
         self._session.spent = False
         events: list[PlcLinkEvent] = []
         if self.state is PlcState.HOLD and CommandFlag.START in command.cmd_flags:
             events = self.apply(PlcEvent.START, t_plc_ns)
-        return [*events, Accepted(command, Effect.SERVO if mode is Mode.SERVO else Effect.LOAD)]
+        return [*events, CommandAccepted(command, PlcAction.SERVO if mode is Mode.SERVO else PlcAction.LOAD)]
 
     def _feed(self, command: Command, t_plc_ns: int) -> None:
         session = self._session
@@ -378,7 +386,7 @@ class PlcLink:
         self._counters.bad += 1
         self._reject.code, self._reject.seq, self._reject.offset = error.code, seq, error.offset
         self._reject.count += 1
-        events: list[PlcLinkEvent] = [Rejected(error.code, seq, source, error.text, error.offset)]
+        events: list[PlcLinkEvent] = [CommandRejected(error.code, seq, source, error.text, error.offset)]
         if error.code is RejectCode.ECHO_STALE and self.state is PlcState.RUN:
             events += self.apply(PlcEvent.SOFT_STOP, t_plc_ns)
         return events

@@ -17,7 +17,7 @@ class SequenceKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Sequenced:
+class SequenceVerdict:
     """The verdict; `lost` counts the numbers skipped (GAP only)."""
 
     kind: SequenceKind
@@ -29,18 +29,18 @@ class Sequenced:
         return self.kind in (SequenceKind.NEXT, SequenceKind.GAP)
 
 
-def classify_sequence(last: int, seq: int) -> Sequenced:
+def classify_sequence(last: int, seq: int) -> SequenceVerdict:
     """Compare as signed 32-bit difference, so the wrap at 2^32 is not an event."""
     delta = (seq - last + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
     if delta == 1:
-        return Sequenced(SequenceKind.NEXT)
+        return SequenceVerdict(SequenceKind.NEXT)
     if 2 <= delta <= SEQUENCE_JUMP:
-        return Sequenced(SequenceKind.GAP, lost=delta - 1)
+        return SequenceVerdict(SequenceKind.GAP, lost=delta - 1)
     if delta == 0:
-        return Sequenced(SequenceKind.DUPLICATE)
+        return SequenceVerdict(SequenceKind.DUPLICATE)
     if -SEQUENCE_JUMP <= delta < 0:
-        return Sequenced(SequenceKind.LATE)
-    return Sequenced(SequenceKind.JUMP)
+        return SequenceVerdict(SequenceKind.LATE)
+    return SequenceVerdict(SequenceKind.JUMP)
 
 
 def next_sequence(seq: int) -> int:

@@ -18,7 +18,7 @@ from machine.description import parse_machine_toml
 from server.access.gatekeeper import Gatekeeper
 from server.access.hosts import is_loopback
 from server.access.keys import KeyRing
-from server.api.application import Served, application
+from server.api.application import RestServices, create_application
 from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog, PatientProtocol
 from server.api.hold_rule import why_not_commissioned
 from server.api.panel import install_panel
@@ -37,7 +37,7 @@ from server.jobs.service import JobService
 from server.link.client import LinkClient
 from server.recorder import Recorder
 from server.settings import HttpSettings, ServerSettings, read_machine_text
-from server.settings_source import machine_text_with, source_and_machine
+from server.settings_source import machine_text_with_camera, source_and_machine
 from server.shell_settings import link_settings, vision_settings
 from server.store.database import Database
 from server.store.folder_lock import alone_in
@@ -59,7 +59,7 @@ def build_cell(settings: ServerSettings) -> Cell:
     not_commissioned = why_not_commissioned(settings.jog.commissioning_report, machine_text)
     source, machine = source_and_machine(settings.camera, parse_machine_toml(machine_text))
     if settings.camera.calibration is not None:
-        machine_text = machine_text_with(machine_text, machine.camera)  # recordings say what their pictures were
+        machine_text = machine_text_with_camera(machine_text, machine.camera)  # recordings say what their pictures were
     return Cell(
         settings=settings,
         machine=machine,
@@ -112,7 +112,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
     @asynccontextmanager
     async def machine_side() -> AsyncIterator[None]:
         cell.link.on_sample(cell.recorder.sample)
-        cell.link.on_sample(performer.heard)
+        cell.link.on_sample(performer.observe_plc_sample)
         cell.vision.on_report(cell.recorder.report)
         async with AsyncExitStack() as ending:  # in turn from the last one, whatever fails
             ending.push_async_callback(asyncio.to_thread, keeper.database.close)
@@ -121,7 +121,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
             await cell.vision.start()  # first: it loads the longest, and does so in a process of its own
             ending.push_async_callback(cell.link.close)
             await cell.link.start()
-            ending.push_async_callback(ended, asyncio.create_task(prepared(cell), name="prepare"))
+            ending.push_async_callback(cancel_and_wait, asyncio.create_task(prepare_numerics(cell), name="prepare"))
             ending.push_async_callback(await install_panel_tasks(app))
             await ending.enter_async_context(running.tasks())
             ending.push_async_callback(engine.close)  # first of all: the lease guard is there as long as a job is
@@ -136,12 +136,14 @@ def build_app(settings: ServerSettings) -> FastAPI:
         redoc_url=None,
     )
     app.state.stop_motion = engine.close
-    running = application(app, Served(service, keeper, gatekeeper, secure_cookie=settings.http.behind_proxy))
+    running = create_application(
+        app, RestServices(service, keeper, gatekeeper, secure_cookie=settings.http.behind_proxy)
+    )
     install_panel_tasks = install_panel(app, service)
     return app
 
 
-async def prepared(cell: Cell) -> None:
+async def prepare_numerics(cell: Cell) -> None:
     """Numerics loaded, or compiled, while the panel already answers; until then no job begins."""
     cell.starting = NUMERICS_LOAD
     try:
@@ -155,7 +157,7 @@ async def prepared(cell: Cell) -> None:
     gc.freeze()  # a quarter of a million things that stay: looking through them held every answer for 0.2 s
 
 
-async def ended(task: asyncio.Task[None]) -> None:
+async def cancel_and_wait(task: asyncio.Task[None]) -> None:
     """Cancel the task and wait for it."""
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)

@@ -27,11 +27,11 @@ class DiskSpace:
     @property
     def problem(self) -> str:
         """What is wrong; empty while there is enough."""
-        text = shortage(self.free_bytes)
+        text = disk_shortage(self.free_bytes)
         return f"{text} in {self._folder}" if text else ""
 
 
-def shortage(free_bytes: int | None) -> str:
+def disk_shortage(free_bytes: int | None) -> str:
     """How little is left, with its limit; empty while there is enough, or where it is not known."""
     if free_bytes is None or free_bytes >= DISK_LOW_BYTES:
         return ""

@@ -23,8 +23,8 @@ from server.calibration.contracts import CameraRotationEstimate
 from server.camera.contracts import FrameReport
 from server.link.contracts import PlcSample
 from server.motion.contracts import PathPlan
-from server.motion.identification_courses import Mark
-from server.recorder_rows import calibration_row, finding, frame_poses, look_row, plan_row, plc_row, report_rows
+from server.motion.identification_courses import SegmentMark
+from server.recorder_rows import calibration_row, finding_row, frame_poses, look_row, plan_row, plc_row, report_rows
 from server.version import __version__, library_versions
 from server.vision.contracts import Look
 
@@ -71,7 +71,7 @@ class Recorder:
         self._last_plc_ns = 0
         self._segments: list[Segment] = []
         self._open_segment: tuple[str, SegmentKind, str, int] | None = None
-        self._marks: tuple[tuple[Mark, ...], int] = (), 0  # of the trajectory that is played, and when it began
+        self._marks: tuple[tuple[SegmentMark, ...], int] = (), 0  # of the trajectory that is played, and when it began
         self._transforms_ns = 0
         self._camera_ns = self._image_ns = 0
         self._problem = ""
@@ -213,7 +213,7 @@ class Recorder:
                 self.look(item)
             case _:
                 now_ns = mono_ns()
-                self._row(finding(item, now_ns * 1e-9, text), now_ns)
+                self._row(finding_row(item, now_ns * 1e-9, text), now_ns)
 
     def result(self, result: object) -> None:
         """How the run ended."""
@@ -235,7 +235,7 @@ class Recorder:
             self._open_segment = None
 
     @_noted
-    def begin_marks(self, marks: tuple[Mark, ...]) -> None:
+    def begin_marks(self, marks: tuple[SegmentMark, ...]) -> None:
         """A trajectory is about to be played of which these stretches are segments."""
         self._marks = marks, self._last_plc_ns
 

@@ -170,7 +170,7 @@ def plan_row(plan: PathPlan, t_pc_s: float) -> PlanRow:
     )
 
 
-def finding(item: object, t_pc_s: float, text: str = "") -> Finding:
+def finding_row(item: object, t_pc_s: float, text: str = "") -> Finding:
     """Anything else: its type's name, and its fields as JSON. A plain text becomes the text itself."""
     if isinstance(item, str):
         return Finding(t_pc_s, "text", item, "")

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 from machine.description import Machine, parse_machine_toml
 from machine.field_units import unit_of
 from recording.files import read_text
-from server.calibration.calibration_life import Expiry
+from server.calibration.calibration_life import CalibrationExpiry
 from server.errors import SettingsError
 from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings, Strict
 from server.shown_address import without_password
@@ -90,7 +90,7 @@ class PositionSettings(Strict):
 
 
 class CalibrationSettings(Strict):
-    """When a local calibration expires; its reasons are in `Expiry`."""
+    """When a local calibration expires; its reasons are in `CalibrationExpiry`."""
 
     radius_m: Annotated[float, Field(gt=0.0, le=10.0)] = 1.0
     turn_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 30.0
@@ -98,10 +98,10 @@ class CalibrationSettings(Strict):
     age_max_h: Annotated[float, Field(gt=0.0, le=1000.0)] = 12.0
     temperature_k: Annotated[float, Field(gt=0.0, le=200.0)] = 25.0
 
-    def expiry(self) -> Expiry:
+    def expiry(self) -> CalibrationExpiry:
         """The same in SI units."""
         turn_rad, joint_rad = math.radians(self.turn_deg), math.radians(self.joint_deg)
-        return Expiry(self.radius_m, turn_rad, joint_rad, self.age_max_h * 3600.0, self.temperature_k)
+        return CalibrationExpiry(self.radius_m, turn_rad, joint_rad, self.age_max_h * 3600.0, self.temperature_k)
 
 
 class ClosedLoopSettings(Strict):

@@ -61,7 +61,7 @@ def eye_size_px(camera: CameraSettings, machine: Machine) -> tuple[int, int]:
     return camera.eye_width_px or width, camera.eye_height_px or height
 
 
-def machine_text_with(text: str, camera: StereoCamera) -> str:
+def machine_text_with_camera(text: str, camera: StereoCamera) -> str:
     """A machine file's text with this camera in place of its own: recordings must say what their pictures were.
 
     The mount stays. Parsing the text gives `camera` back to the last bit.

@@ -20,7 +20,7 @@ from server.calibration.kinematic_errors import error_model, tcp_poses_with_erro
 from server.calibration.trajectory_matching import estimate_camera_rotation, prior_from_tool_marker
 from server.motion.approach import plan_approach
 from server.motion.calibration_paths import plan_calibration_path
-from server.motion.contracts import sample
+from server.motion.contracts import sample_trajectory
 from server.motion.lost_motion import first_stall, onto_reference, plan_trim
 from server.motion.settings import DEFAULT_PLAN_SETTINGS
 
@@ -49,7 +49,7 @@ async def warmed_up(machine: Machine, chain: Chain) -> None:
     await done
 
 
-def leave(code: int) -> NoReturn:
+def exit_process(code: int) -> NoReturn:
     """End this process, when all that it opened is closed. Python itself would wait for a thread that compiles, and
     spend seconds on collecting a quarter of a million objects.
     """
@@ -70,7 +70,7 @@ def warm_up(machine: Machine, chain: Chain) -> None:
     if path.trajectory is None:
         return
     onto_reference(path.trajectory, q, stall)
-    times, motion = sample(path.trajectory, 0.1)
+    times, motion = sample_trajectory(path.trajectory, 0.1)
     Ts_base_tcp = tcp_poses(chain, motion.q)
     Ts_base_cam = Ts_base_tcp @ machine.T_tcp_cam_left
     camera = CameraTrack(times, inverse_pose(Ts_base_cam[0]) @ Ts_base_cam)

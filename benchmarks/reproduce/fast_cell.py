@@ -29,8 +29,8 @@ from server.jobs.requests import (
     ReadMachine,
     Record,
     Request,
+    SeenPairs,
     Settle,
-    Sighted,
     StartOdometry,
     StartWatching,
     StopOdometry,
@@ -137,7 +137,7 @@ class FastCell:
         self.looks[self.clock_ns] = look
         return look
 
-    def _watched(self) -> tuple[Sighted, EncoderTrack]:
+    def _watched(self) -> tuple[SeenPairs, EncoderTrack]:
         trace = self.machine.trace(self._watching_from_s)
         sighted = watch(self.camera, trace, self._watching, self.late_s)
         return sighted, self._encoder_track(trace)

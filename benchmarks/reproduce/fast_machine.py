@@ -9,7 +9,7 @@ from benchmarks.reproduce.fast_servo import STEP_S, follow, resting_servo, servo
 from benchmarks.reproduce.fast_structure import Structure
 from machine.rotations import Array
 from server.jobs.performer import REST_SPEED_RAD_S, REST_WINDOW_S
-from server.motion.contracts import JointTrajectory, evaluate
+from server.motion.contracts import JointTrajectory, evaluate_trajectory
 from sim_plc.world import World
 
 NOTE_EVERY = 2  # steps: a row of the trace every 10 ms, as often as the PLC sends
@@ -99,7 +99,7 @@ class QuasiStaticMachine:
     def play(self, trajectory: JointTrajectory) -> None:
         """Follow a trajectory to its last knot."""
         n = max(1, int(np.ceil(trajectory.duration_s / STEP_S)))
-        reference = evaluate(trajectory, STEP_S * np.arange(1, n + 1, dtype=np.float64)).q
+        reference = evaluate_trajectory(trajectory, STEP_S * np.arange(1, n + 1, dtype=np.float64)).q
         self._follow(reference)
         self._q_ref = trajectory.q[-1].copy()
 

@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.reproduce.fast_machine import SETTLE_MAX_S, Trace
 from machine.rotations import Array
 from server.jobs.performer import REST_SPEED_RAD_S, REST_WINDOW_S
-from server.motion.contracts import JointTrajectory, evaluate
+from server.motion.contracts import JointTrajectory, evaluate_trajectory
 from sim_plc.plant.plant import Plant
 from sim_plc.plc.settings import plc_settings
 from sim_plc.plc.status import JointControl
@@ -53,7 +53,7 @@ class FineMachine:
     def play(self, trajectory: JointTrajectory) -> None:
         """Follow a trajectory to its last knot."""
         n = max(1, int(np.ceil(trajectory.duration_s * 1e3)))
-        self._follow(evaluate(trajectory, 1e-3 * np.arange(1, n + 1, dtype=np.float64)).q)
+        self._follow(evaluate_trajectory(trajectory, 1e-3 * np.arange(1, n + 1, dtype=np.float64)).q)
         self._q_ref = trajectory.q[-1].copy()
 
     def settle(self) -> None:

@@ -18,7 +18,7 @@ from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation
 from server.jobs.context import Method, PlanContext
 from server.jobs.plans.calibrating import plan_path
 from server.jobs.plans.looking import good_look
-from server.jobs.requests import Arm, MachineReading, Move, Request, Settle, StartOdometry, expect
+from server.jobs.requests import Arm, MachineReading, Move, Request, Settle, StartOdometry, expect_reply
 from server.motion.contracts import PlanStatus
 from server.targets.tool_mask import plate_and_shaft
 from server.vision.contracts import OdometryStatus
@@ -79,7 +79,7 @@ def driven_path(world: World, method: Method, noise: NoiseModel) -> Trace:
 
 def _path_plan(ctx: PlanContext, cell: FastCell) -> Generator[Request, object, Trace]:
     yield from good_look(ctx)
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     plan = plan_path(ctx, reading)
     if plan.status is not PlanStatus.OK or plan.trajectory is None:
         raise NoPathError(f"no calibration path: {plan.reason}")

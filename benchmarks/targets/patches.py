@@ -8,7 +8,7 @@ from benchmarks.targets.scene import bare_rock, left_eye, true_target, view
 from machine.description import Machine
 from server.targets.contracts import TargetSettings
 from server.targets.surface import CHI2_2_95, measure_patch, uncertainty_95
-from server.vision.look import deviations
+from server.vision.look import pose_deviations
 from sim_plc.camera.renderer import StereoRenderer
 
 CHI2_3_95 = 7.815
@@ -83,7 +83,7 @@ def _click(
     common = (seed, contrast, float(np.linalg.norm(truth[:3, 3])), oblique, found.status.value)
     if found.T_cam_target is None or found.covariance is None:
         return PatchCase(*common, *[float("nan")] * 7)
-    error = deviations(found.T_cam_target[None], truth)[0]
+    error = pose_deviations(found.T_cam_target[None], truth)[0]
     plane = truth[:3, :2]  # two axes about which the normal tilts
     tilt, C_tilt = plane.T @ error[:3], plane.T @ found.covariance[:3, :3] @ plane
     return PatchCase(

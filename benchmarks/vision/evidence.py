@@ -19,10 +19,10 @@ from server.vision.errors import VisionError
 from server.vision.marker_search import (
     SIDE_MIN_PX,
     FoundMarker,
-    detect,
+    detect_markers,
     dictionary_by_name,
     find_markers,
-    refined,
+    refined_marker,
     same_place,
     search_parameters,
 )
@@ -51,9 +51,9 @@ def find_all_markers(
     doubled = np.asarray(cv2.resize(image, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     found = [
         FoundMarker(marker.marker_id, (marker.corners_px + 0.5) / 2.0 - 0.5)  # resize keeps outer edges, not centres
-        for marker in detect(doubled, dictionary, thorough)
+        for marker in detect_markers(doubled, dictionary, thorough)
     ]
-    for marker in detect(image, dictionary, thorough):
+    for marker in detect_markers(image, dictionary, thorough):
         if not any(same_place(marker, other) for other in found):
             found.append(marker)
     return tuple(found)
@@ -140,7 +140,7 @@ def tag_figures(image: Image, truth: TagTruth, dictionary_name: str = "DICT_APRI
     """Recall and corner errors of the thorough search on one photograph (h, w)."""
     dictionary = dictionary_by_name(dictionary_name)
     contours = find_all_markers(image, dictionary)
-    finds = [refined(marker, image, dictionary, None) for marker in contours]
+    finds = [refined_marker(marker, image, dictionary, None) for marker in contours]
     pairs = _matches(contours, truth)
     fine = np.array([corner_differences(finds[k].corners_px, truth.corners_px[i]) for i, k in pairs]).reshape(-1, 4, 2)
     raw = np.array([corner_differences(contours[k].corners_px, truth.corners_px[i]) for i, k in pairs]).reshape(
@@ -185,7 +185,7 @@ def grid_figures(image: Image, n_expected: int, dictionary_name: str = "DICT_6X6
     found = find_markers(image, dictionary, perimeter_min_px=max(32.0, 0.015 * max(image.shape)))
     ids = [marker.marker_id for marker in found]
     expected = set(range(n_expected))
-    clean = sum(refined(marker, image, dictionary, None).fit is SideFit.CLEAN for marker in found)
+    clean = sum(refined_marker(marker, image, dictionary, None).fit is SideFit.CLEAN for marker in found)
     return GridFigures(
         n_expected=n_expected,
         n_found=len(expected & set(ids)),

@@ -17,16 +17,16 @@ from diagnosis.baseline.left_over import (
     with_mosts,
     with_wanders,
 )
-from diagnosis.cells.behind import joined
+from diagnosis.cells.behind import join_cells
 from diagnosis.errors import DiagnosisError
 from diagnosis.known.days import JUDGED_ENOUGH
 from diagnosis.known.form import TOGETHER_MIN
 from diagnosis.reading.read import Read
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
-from diagnosis.search.fit import Fit, entries_of, fit
-from diagnosis.whole_model.linear import Term, linearised
+from diagnosis.search.fit import Fit, entries_of, fit_hypothesis
+from diagnosis.whole_model.linear import EffectTerm, linearise_terms
 from diagnosis.whole_model.parts import library_of
-from diagnosis.whole_model.solve import fit_of, solve, trusted
+from diagnosis.whole_model.solve import fit_and_prune, fit_of, trusted_rows
 from machine.effects.entries import EffectEntry
 from machine.remainder import Remainder
 
@@ -41,9 +41,9 @@ def usual_gains(checked: list[Read]) -> Gains:
     """
     most: Gains = {}
     for cell in (cell for whole in checked for cell in cells_of(whole)):
-        terms = tuple(Term(effect, np.zeros(len(effect.slots)), False) for effect in library_of(cell))
-        lin = linearised(cell, terms)
-        problem = lin.problem(trusted(cell, ()))
+        terms = tuple(EffectTerm(effect, np.zeros(len(effect.slots)), False) for effect in library_of(cell))
+        lin = linearise_terms(cell, terms)
+        problem = lin.problem(trusted_rows(cell, ()))
         none = problem.score(np.zeros(len(terms), dtype=bool))
         place = cell.stage, cell.joint if cell.stage in DRIVEN_STAGES else None
         gains = most.setdefault(place, {})
@@ -190,7 +190,7 @@ def _settled(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
 
 def _whole(cell: Cell) -> Fit:
     """All effects of a cell together, pruned."""
-    best = solve(cell, library_of(cell)).best
+    best = fit_and_prune(cell, library_of(cell)).best
     return fit_of(best.terms, best.lin)
 
 
@@ -206,7 +206,7 @@ def _sized(wholes: list[Read], fits: dict[str, Fit], progress: Progress) -> tupl
     for label, cell in _grouped([with_baseline(recording, (), remainders) for recording in wholes]).items():
         if label in fits and fits[label].hypothesis:
             progress(f"sizes of {label} on {len(wholes)} recordings")
-            found += entries_of(fit(cell, fits[label].hypothesis, fits[label].theta, ROUNDS))
+            found += entries_of(fit_hypothesis(cell, fits[label].hypothesis, fits[label].theta, ROUNDS))
     return tuple(found)
 
 
@@ -216,7 +216,7 @@ def _grouped(wholes: list[Read]) -> dict[str, Cell]:
     for whole in wholes:
         for cell in cells_of(whole):
             found.setdefault(cell.label, []).append(cell)
-    return {label: joined(cells) if len(cells) > 1 else cells[0] for label, cells in found.items()}
+    return {label: join_cells(cells) if len(cells) > 1 else cells[0] for label, cells in found.items()}
 
 
 def _judged(checked: list[Read], seen: list[Read], effects: tuple[EffectEntry, ...]) -> tuple[CellBaseline, ...]:

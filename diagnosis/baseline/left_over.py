@@ -8,7 +8,7 @@ from scipy.special import stdtrit
 
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.point_residual import PointResidual
-from diagnosis.cells.behind import behind_cells, fitting, measurement_of, shown_behind, without
+from diagnosis.cells.behind import behind_cells, cells_fitting_joint, cells_without, measurement_of, shown_behind
 from diagnosis.cells.dynamic import stage_cells
 from diagnosis.cells.own_step import at_its_step
 from diagnosis.errors import DiagnosisError
@@ -16,7 +16,7 @@ from diagnosis.known.form import form_of, most_of
 from diagnosis.known.known import with_known
 from diagnosis.known.wander import wander_of
 from diagnosis.noise.excess import common_excess
-from diagnosis.noise.floor import ORDER_LEFT, ORDER_MAX, deviations
+from diagnosis.noise.floor import ORDER_LEFT, ORDER_MAX, repeat_deviations
 from diagnosis.noise.of_corners import PLAIN, variances_of
 from diagnosis.noise.of_points import variances_of as variances_of_points
 from diagnosis.reading.read import Read
@@ -46,7 +46,7 @@ def cells_of(whole: Read) -> list[Cell]:
         replayer = at_its_step(replayer, whole.stretches, base)
         for stage in DRIVEN_STAGES:
             cells += with_known(stage_cells(stage, replayer, whole.stretches, base, base), nominal)
-    return fitting(without(cells, shown_behind(behind)) + behind, nominal)
+    return cells_fitting_joint(cells_without(cells, shown_behind(behind)) + behind, nominal)
 
 
 def with_baseline(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:
@@ -183,14 +183,14 @@ def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
             sets = _own_joints(cell, replay)
             runs = [part_increments(stage, part, sets)[0][0][SKIPPED:, column] for part in replay.parts]
             noise = [rows[:, 0] for rows in _noise(stage, cell, replay, column)]
-            totals.append(moments(runs))
-            noises.append(moments(noise) if noise else np.zeros_like(totals[-1]))
+            totals.append(lagged_products(runs))
+            noises.append(lagged_products(noise) if noise else np.zeros_like(totals[-1]))
         ar, sigma, rms = common_process(np.array(totals), np.array(noises))
         out.append(Remainder(stage, joint + 1, "", sigma, rms, tuple(float(a) for a in ar)))
     return out
 
 
-def moments(runs: list[Array]) -> Array:
+def lagged_products(runs: list[Array]) -> Array:
     """Mean products (p + 1, p + 1) of a sample and the p before it, over runs (m,) without a mean."""
     long = [sliding_window_view(run, ORDER_LEFT + 1) for run in runs if len(run) > ORDER_LEFT]
     if not long:
@@ -240,4 +240,4 @@ def _noise(stage: str, cell: Cell, replay: Replay, column: int) -> list[Array]:
     sets = _own_joints(cell, replay)
     steps = [part_increments(stage, by_name[member.name], sets)[0][0][SKIPPED:, [column]] for member in members]
     rows = min(len(step) for step in steps)
-    return deviations(np.stack([step[:rows] for step in steps])) if rows > ORDER_LEFT + 20 else []
+    return repeat_deviations(np.stack([step[:rows] for step in steps])) if rows > ORDER_LEFT + 20 else []

@@ -105,7 +105,7 @@ class CornerResidual:
 
     def _place(self, white: Array, residual: Array) -> Array:
         """Change of the OOI's place, and of the clock (6 or 7,), that explains most of a residual (N,) [px]."""
-        return solved(white, self.noise.white(residual[None], self.frames.groups)[0])
+        return least_squares(white, self.noise.white(residual[None], self.frames.groups)[0])
 
     def placeless(self, columns: Array) -> Array:
         """Columns (N, k) [px, by any number], white as the residual, without what a change of the OOI's place does."""
@@ -169,7 +169,7 @@ class CornerResidual:
         return np.clip(np.nan_to_num((self.frames.pixels - foreseen)[seen], nan=FAR_PX), -FAR_PX, FAR_PX)
 
 
-def solved(A: Array, r: Array) -> Array:
+def least_squares(A: Array, r: Array) -> Array:
     """Least squares of r (N,) by the columns of A (N, k), (k,)."""
     return np.asarray(np.linalg.solve(A.T @ A + 1e-9 * np.eye(A.shape[1]), A.T @ r), dtype=float)
 

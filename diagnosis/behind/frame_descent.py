@@ -12,7 +12,7 @@ ENOUGH_RAD = 1e-11
 
 
 @njit(cache=True)
-def descended(Q: Array, g: Array, starts: Array, steps: int) -> tuple[Array, Array]:
+def gauss_newton_rotations(Q: Array, g: Array, starts: Array, steps: int) -> tuple[Array, Array]:
     """Rotations (s, 3, 3) after so many damped Gauss-Newton steps from each start, and r'Qr - 2 g'r (s,) there.
 
     Args: Q (9, 9), g (9,): the form of the rotation's entries, column by column; starts (s, 3, 3).

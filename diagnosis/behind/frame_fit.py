@@ -12,7 +12,7 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.behind.frame_descent import FLAT, descended
+from diagnosis.behind.frame_descent import FLAT, gauss_newton_rotations
 from machine.poses import pose
 from machine.rotations import Array, rotation_from_rotvec, skew
 
@@ -22,7 +22,7 @@ GENERATORS = np.array([skew(axis) for axis in np.eye(3)])
 
 
 @dataclass(frozen=True, slots=True)
-class Form:
+class QuadraticForm:
     """Sum of squares r'Qr - 2 g'r + c [m^2] of R's entries r (9,), column by column."""
 
     Q: Array
@@ -57,7 +57,7 @@ def frame_and_places(
         b -= n * D.T @ e
         on_link[int(k)] = (D, e)
     tt = np.linalg.pinv(H[9:, 9:], rcond=FLAT, hermitian=True)
-    form = Form(H[:9, :9] - H[:9, 9:] @ tt @ H[9:, :9], b[:9] - H[:9, 9:] @ tt @ b[9:])
+    form = QuadraticForm(H[:9, :9] - H[:9, 9:] @ tt @ H[9:, :9], b[:9] - H[:9, 9:] @ tt @ b[9:])
     found = best_rotation(form)
     r = found.T.ravel()
     t = tt @ (b[9:] - H[9:, :9] @ r)
@@ -68,14 +68,14 @@ def frame_and_places(
     return pose(found, t + d0 - found @ p0), out
 
 
-def best_rotation(form: Form) -> Array:
+def best_rotation(form: QuadraticForm) -> Array:
     """The rotation (3, 3) of the least sum of squares: damped Gauss-Newton from the cube's 24, the best to its end."""
-    R, value = descended(form.Q, form.g, STARTS, TRIED)
-    best, _ = descended(form.Q, form.g, R[np.argmin(value)][None], SETTLED)
+    R, value = gauss_newton_rotations(form.Q, form.g, STARTS, TRIED)
+    best, _ = gauss_newton_rotations(form.Q, form.g, R[np.argmin(value)][None], SETTLED)
     return _polished(form, best[0])
 
 
-def _polished(form: Form, R: Array) -> Array:
+def _polished(form: QuadraticForm, R: Array) -> Array:
     """A rotation (3, 3) by plain Newton steps: values of the form no longer show which is better there.
 
     Why: a residual that is left makes Gauss-Newton slow, and derivatives of the fit are taken by small differences.

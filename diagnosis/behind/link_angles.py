@@ -6,9 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from diagnosis.behind.quiet_encoders import quieted
-from diagnosis.behind.stairs import coarse_steps, unstepped
-from diagnosis.log.tables import filled
+from diagnosis.behind.quiet_encoders import smooth_encoders
+from diagnosis.behind.stairs import smooth_encoder_steps, steps_visible_at_tip
+from diagnosis.log.tables import fill_gaps
 from diagnosis.replay.stretches import Stretch
 from diagnosis.search.candidates import SWINGS, Candidate, arm_candidates
 from machine.effects import kernel
@@ -53,20 +53,20 @@ def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
             continue
         skip = max(1, int(COURSE_S / stretch.dt_s + 1e-9))
         step_s = stretch.dt_s * skip if stretch.dt_s <= FOLLOWED_S else None
-        coarse = coarse_steps(np.zeros(stretch.enc.shape[1]) if stretch.enc_step is None else stretch.enc_step)
+        coarse = steps_visible_at_tip(np.zeros(stretch.enc.shape[1]) if stretch.enc_step is None else stretch.enc_step)
         quiet = np.ascontiguousarray(
-            quieted(unstepped(filled(stretch.enc), coarse, stretch.dt_s), stretch.dt_s)[::skip]
+            smooth_encoders(smooth_encoder_steps(fill_gaps(stretch.enc), coarse, stretch.dt_s), stretch.dt_s)[::skip]
         )
         out.append(Path(stretch.t_s[::skip], quiet, step_s, tuple(coarse.tolist())))
     return tuple(out)
 
 
-def followed(paths: tuple[Path, ...]) -> bool:
+def is_logged_densely(paths: tuple[Path, ...]) -> bool:
     """Whether the courses are logged often enough for play and oscillation."""
     return bool(paths) and all(path.step_s is not None for path in paths)
 
 
-def coarsest(paths: tuple[Path, ...], n: int) -> Array:
+def largest_encoder_steps(paths: tuple[Path, ...], n: int) -> Array:
     """The largest step (n,) [rad] of each joint's encoder along any course; 0 of fine ones."""
     steps = [np.array(path.coarse_rad) for path in paths if path.coarse_rad]
     return np.max([np.zeros(n), *steps], axis=0)
@@ -77,15 +77,15 @@ def candidates_behind(joints: tuple[int, ...], paths: tuple[Path, ...]) -> tuple
 
     Why: an oscillation behind a coarse encoder smooths its stairs, and would be blamed for that.
     """
-    coarse = np.nonzero(coarsest(paths, max(joints, default=0)))[0] + 1
+    coarse = np.nonzero(largest_encoder_steps(paths, max(joints, default=0)))[0] + 1
     return tuple(
         candidate
-        for candidate in arm_candidates(joints, followed(paths))
+        for candidate in arm_candidates(joints, is_logged_densely(paths))
         if candidate.name not in SWINGS or candidate.joint not in coarse
     )
 
 
-def inside(paths: tuple[Path, ...], t_s: Array, margin_s: float = 0.0) -> NDArray[np.int64]:
+def path_index(paths: tuple[Path, ...], t_s: Array, margin_s: float = 0.0) -> NDArray[np.int64]:
     """Which path each time (m,) falls into, -1 for none."""
     which = np.full(len(t_s), -1, dtype=np.int64)
     for k, path in enumerate(paths):
@@ -150,7 +150,9 @@ def _behind_joint(path: Path, step_s: float, effects: Array, j: int, key: bytes,
     if (j, side, key) not in path.courses:
         if len(path.courses) >= REMEMBERED * path.enc.shape[1]:
             path.courses.pop(next(iter(path.courses)))
-        path.courses[j, side, key] = kernel.course(effects, np.ascontiguousarray(path.enc[:, j]), step_s, side)
+        path.courses[j, side, key] = kernel.link_side_course(
+            effects, np.ascontiguousarray(path.enc[:, j]), step_s, side
+        )
     return path.courses[j, side, key]
 
 

@@ -18,7 +18,7 @@ MARKERS_MIN = 3  # two alone turn and grow as a camera that moves shows them
 
 
 @dataclass(frozen=True, slots=True)
-class Loose:
+class LooseMarker:
     """Which marker (its number), how far it goes by itself, and the noise of each corner, standard deviations [px]."""
 
     number: int
@@ -31,7 +31,7 @@ class Loose:
         return f"goes with marker {marker_id}, which moves against the others ({sizes}): fasten it"
 
 
-def loose_marker(visits: list[Array], markers: int) -> Loose | None:
+def loose_marker(visits: list[Array], markers: int) -> LooseMarker | None:
     """Of residuals (k, 2 eyes x markers x 4, 2) [px] where one posture was seen k times, NaN unseen."""
     own, common, by_marker = np.zeros(2), np.zeros(2), np.zeros((markers, 2))
     for view in visits:
@@ -56,4 +56,4 @@ def loose_marker(visits: list[Array], markers: int) -> Loose | None:
     moved = np.sqrt(by_marker[:, 0] / np.maximum(by_marker[:, 1], 1.0)) * enough
     worst = int(np.argmax(moved))
     least = max(OWN_TIMES * own_px, COMMON_SHARE * common_px, LEAST_PX)
-    return Loose(worst, float(moved[worst]), own_px) if moved[worst] > least else None
+    return LooseMarker(worst, float(moved[worst]), own_px) if moved[worst] > least else None

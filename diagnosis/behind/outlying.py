@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from diagnosis.behind.link_angles import without_encoders
 from diagnosis.behind.points import PointData, fit_points, static_data, usable_rows
-from diagnosis.behind.saturated import mixtures
+from diagnosis.behind.saturated import mixture_directions
 from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.tables import PointTable
@@ -94,7 +94,7 @@ def _off(nominal: Nominal, data: PointData) -> _Off | None:
         return np.array([fit_points(nominal, plain, points, k).residual.ravel() for k, points in enumerate(turned)])
 
     joints = tuple(range(1, nominal.n + 1))
-    r0, u = mixtures(residual, pack_under(nominal.baseline, nominal.n), arm_candidates(joints, moving=False))
+    r0, u = mixture_directions(residual, pack_under(nominal.baseline, nominal.n), arm_candidates(joints, moving=False))
     u = u[:, : int(MIXED_SHARE * len(r0))]
     weight, away, scatter = np.ones(len(data.xyz)), np.zeros(len(data.xyz)), 0.0
     for _ in range(REWEIGHED):

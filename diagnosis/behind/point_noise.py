@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.behind.link_angles import Path, coarsest, inside
+from diagnosis.behind.link_angles import Path, largest_encoder_steps, path_index
 from diagnosis.behind.measured_again import measured_again
 from diagnosis.behind.point_residual import PointResidual, unweighed
 from diagnosis.behind.points import PointData, numbers_fitted
@@ -97,7 +97,7 @@ def noise_by_repeats(
 ) -> RepeatedPoints | None:
     """What repeats of one command say of tracked points; None where there are none, or a baseline knows better."""
     groups = [group for group in repeat_groups(stretches).values() if reference_spread(group) <= DIFFER_MAX_RAD]
-    at = inside(paths, data.when)
+    at = path_index(paths, data.when)
     if not groups or (at < 0).all() or nominal.remainder("structure", on="tracker") is not None:
         return None
     rough = unweighed(nominal, data, paths, at)
@@ -107,7 +107,7 @@ def noise_by_repeats(
 
 def _stairs_m(rough: PointResidual, base: ParameterSets) -> Array:
     """RMS (3,) [m] of what coarse encoders leave of their stairs, radial, tangential and up."""
-    steps = coarsest(rough.paths, rough.nominal.n)
+    steps = largest_encoder_steps(rough.paths, rough.nominal.n)
     if not steps.any():
         return np.zeros(3)
     of_a_step = rough.moved_by_each(base) * LEFT * steps[:, None, None]

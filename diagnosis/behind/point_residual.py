@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.behind.link_angles import SIDES, Path, link_angles, without_encoders
-from diagnosis.behind.points import PointData, PointFit, fit_points, modelled
+from diagnosis.behind.points import PointData, PointFit, fit_points, modelled_points
 from diagnosis.log.nominal import Nominal
 from diagnosis.noise.of_points import PointNoise, instants_of
 from machine.effects import kernel
@@ -60,9 +60,9 @@ class PointResidual:
         """How far an angle more at each joint takes each point (n, m, 3) [m/rad]: radial, tangential, up."""
         plain, data = without_encoders(sets), replace(self.data, q=self._angles(sets, 0))
         found = fit_points(self.nominal, plain, data)
-        here = modelled(self.nominal, plain, data, found.places)
+        here = modelled_points(self.nominal, plain, data, found.places)
         moved = [
-            modelled(self.nominal, plain, replace(data, q=data.q + more_rad), found.places) - here
+            modelled_points(self.nominal, plain, replace(data, q=data.q + more_rad), found.places) - here
             for more_rad in NUDGE_RAD * np.eye(self.nominal.n)
         ]
         return np.array([_about_upright(replace(found, residual=shift / NUDGE_RAD), self.data.xyz) for shift in moved])

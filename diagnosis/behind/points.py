@@ -108,7 +108,7 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
     return PointFit(measured - _put(T_base_link, places[data.which]), T, places)
 
 
-def modelled(nominal: Nominal, sets: ParameterSets, data: PointData, places: Array) -> Array:
+def modelled_points(nominal: Nominal, sets: ParameterSets, data: PointData, places: Array) -> Array:
     """Where the model puts points (m, 3) [m, base axes] at the first of the sets, by their places (k, 3) on links."""
     return _put(_links(nominal, sets, data, 0), places[data.which])
 

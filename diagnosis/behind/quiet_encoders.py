@@ -18,7 +18,7 @@ NORMAL_MAD = 1.4826
 SURE = 3.0  # standard errors
 
 
-def quieted(enc: Array, dt_s: float) -> Array:
+def smooth_encoders(enc: Array, dt_s: float) -> Array:
     """Encoders (m, n) [rad] by a parabola through the 50 ms about each row, wherever noise alone parts the two.
 
     Model:   the window's mean squared residual, over the encoder's variance, is (w - 3) / w on the average and scatters

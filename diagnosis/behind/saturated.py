@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.search.candidates import Candidate, put
+from diagnosis.search.candidates import Candidate, parameter_sets_with
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
@@ -28,7 +28,7 @@ def saturated_noise(
     Why:   not the residual of a model under test: that would hide the gap. And a hand that stands 3 mm off its model
            takes all its markers with it: counted one by one such a pose would speak as often as it has markers.
     """
-    left, dof = unexplained(residual, base, candidates, taken)
+    left, dof = unexplained_by_mixtures(residual, base, candidates, taken)
     S, Q, n = np.bincount(groups, weights=left), np.bincount(groups, weights=left**2), np.bincount(groups)
     pairs = float((n * (n - 1)).sum())
     variance = float(left @ left) / dof
@@ -37,7 +37,7 @@ def saturated_noise(
     return float(np.sqrt(variance - shared)), float(np.sqrt(shared))
 
 
-def unexplained(
+def unexplained_by_mixtures(
     residual: Callable[[ParameterSets], Array],
     base: ParameterSets,
     candidates: tuple[Candidate, ...],
@@ -48,13 +48,13 @@ def unexplained(
     Why: at most half of what is free is explained, by what effects show most: of twenty points at rest a mixture of all
          explains each number, and what it left was called a noise of a tenth of the true one.
     """
-    r0, u = mixtures(residual, base, candidates)
+    r0, u = mixture_directions(residual, base, candidates)
     free = max(len(r0) - taken, 1)
     u = u[:, : int(MIXED_SHARE * free)]
     return r0 - u @ (u.T @ r0), max(free - u.shape[1], 1)
 
 
-def mixtures(
+def mixture_directions(
     residual: Callable[[ParameterSets], Array], base: ParameterSets, candidates: tuple[Candidate, ...]
 ) -> tuple[Array, Array]:
     """The residual (N,) without effects, and orthonormal directions (N, k), strongest first, that small ones span."""
@@ -64,7 +64,7 @@ def mixtures(
         theta = np.array([0.0 if slot.neutral == 0.0 else slot.start for slot in candidate.slots])
         for k, slot in enumerate(candidate.slots):
             theta[k] = 0.2 * slot.start if slot.neutral == 0.0 else slot.start
-            columns.append(residual(put(base, (candidate,), theta[None]))[0] - r0)
+            columns.append(residual(parameter_sets_with(base, (candidate,), theta[None]))[0] - r0)
             theta[k] = 0.0 if slot.neutral == 0.0 else slot.start
     A = np.array(columns).T
     A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-15)

@@ -13,7 +13,7 @@ LEFT = 0.06  # of a step: RMS error of a ramp that repeats, which meet the same 
 STANDS_S = 0.5  # between two changes: in a longer one it is unknown when the joint went on
 
 
-def unstepped(enc: Array, steps_rad: Array, dt_s: float) -> Array:
+def smooth_encoder_steps(enc: Array, steps_rad: Array, dt_s: float) -> Array:
     """Encoders (m, n) [rad]; those with steps (n,) by straight lines through the middles of their changes.
 
     Model: where the reading goes from one stair to the next the angle is between the two, within a row; a change back
@@ -25,7 +25,7 @@ def unstepped(enc: Array, steps_rad: Array, dt_s: float) -> Array:
     return out
 
 
-def coarse_steps(steps_rad: Array) -> Array:
+def steps_visible_at_tip(steps_rad: Array) -> Array:
     """Those of the encoders' steps (n,) [rad] that are seen at the tip; 0 of finer ones."""
     return np.where(steps_rad >= COARSE_RAD, steps_rad, 0.0)
 

@@ -21,7 +21,7 @@ from diagnosis.known.form import with_form
 from diagnosis.log.nominal import Nominal
 from diagnosis.reading.read import Read
 from diagnosis.search.candidates import SEEN_BY_ENCODER, Candidate, on_an_arm
-from diagnosis.search.cell import Cell, Rows
+from diagnosis.search.cell import Cell, ResidualRows
 from machine.effects.arm import weight_nm
 from machine.effects.kernel import PAYLOAD
 from machine.effects.layout import (
@@ -58,13 +58,13 @@ def behind_cells(whole: Read, base: ParameterSets, with_odometry: bool = False) 
     parts += odometry_cells(whole, base, paths) if with_odometry else []
     if not parts:
         return []
-    cell = joined(parts) if len(parts) > 1 else parts[0]
+    cell = join_cells(parts) if len(parts) > 1 else parts[0]
     if nominal is None or not nominal.remainders:
         return [cell]
     return [replace(cell, usual=usual_of([nominal.remainder(cell.stage)]) or ())]
 
 
-def joined(parts: list[Cell]) -> Cell:
+def join_cells(parts: list[Cell]) -> Cell:
     """Several cells as one: candidates of all, residuals end to end.
 
     Folds keep their numbers (a quarter of every part is left out together), blocks and series do not.
@@ -97,7 +97,7 @@ def joined(parts: list[Cell]) -> Cell:
     )
 
 
-def _rows(rows: list[Rows]) -> Rows:
+def _rows(rows: list[ResidualRows]) -> ResidualRows:
     def shifted(name: str) -> NDArray[np.int64]:
         out, first = [], 0
         for row in rows:
@@ -107,7 +107,7 @@ def _rows(rows: list[Rows]) -> Rows:
         return np.concatenate(out).astype(np.int64)
 
     fold = np.concatenate([row.fold for row in rows]).astype(np.int64)
-    return Rows(fold, shifted("block"), shifted("series"), shifted("channel"), alike=shifted("together"))
+    return ResidualRows(fold, shifted("block"), shifted("series"), shifted("channel"), alike=shifted("together"))
 
 
 def _columns(part: Cell) -> tuple[bool, list[int] | None]:
@@ -167,12 +167,12 @@ def shown_behind(cells: list[Cell]) -> tuple[str, ...]:
     return tuple(name for name in SEEN_BY_ENCODER if name in seen)
 
 
-def without(cells: list[Cell], names: tuple[str, ...]) -> list[Cell]:
+def cells_without(cells: list[Cell], names: tuple[str, ...]) -> list[Cell]:
     """Cells whose library is without these effects."""
     return _kept(cells, lambda one: one.name not in names) if names else cells
 
 
-def fitting(cells: list[Cell], nominal: Nominal) -> list[Cell]:
+def cells_fitting_joint(cells: list[Cell], nominal: Nominal) -> list[Cell]:
     """Cells without effects that such a joint cannot have (what slides has no turn that a wave could go with), and with
     sizes that such an arm can have.
     """

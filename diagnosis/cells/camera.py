@@ -7,22 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 
-from diagnosis.behind.corner_residual import CornerResidual, Frames, nuisance_of, small_motion, solved
-from diagnosis.behind.link_angles import Path, candidates_behind, inside, link_angles, paths_of, without_encoders
+from diagnosis.behind.corner_residual import CornerResidual, Frames, least_squares, nuisance_of, small_motion
+from diagnosis.behind.link_angles import Path, candidates_behind, link_angles, path_index, paths_of, without_encoders
 from diagnosis.behind.loose_marker import loose_marker
 from diagnosis.behind.saturated import saturated_noise
 from diagnosis.behind.seen_corners import MARGIN_S, ROWS_MIN, seen_rows
 from diagnosis.behind.views import mean_pose, views_of
 from diagnosis.behind.views_one_eye import one_eye_views
 from diagnosis.cells.points import rows_of
-from diagnosis.datagrams.clocks import camera_to_plc_s, guessed
+from diagnosis.datagrams.clocks import camera_to_plc_s, is_offset_guessed
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.tables import MarkerTable
 from diagnosis.noise.of_corners import AXES, PLAIN, CornerNoise, noise_of_visits
 from diagnosis.reading.read import Read
 from diagnosis.search.candidates import candidates_of
-from diagnosis.search.cell import Cell, Rows
-from diagnosis.search.fit import costs, evaluated
+from diagnosis.search.cell import Cell, ResidualRows
+from diagnosis.search.fit import residuals_at, soft_l1_costs
 from machine.effects.layout import ParameterSets
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array
@@ -42,7 +42,7 @@ def late_by_motion_s(cell: Cell) -> float:
     best, step = 0.0, STEP_S
     tried = np.arange(-SPAN_S, SPAN_S + 0.5 * STEP_S, STEP_S)
     for _ in range(1 + ROUNDS):
-        total = costs(evaluated(cell, (clock,), tried[:, None])).sum(axis=1)
+        total = soft_l1_costs(residuals_at(cell, (clock,), tried[:, None])).sum(axis=1)
         best = float(tried[int(np.argmin(total))])
         tried, step = best + step * np.linspace(-1.0, 1.0, 2 * FINER + 1), step / FINER
     return best
@@ -81,7 +81,7 @@ def camera_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | Non
         return [] if frames is None else _cell(whole, nominal, frames, on, paths, base, table, late_s is not None)
 
     seen = cells_of("ooi")
-    if seen and guessed(tables):
+    if seen and is_offset_guessed(tables):
         seen = cells_of("ooi", late_by_motion_s(seen[0]))
     return seen + cells_of("tool")
 
@@ -94,7 +94,7 @@ def frames_of(
     number = {marker.marker_id: k for k, marker in enumerate(markers)}
     usable = seen_rows(nominal, table, on)
     if on == "ooi":
-        usable &= inside(paths, table.t_s, MARGIN_S) >= 0
+        usable &= path_index(paths, table.t_s, MARGIN_S) >= 0
     if not markers or int(usable.sum()) < ROWS_MIN:
         return None
     rows = np.nonzero(usable)[0]
@@ -119,7 +119,7 @@ def _cell(
     table: MarkerTable,
     untimed: bool = False,
 ) -> list[Cell]:
-    at = inside(paths, frames.t_s) if on == "ooi" else np.zeros(len(frames.t_s), dtype=np.int64)
+    at = path_index(paths, frames.t_s) if on == "ooi" else np.zeros(len(frames.t_s), dtype=np.int64)
     start_s = float(paths[0].t_s[0]) if paths else 0.0
     rough = CornerResidual(nominal, frames, on, paths, at, start_s, np.eye(4), np.zeros((0, 0)), PLAIN, untimed)
     placed = _placed(rough, nominal, table, base)
@@ -182,7 +182,7 @@ def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: P
     views = views_of(nominal, table, "ooi")
     if len(views.t_s) < VIEWS_MIN:
         views = one_eye_views(nominal, table, "ooi")
-    at = inside(rough.paths, views.t_s, MARGIN_S)
+    at = path_index(rough.paths, views.t_s, MARGIN_S)
     kept = at >= 0
     if int(kept.sum()) < VIEWS_MIN or nominal.arm is None or nominal.T_tcp_cam_left is None:
         return None
@@ -194,7 +194,7 @@ def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: P
         nuisance = nuisance_of(placed, base)
         plain = without_encoders(base)
         residual = placed.difference(plain, 0, placed.poses(base, plain, 0, 0.0), None, placed.T_base_ooi)
-        placed = replace(placed, T_base_ooi=placed.T_base_ooi @ small_motion(-solved(nuisance, residual)[:6]))
+        placed = replace(placed, T_base_ooi=placed.T_base_ooi @ small_motion(-least_squares(nuisance, residual)[:6]))
     return replace(placed, nuisance=nuisance_of(placed, base))
 
 
@@ -208,7 +208,7 @@ def _postures(q: Array) -> NDArray[np.int64]:
     return np.unique(group, return_inverse=True)[1].astype(np.int64)
 
 
-def _rows(frames: Frames) -> tuple[Rows, Array]:
+def _rows(frames: Frames) -> tuple[ResidualRows, Array]:
     """Rows by frame; the residual holds only what was seen."""
     seen = np.isfinite(frames.pixels).reshape(len(frames.t_s), -1)
     whole = rows_of(len(frames.t_s), seen.shape[1])

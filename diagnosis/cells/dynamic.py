@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.log.tables import filled
+from diagnosis.log.tables import fill_gaps
 from diagnosis.noise.floor import BLOCK_S, Floor, Whitener, block_means
-from diagnosis.replay.read_off import reached, read_off
-from diagnosis.replay.replayer import Prepared, Replayer, measured_output
+from diagnosis.replay.read_off import candidates_within_log, read_off
+from diagnosis.replay.replayer import PreparedStretch, Replayer, measured_output
 from diagnosis.replay.stage_floor import at_noise, stage_floor
-from diagnosis.replay.stage_replay import SKIPPED, Part, Replay, part_of, white_rows
+from diagnosis.replay.stage_replay import SKIPPED, Replay, StretchReplay, part_of, white_rows
 from diagnosis.replay.stretches import Stretch
-from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, candidates_of, named
-from diagnosis.search.cell import Cell, Rows, blocks_of, folds_of
+from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, candidates_of, candidates_of_effects
+from diagnosis.search.cell import Cell, ResidualRows, blocks_of, folds_of
 from diagnosis.sliding import unit_of
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
@@ -25,7 +25,7 @@ MOVES_RAD = 1e-4  # within a block
 
 
 def regressors_of(
-    parts: tuple[Part, ...], joints: list[int], order: int, skipped: int, rows_of: list[int]
+    parts: tuple[StretchReplay, ...], joints: list[int], order: int, skipped: int, rows_of: list[int]
 ) -> tuple[tuple[tuple[str, Array], ...], Array]:
     """What a remainder may go with, at the residuals' rows."""
     by_name: dict[str, list[Array]] = {}
@@ -33,8 +33,8 @@ def regressors_of(
     for part, rows in zip(parts, rows_of, strict=True):
         one, dt = part.stretch, part.stretch.dt_s
         position = one.enc if one.enc is not None else one.ref
-        q = block_means(filled(position) if position is not None else part.measured, dt)
-        u = block_means(filled(one.u), dt) if one.u is not None else np.zeros_like(q)
+        q = block_means(fill_gaps(position) if position is not None else part.measured, dt)
+        u = block_means(fill_gaps(one.u), dt) if one.u is not None else np.zeros_like(q)
         t = one.t_s[0] + max(BLOCK_S, dt) * np.arange(len(q))
         skip = 1 + order + skipped
         for j in joints:
@@ -100,10 +100,10 @@ def coupled_cell(
         return None
     floor = stage_floor(replayer, "actuator", some, base)
     cell = cell_of("actuator", tuple(range(n)), some, floor, base, replayer)
-    return replace(cell, candidates=named((DROOP,), ()))
+    return replace(cell, candidates=candidates_of_effects((DROOP,), ()))
 
 
-def _recorded(stage: str, one: Prepared, j: int) -> bool:
+def _recorded(stage: str, one: PreparedStretch, j: int) -> bool:
     """Whether everything that a joint's replay needs was recorded."""
     needed = {
         "link": (one.stretch.ref,),
@@ -114,7 +114,12 @@ def _recorded(stage: str, one: Prepared, j: int) -> bool:
 
 
 def cell_of(
-    stage: str, joints: tuple[int, ...], prepared: list[Prepared], floor: Floor, base: ParameterSets, replayer: Replayer
+    stage: str,
+    joints: tuple[int, ...],
+    prepared: list[PreparedStretch],
+    floor: Floor,
+    base: ParameterSets,
+    replayer: Replayer,
 ) -> Cell:
     """One cell of a stage: these joints (0-based) over all prepared stretches."""
     chosen = list(joints)
@@ -128,7 +133,7 @@ def cell_of(
     folds = [np.tile(numbers, len(chosen)) for numbers in folds_by_part]
     channel = [np.repeat(np.arange(len(chosen)), rows) for rows in per_channel]
     series = [k * len(chosen) + numbers for k, numbers in enumerate(channel)]
-    rows = Rows(*(np.concatenate(numbers).astype(np.int64) for numbers in (folds, spread, series, channel)))
+    rows = ResidualRows(*(np.concatenate(numbers).astype(np.int64) for numbers in (folds, spread, series, channel)))
     per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
     units = {unit_of(UNIT[stage], replayer.nominal.sliding, j) for j in joints}
     one_unit = len(units) == 1
@@ -178,7 +183,7 @@ def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int
 
 
 def _candidates(
-    stage: str, joints: tuple[int, ...], prepared: list[Prepared], replayer: Replayer
+    stage: str, joints: tuple[int, ...], prepared: list[PreparedStretch], replayer: Replayer
 ) -> tuple[Candidate, ...]:
     machine = stage == "link"
     found = candidates_of(stage, joints, machine)  # pyright: ignore[reportArgumentType]
@@ -191,14 +196,16 @@ def _candidates(
             for candidate in found
         )
     if stage == "controller":
-        found = reached(found, tuple(entry.stretch for entry in prepared))
+        found = candidates_within_log(found, tuple(entry.stretch for entry in prepared))
     if stage == "actuator":
-        found = tuple(candidate for candidate in found if candidate.name != DROOP) + named(SEEN_BY_ENCODER, joints)
+        found = tuple(candidate for candidate in found if candidate.name != DROOP) + candidates_of_effects(
+            SEEN_BY_ENCODER, joints
+        )
     loaded = replayer.torque_reference
-    return tuple(candidate for candidate in found if possible(candidate, replayer, loaded))
+    return tuple(candidate for candidate in found if is_effect_possible(candidate, replayer, loaded))
 
 
-def possible(one: Candidate, replayer: Replayer, loaded: Array | None) -> bool:
+def is_effect_possible(one: Candidate, replayer: Replayer, loaded: Array | None) -> bool:
     """Whether a machine can have an effect at all: no droop without load, no lag error without a lag."""
     if one.joint is None:
         return True

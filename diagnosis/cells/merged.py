@@ -5,12 +5,12 @@ From the received reference (controller and actuator merge) or, without it, from
 
 from dataclasses import replace
 
-from diagnosis.cells.dynamic import cell_of, possible
-from diagnosis.replay.merge import Merge, merge_of, merged_drives
+from diagnosis.cells.dynamic import cell_of, is_effect_possible
+from diagnosis.replay.merge import MergedStages, merge_of, merged_drives
 from diagnosis.replay.replayer import Replayer
 from diagnosis.replay.stage_floor import stage_floor
 from diagnosis.replay.stretches import Stretch
-from diagnosis.search.candidates import DROOP, Candidate, candidates_of, named
+from diagnosis.search.candidates import DROOP, Candidate, candidates_of, candidates_of_effects
 from diagnosis.search.cell import Cell
 from machine.effects.layout import ParameterSets
 
@@ -30,14 +30,14 @@ def merged_cells(
         made = cell_of("actuator", joints, prepared, floor, base, replayer)
         return replace(made, candidates=candidates)
 
-    everything, droop = tuple(range(replayer.nominal.n)), named((DROOP,), ())
+    everything, droop = tuple(range(replayer.nominal.n)), candidates_of_effects((DROOP,), ())
     if "link" in merge.stages:
         return [cell(everything, (*_candidates(merge, everything, replayer), *droop))], None
     found = [cell((j,), _candidates(merge, (j,), replayer)) for j in everything]
     return found, cell(everything, droop) if len(everything) > 1 else None
 
 
-def _candidates(merge: Merge, joints: tuple[int, ...], replayer: Replayer) -> tuple[Candidate, ...]:
+def _candidates(merge: MergedStages, joints: tuple[int, ...], replayer: Replayer) -> tuple[Candidate, ...]:
     """What may be wrong with joints (0-based), each by itself; of the link, too, where it is among what merges."""
     found = tuple(
         candidate
@@ -47,5 +47,5 @@ def _candidates(merge: Merge, joints: tuple[int, ...], replayer: Replayer) -> tu
     return tuple(
         candidate
         for candidate in found
-        if candidate.name != DROOP and possible(candidate, replayer, replayer.torque_reference)
+        if candidate.name != DROOP and is_effect_possible(candidate, replayer, replayer.torque_reference)
     )

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.behind.chord_residual import ChordResidual
-from diagnosis.behind.link_angles import Path, followed, inside
+from diagnosis.behind.link_angles import Path, is_logged_densely, path_index
 from diagnosis.behind.saturated import saturated_noise
 from diagnosis.cells.points import rows_of
 from diagnosis.datagrams.clocks import camera_to_plc_s
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.tables import OdometryTable
 from diagnosis.reading.read import Read
-from diagnosis.search.candidates import Candidate, arm_candidates, candidates_of, named
+from diagnosis.search.candidates import Candidate, arm_candidates, candidates_of, candidates_of_effects
 from diagnosis.search.cell import Cell
 from machine.effects.layout import ParameterSets
 
@@ -43,7 +43,7 @@ def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) ->
         return []
     cut = {name: getattr(rough, name)[long] for name in ("at", "start_s", "end_s", "length_m")}
     rough = replace(rough, **cut)
-    candidates = _candidates(tuple(range(1, nominal.n + 1)), followed(paths))
+    candidates = _candidates(tuple(range(1, nominal.n + 1)), is_logged_densely(paths))
     count = len(rough.at)
     # the noise across a chord makes it longer by sigma^2 / length on the average: taken off below
     sigma = max(saturated_noise(rough, base, candidates, np.arange(count))[0], SIGMA_MIN_M)
@@ -71,7 +71,7 @@ def _chords(nominal: Nominal, table: OdometryTable, to_plc_s: float, paths: tupl
     order = np.argsort(table.t_s[good], kind="stable")
     t, places = table.t_s[good][order] + to_plc_s, table.position[good][order]
     end = np.minimum(np.searchsorted(t, t + CHORD_S), len(t) - 1)
-    start_in, end_in = inside(paths, t), inside(paths, t[end])
+    start_in, end_in = path_index(paths, t), path_index(paths, t[end])
     lasted = t[end] - t
     usable = np.nonzero((start_in >= 0) & (start_in == end_in) & (lasted > 0.8 * CHORD_S) & (lasted < 1.2 * CHORD_S))[0]
     some = usable[np.unique(np.linspace(0, len(usable) - 1, CHORDS_MAX).astype(int))] if len(usable) else usable
@@ -80,4 +80,4 @@ def _chords(nominal: Nominal, table: OdometryTable, to_plc_s: float, paths: tupl
 
 
 def _candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
-    return arm_candidates(joints, moving) + named(MOUNT, joints) + candidates_of("time", joints, True)
+    return arm_candidates(joints, moving) + candidates_of_effects(MOUNT, joints) + candidates_of("time", joints, True)

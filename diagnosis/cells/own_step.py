@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.cells.dynamic import stage_cells
-from diagnosis.noise.floor import increments
+from diagnosis.noise.floor import block_increments
 from diagnosis.replay.replayer import Replayer
-from diagnosis.replay.stage_replay import SKIPPED, Replay, by_steps, part_increments, trust, whiten_sets
+from diagnosis.replay.stage_replay import SKIPPED, Replay, by_steps, part_increments, row_weights, whiten_sets
 from diagnosis.replay.stretches import Stretch
 from diagnosis.search.cell import Cell
 from machine.effects.layout import ParameterSets
@@ -24,7 +24,7 @@ PAST = 0.3  # beyond the ends, by which chance may take a share
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
+class StepShare:
     """A joint's share of the way to endlessly many steps, its standard error, and the mean square that is left."""
 
     value: float
@@ -38,27 +38,27 @@ def at_its_step(replayer: Replayer, stretches: tuple[Stretch, ...], base: Parame
         return replayer
     cells = stage_cells("actuator", replayer, stretches, base, base)
     shares = [share_of(cell) for cell in cells if cell.joint and not replayer.learnt("actuator", cell.joint - 1)]
-    return replace(replayer, finer=agreed([share for share in shares if share is not None]))
+    return replace(replayer, finer=agreed_share([share for share in shares if share is not None]))
 
 
-def agreed(shares: list[Share]) -> float:
+def agreed_share(shares: list[StepShare]) -> float:
     """What joints say together: the median by what each knows, as far as it is believed; 0 where none is clean."""
     clean = [share for share in shares if share.left < CLEAN and -PAST <= share.value <= 1.0 + PAST]
     if not clean:
         return 0.0
     clean.sort(key=lambda one: one.value)
     known = np.cumsum([share.sigma**-2 for share in clean])
-    return believed(clean[int(np.searchsorted(known, known[-1] / 2.0))])
+    return expected_share(clean[int(np.searchsorted(known, known[-1] / 2.0))])
 
 
-def believed(share: Share) -> float:
+def expected_share(share: StepShare) -> float:
     """The mean of what a share may be; 0 where that is likelier: half of all simulators step as the model does."""
     likely = np.exp(-0.5 * ((GRID - np.clip(share.value, 0.0, 1.0)) / share.sigma) ** 2)
     none, finer = float(likely[0]), float(np.mean(likely))
     return 0.0 if none >= finer else float(np.mean(GRID * likely)) / (none + finer)
 
 
-def share_of(cell: Cell) -> Share | None:
+def share_of(cell: Cell) -> StepShare | None:
     """Least squares over a joint's stretches, together with a shift and another course of the command in each.
 
     Where the noise was never measured, what is left is the noise, and only a share that it leaves sure is returned: of
@@ -71,11 +71,11 @@ def share_of(cell: Cell) -> Share | None:
     both, own, energy, free = 0.0, 0.0, 0.0, -1
     for part in replay.parts:
         steps, shift = part_increments("actuator", part, sets)
-        column = increments(by_steps(part), part.stretch.dt_s)[None]
+        column = block_increments(by_steps(part), part.stretch.dt_s)[None]
         rows = min(steps.shape[1], column.shape[1])
         signals = [signal[:, :rows] for signal in (steps, column, shift, *(course[None] for course in part.between))]
         white = [whiten_sets(replay.whitener, signal)[:, SKIPPED:] for signal in signals]
-        left, along, *nuisance = ((signal * trust(part, replay.whitener))[0, :, 0] for signal in white)
+        left, along, *nuisance = ((signal * row_weights(part, replay.whitener))[0, :, 0] for signal in white)
         if len(left) <= len(nuisance):
             continue
         left, along = _without(np.stack([left, along], axis=1), np.stack(nuisance, axis=1)).T
@@ -84,7 +84,7 @@ def share_of(cell: Cell) -> Share | None:
     if own <= 0.0 or free <= 0:
         return None
     rest = max(energy - both**2 / own, 0.0) / free
-    share = Share(both / own, float(np.sqrt(rest / own)), rest)
+    share = StepShare(both / own, float(np.sqrt(rest / own)), rest)
     if cell.floor_known:
         return share
     return replace(share, left=1.0) if share.sigma < SURE else None

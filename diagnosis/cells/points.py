@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.behind.link_angles import Path, candidates_behind, inside, paths_of
+from diagnosis.behind.link_angles import Path, candidates_behind, path_index, paths_of
 from diagnosis.behind.loose_point import off_its_link
 from diagnosis.behind.point_noise import noise_by_repeats, point_scatter
 from diagnosis.behind.point_residual import unweighed
@@ -14,7 +14,7 @@ from diagnosis.log.tables import Tables
 from diagnosis.noise.of_repeated_points import RepeatedPoints
 from diagnosis.reading.read import Read
 from diagnosis.search.candidates import candidates_of
-from diagnosis.search.cell import Cell, Rows
+from diagnosis.search.cell import Cell, ResidualRows
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
@@ -73,7 +73,7 @@ def _cell(
     """`repeats`: what repeats of one command show of the noise; `clocked`: whether these points' clock may be off: no
     camera was there whose clock the catalogue means.
     """
-    at = inside(paths, data.when) if paths else np.zeros(len(data.when), dtype=np.int64)
+    at = path_index(paths, data.when) if paths else np.zeros(len(data.when), dtype=np.int64)
     start_s = float(paths[0].t_s[0]) if clocked else None
     rough = replace(unweighed(nominal, data, paths, at), t_start_s=start_s)
     data, m = rough.data, len(rough.data.xyz)
@@ -111,10 +111,10 @@ def axes_of(record: Remainder | None, axes: int) -> Array:
     return np.array(record.by_axis if len(record.by_axis) == axes else [record.sigma] * axes)
 
 
-def rows_of(m: int, channels: int) -> Rows:
+def rows_of(m: int, channels: int) -> ResidualRows:
     """Blocks of whole samples, four folds of neighbouring ones; channels one by one within a sample."""
     sample = np.repeat(np.arange(m), channels)
     channel = np.tile(np.arange(channels), m)
     fold = sample * FOLDS // max(m, 1)
     blocks = min(m, 40)
-    return Rows(fold, sample * blocks // max(m, 1), channel.copy(), channel)
+    return ResidualRows(fold, sample * blocks // max(m, 1), channel.copy(), channel)

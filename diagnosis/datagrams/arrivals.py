@@ -102,7 +102,7 @@ class _Delay:
         return float(np.clip(to_s, self.least_s, self.most_s))
 
 
-def arrivals(
+def arrival_times(
     sent: Numbered,
     rows: Numbered,
     cycle_s: float,

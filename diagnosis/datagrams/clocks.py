@@ -9,7 +9,7 @@ from diagnosis.datagrams.sent import sent_clock
 from diagnosis.log.tables import Tables
 
 
-def guessed(tables: Tables) -> bool:
+def is_offset_guessed(tables: Tables) -> bool:
     """Whether the offset between PLC and PC is not given, and numbers of datagrams give it but for a constant."""
     return tables.run.plc_to_pc_offset_s is None and sent_clock(tables, []) is not None
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.datagrams.arrivals import Arrivals, arrivals, on_schedule
+from diagnosis.datagrams.arrivals import Arrivals, arrival_times, on_schedule
 from diagnosis.log.findings import Finding
 from diagnosis.log.quality import ROWS_MIN
 from diagnosis.log.tables import Tables
@@ -56,7 +56,7 @@ RATE_REPORTED = 5e-6  # so is a drift of the clocks
 
 
 @dataclass(frozen=True, slots=True)
-class Sent:
+class SentReference:
     """The reference as sent, on the PLC's clock: t_s (k,), q (k, n); begins before the stretch does.
 
     `within_s` (2, k): between which times it came, by the log rows; None: unknown. `lost` (k,): datagrams that
@@ -138,7 +138,7 @@ def arrivals_of(tables: Tables, plant: Actuators | None, findings: list[Finding]
         sent, rows = (sent[0], np.arange(len(sent[0]))), (rows[0], number)
     if plant is None:
         return on_schedule(sent, rows)
-    came = arrivals(sent, rows, plant.cycle_s, plant.transport_delay_s, clock.known)
+    came = arrival_times(sent, rows, plant.cycle_s, plant.transport_delay_s, clock.known)
     if came.jitter_s > JITTER_S or abs(came.rate) > RATE_REPORTED:
         drift = f", and the clocks drift by {1e6 * came.rate:.0f} ppm" if abs(came.rate) > RATE_REPORTED else ""
         text = (
@@ -149,7 +149,7 @@ def arrivals_of(tables: Tables, plant: Actuators | None, findings: list[Finding]
     return came
 
 
-def sent_within(tables: Tables, came: Arrivals | None, t_plc_s: Array) -> Sent | None:
+def sent_within(tables: Tables, came: Arrivals | None, t_plc_s: Array) -> SentReference | None:
     """References from the last one before the stretch with log rows at t_plc_s (or 2 s before it) to its end."""
     if came is None or tables.sent is None:
         return None
@@ -158,7 +158,7 @@ def sent_within(tables: Tables, came: Arrivals | None, t_plc_s: Array) -> Sent |
     if int(good.sum()) < ROWS_MIN:
         return None
     order = np.argsort(t[good], kind="stable")
-    return Sent(
+    return SentReference(
         t[good][order],
         np.ascontiguousarray(tables.sent.q[good][order]),
         None if came.lost is None else came.lost[good][order],

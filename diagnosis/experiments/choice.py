@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from diagnosis.behind.corner_residual import CornerResidual
-from diagnosis.experiments.described import described
-from diagnosis.experiments.library import Experiment, Motion, motions
-from diagnosis.experiments.postures import extremes, looks, pool, visible
-from diagnosis.experiments.prediction import Hypothesis, rows_of_motion, rows_of_postures, sets_of
+from diagnosis.experiments.described import describe_motions
+from diagnosis.experiments.library import Experiment, Motion, library_motions
+from diagnosis.experiments.postures import candidate_postures, gravity_extremes, is_object_visible, look_posture_choices
+from diagnosis.experiments.prediction import Hypothesis, residuals_with_postures, rows_of_motion, sets_of
 from diagnosis.experiments.separation import separation_nats
 from diagnosis.log.nominal import Nominal
 from diagnosis.reading.read import Read
@@ -87,27 +87,27 @@ def _proposed(whole: Read, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any
             {"separates": _pair_members(pair), "expected_nats": _digits(nats)}
             for pair, nats in zip(pairs, table[best.name], strict=True)
         ],
-        "execute": described(best, nominal.sliding),
+        "execute": describe_motions(best, nominal.sliding),
     }
 
 
 def _library(whole: Read, nominal: Nominal, pairs: list[Pair]) -> tuple[Experiment, ...]:
     """Everything that this machine can do about these pairs."""
     cell = pairs[0].cell
-    centre = middle(whole)
-    near = pool(nominal, centre, np.random.default_rng(POOL_SEED))
+    centre = middle_posture(whole)
+    near = candidate_postures(nominal, centre, np.random.default_rng(POOL_SEED))
     if isinstance(cell.whitened, Replay):
         joints = _joints(pairs, nominal.n)
-        return motions(nominal, centre, joints, extremes(nominal, cell.base, near, joints))
+        return library_motions(nominal, centre, joints, gravity_extremes(nominal, cell.base, near, joints))
     parts = [part.whitened for part in cell.parts or (cell,)]
     seen = next((residual for residual in parts if isinstance(residual, CornerResidual) and residual.on == "ooi"), None)
     if seen is None:
-        return looks(nominal, cell.base, near, None)
-    kept = near[visible(nominal, cell.base, near, seen.T_base_ooi)]
-    return looks(nominal, cell.base, kept, seen.T_base_ooi)
+        return look_posture_choices(nominal, cell.base, near, None)
+    kept = near[is_object_visible(nominal, cell.base, near, seen.T_base_ooi)]
+    return look_posture_choices(nominal, cell.base, kept, seen.T_base_ooi)
 
 
-def middle(whole: Read) -> Array:
+def middle_posture(whole: Read) -> Array:
     """The posture (n,) around which the recording was made."""
     nominal = whole.nominal
     recorded = [stretch.enc for stretch in whole.stretches if stretch.enc is not None]
@@ -135,7 +135,7 @@ def _nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
         if isinstance(experiment, Motion):
             rows, holds = rows_of_motion(whole, cell, experiment, truth), True
         else:
-            rows, holds = rows_of_postures(whole, cell, experiment, truth), False
+            rows, holds = residuals_with_postures(whole, cell, experiment, truth), False
         if rows is None:
             return 0.0
         both.append(separation_nats(pair.cell, pair.spread, rows, truth, other, holds))

@@ -15,7 +15,7 @@ DIGITS = 6
 MOVED_RAD = 1e-6
 
 
-def described(experiment: Experiment, sliding: tuple[bool, ...] = ()) -> dict[str, Any]:
+def describe_motions(experiment: Experiment, sliding: tuple[bool, ...] = ()) -> dict[str, Any]:
     """For the answer's JSON. Motions: joints that move, and their knots; the others stay where they start.
 
     `t_knot_s`: between two knots; the course between them is the cubic spline with zero speed at both ends.
@@ -58,13 +58,13 @@ def experiment_of(description: dict[str, Any]) -> Experiment:
         start = np.array(description["start_rad"], dtype=float)
         knots = np.tile(start, (len(description["q_rad"]), 1))
         knots[:, np.array(description["joints"], dtype=int) - 1] = np.array(description["q_rad"], dtype=float)
-        q = splined(knots, round(float(description["t_knot_s"]) / SAMPLE_S))
+        q = spline_course(knots, round(float(description["t_knot_s"]) / SAMPLE_S))
         return Motion(str(description["name"]), description["segment_kind"], q)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise DiagnosisError(f"not an experiment's description: {error!r}") from error
 
 
-def splined(knots: Array, rows: int) -> Array:
+def spline_course(knots: Array, rows: int) -> Array:
     """A course through knots (k, n), `rows` samples each, by the cubic spline at rest at both ends."""
     k = len(knots)
     A = np.diag(np.full(k, 4.0)) + np.diag(np.ones(k - 1), 1) + np.diag(np.ones(k - 1), -1)

@@ -56,7 +56,7 @@ Experiment = Motion | Postures
 Shape = Callable[[Array, int], Array]  # t (m,), joint (0-based) -> (m,), within -1..1
 
 
-def motions(
+def library_motions(
     nominal: Nominal, centre: Array, joints: tuple[int, ...], loaded: tuple[Array, Array] | None
 ) -> tuple[Motion, ...]:
     """The library's motions of some joints (0-based) around a posture (n,) [rad].
@@ -64,7 +64,7 @@ def motions(
     Args: loaded: postures (n,) of high and of low load on these joints; None where loads are not known.
     """
     t = np.asarray(np.arange(round(SECONDS / SAMPLE_S)) * SAMPLE_S, dtype=float)
-    centre = np.clip(centre, *bounds(nominal))  # it may have been recorded beyond the file's range
+    centre = np.clip(centre, *posture_bounds(nominal))  # it may have been recorded beyond the file's range
     everyone = tuple(range(nominal.n))
 
     def around(name: str, kind: SegmentKind, shape: Shape, moving: tuple[int, ...] = joints) -> Motion:
@@ -116,7 +116,7 @@ def speed_limits(nominal: Nominal) -> Array:
 
 def _driven(nominal: Nominal, centre: Array, joints: tuple[int, ...], shape: Shape, t: Array) -> Array:
     """Reference (m, n): each joint's shape scaled into its range, speed and acceleration."""
-    low, high = bounds(nominal)
+    low, high = posture_bounds(nominal)
     q = np.tile(np.clip(centre, low, high), (len(t), 1))
     u = np.clip(np.minimum(t, t[-1] - t) / FADE_S, 0.0, 1.0)
     fade = 10 * u**3 - 15 * u**4 + 6 * u**5
@@ -136,7 +136,7 @@ def _size(nominal: Nominal, j: int) -> float:
 
 def _inward(nominal: Nominal, posture: Array, joints: tuple[int, ...]) -> Array:
     """A posture (n,) moved in from the ends of the ranges, so that these joints have room to either side."""
-    low, high = bounds(nominal)
+    low, high = posture_bounds(nominal)
     out = np.clip(posture, low, high)
     for j in joints:
         size = min(_size(nominal, j), 0.5 * float(high[j] - low[j]))
@@ -144,7 +144,7 @@ def _inward(nominal: Nominal, posture: Array, joints: tuple[int, ...]) -> Array:
     return out
 
 
-def bounds(nominal: Nominal) -> tuple[Array, Array]:
+def posture_bounds(nominal: Nominal) -> tuple[Array, Array]:
     """Where joints may be sent (n,), low and high: off the ends of their ranges; one place where that leaves none."""
     high = np.maximum(nominal.q_min, nominal.q_max - MARGIN_RAD)
     return np.minimum(nominal.q_min + MARGIN_RAD, high), high

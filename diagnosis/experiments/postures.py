@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.experiments.library import Postures, bounds
+from diagnosis.experiments.library import Postures, posture_bounds
 from diagnosis.log.nominal import Nominal
 from machine.effects.layout import ParameterSets
 from machine.effects.seen import seen_corners
@@ -17,19 +17,19 @@ EDGE_PX = 8.0
 DEPTH_MIN_M = 0.25
 
 
-def pool(nominal: Nominal, centre: Array, rng: np.random.Generator) -> Array:
+def candidate_postures(nominal: Nominal, centre: Array, rng: np.random.Generator) -> Array:
     """Joint vectors (m, n) within the ranges and REACH_RAD of a posture: half of them near it, half all over.
 
     Of a joint that was recorded outside its range, or has next to none, the nearest place inside.
     """
-    lowest, highest = bounds(nominal)
+    lowest, highest = posture_bounds(nominal)
     centre = np.clip(centre, lowest, highest)
     low, high = np.maximum(lowest, centre - REACH_RAD), np.minimum(highest, centre + REACH_RAD)
     share = np.where(np.arange(POOL) % 2 == 0, 1.0, 0.35)[:, None]
     return centre + share * (rng.uniform(low, high, (POOL, nominal.n)) - centre)
 
 
-def visible(nominal: Nominal, sets: ParameterSets, qs: Array, T_base_ooi: Array) -> NDArray[np.bool_]:
+def is_object_visible(nominal: Nominal, sets: ParameterSets, qs: Array, T_base_ooi: Array) -> NDArray[np.bool_]:
     """From which postures some marker of the object is whole in an eye (m,)."""
     markers = tuple(marker for marker in nominal.markers if marker.on == "ooi")
     if nominal.arm is None or nominal.camera is None or nominal.T_tcp_cam_left is None or not markers:
@@ -45,7 +45,9 @@ def visible(nominal: Nominal, sets: ParameterSets, qs: Array, T_base_ooi: Array)
     return np.logical_or(whole[0], whole[1]).any(axis=-1) & in_front
 
 
-def looks(nominal: Nominal, sets: ParameterSets, qs: Array, T_base_ooi: Array | None) -> tuple[Postures, ...]:
+def look_posture_choices(
+    nominal: Nominal, sets: ParameterSets, qs: Array, T_base_ooi: Array | None
+) -> tuple[Postures, ...]:
     """Choices among postures (m, n): near each other, at two distances, turned, at high and low load, all of it."""
     if len(qs) < COUNT or nominal.arm is None:
         return ()
@@ -85,7 +87,9 @@ def _farthest(features: Array) -> NDArray[np.int64]:
     return np.array(chosen, dtype=np.int64)
 
 
-def extremes(nominal: Nominal, sets: ParameterSets, qs: Array, joints: tuple[int, ...]) -> tuple[Array, Array] | None:
+def gravity_extremes(
+    nominal: Nominal, sets: ParameterSets, qs: Array, joints: tuple[int, ...]
+) -> tuple[Array, Array] | None:
     """Postures (n,) where gravity loads these joints most, and least; None where it never does."""
     if nominal.arm is None or float(nominal.arm.mass.sum()) <= 0.0:
         return None

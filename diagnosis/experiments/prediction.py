@@ -9,15 +9,15 @@ from diagnosis.behind.corner_residual import CornerResidual, Frames, nuisance_of
 from diagnosis.behind.link_angles import Path, without_encoders
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.behind.points import PointData
-from diagnosis.datagrams.sent import Sent
+from diagnosis.datagrams.sent import SentReference
 from diagnosis.experiments.library import LOOK_S, SAMPLE_S, Motion, Postures
 from diagnosis.known.wander import with_wander
 from diagnosis.reading.read import Read
-from diagnosis.replay.merge import merge_of, merged
+from diagnosis.replay.merge import merge_of, merge_stages
 from diagnosis.replay.replayer import Replayer, replayer_of
 from diagnosis.replay.stage_replay import Replay, part_of
 from diagnosis.replay.stretches import Stretch
-from diagnosis.search.candidates import put
+from diagnosis.search.candidates import parameter_sets_with
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import Fit
 from machine.effects.dynamics import DynamicStage, drive_by_sent, simulate
@@ -44,7 +44,7 @@ class Hypothesis:
     hold: Array
 
 
-def held(found: Fit, spread: float) -> Hypothesis:
+def hypothesis_at_fit(found: Fit, spread: float) -> Hypothesis:
     """A fit as a hypothesis: |hold (theta - theta_fit)|^2 is what it costs on the recording to move away."""
     if found.k == 0:
         return Hypothesis(found, np.zeros((0, 0)))
@@ -54,7 +54,7 @@ def held(found: Fit, spread: float) -> Hypothesis:
 
 def sets_of(cell: Cell, hypothesis: Hypothesis) -> ParameterSets:
     """The parameters of a hypothesis, on the baseline."""
-    return put(cell.base, hypothesis.fit.hypothesis, hypothesis.fit.theta)
+    return parameter_sets_with(cell.base, hypothesis.fit.hypothesis, hypothesis.fit.theta)
 
 
 def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets) -> Rows | None:
@@ -66,7 +66,7 @@ def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets
     stretch = _predicted(whole, replayer, motion, truth)
     merge = merge_of(whole.stretches)
     if merge is not None and cell.stage == "actuator":
-        prepared = merged(replayer, stretch, merge, cell.base)
+        prepared = merge_stages(replayer, stretch, merge, cell.base)
     else:
         prepared = replayer.prepare(stretch, cell.base)
     if prepared is None or replay.stage not in prepared.drives:
@@ -88,11 +88,11 @@ def _predicted(whole: Read, replayer: Replayer, motion: Motion, truth: Parameter
     drive = drive_by_sent(plant, t_sent, motion.q, 0.0, cycles, replayer.loads(q_log))
     out = simulate(plant, truth, drive, DynamicStage.ACTUATOR)
     ref, u = (None if getattr(like, name) is None else getattr(out, name)[0] for name in ("ref", "u"))
-    sent = None if like.sent is None else Sent(t_sent, motion.q)
+    sent = None if like.sent is None else SentReference(t_sent, motion.q)
     return Stretch(motion.name, motion.kind, "", 0.0, plant.log_cycle_s, t_log, ref, out.enc[0], u, sent)
 
 
-def rows_of_postures(whole: Read, cell: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
+def residuals_with_postures(whole: Read, cell: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
     """Residuals of the cell's looks or points together with those from more postures; None where it has neither."""
     parts = cell.parts or (cell,)
     extended = [_extended(part, postures, truth) for part in parts]

@@ -7,7 +7,7 @@ import numpy as np
 
 from diagnosis.experiments.prediction import Hypothesis, Rows
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import bounds, costs, damped_steps, evaluated
+from diagnosis.search.fit import damped_steps, parameter_bounds, residuals_at, soft_l1_costs
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
@@ -31,15 +31,15 @@ def separation_nats(
     theta = other.fit.theta
     if other.fit.k == 0:
         return _nats(residual(theta[None])[0], spread)
-    low, high = bounds(other.fit.hypothesis)
+    low, high = parameter_bounds(other.fit.hypothesis)
     best = residual(theta[None])[0]
     for _ in range(ROUNDS):
         J = _jacobian(residual, theta, best, low, high)
         trials = np.clip(theta + damped_steps(J, best, high - low), low, high)
         tried = residual(trials)
-        totals = costs(tried).sum(axis=1)
+        totals = soft_l1_costs(tried).sum(axis=1)
         k = int(np.argmin(totals))
-        gained = float(costs(best).sum() - totals[k])
+        gained = float(soft_l1_costs(best).sum() - totals[k])
         if gained <= 0.0:
             break
         theta, best = trials[k], tried[k]
@@ -56,7 +56,7 @@ def _residual_of(cell: Cell, other: Hypothesis, holds: bool, spread: float) -> C
     """Residuals (m, N) at thetas (m, k), the recording's hold on the sizes behind them."""
 
     def residual(thetas: Array) -> Array:
-        new = evaluated(cell, other.fit.hypothesis, thetas)
+        new = residuals_at(cell, other.fit.hypothesis, thetas)
         if not holds or other.fit.k == 0:
             return new
         away = (thetas - other.fit.theta) @ other.hold.T * np.sqrt(spread)
@@ -66,7 +66,7 @@ def _residual_of(cell: Cell, other: Hypothesis, holds: bool, spread: float) -> C
 
 
 def _nats(residual: Array, spread: float) -> float:
-    return float(costs(residual).sum()) / spread
+    return float(soft_l1_costs(residual).sum()) / spread
 
 
 def _jacobian(residual: Callable[[Array], Array], theta: Array, at: Array, low: Array, high: Array) -> Array:

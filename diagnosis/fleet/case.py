@@ -9,20 +9,20 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
 from diagnosis.errors import DiagnosisError
-from diagnosis.reading.read import Read, read
+from diagnosis.reading.read import Read, read_for_diagnosis
 
 FORMAT = 1
 
 
-def diagnosed(path: str, machine_file: str | None = None) -> dict[str, Any]:
+def diagnose_case(path: str, machine_file: str | None = None) -> dict[str, Any]:
     """The answer to one recording with what a fleet needs to know of it; a bad recording is an answer too.
 
     Returns: `status` "diagnosed", "unusable" (see `findings`) or "failed" (see `reason`); whose and when.
     """
-    whole = read(Path(path), None if machine_file is None else Path(machine_file))
+    whole = read_for_diagnosis(Path(path), None if machine_file is None else Path(machine_file))
     out: dict[str, Any] = {"format_version": FORMAT, "recording": Path(path).name, **_whose(whole)}
     findings = [
         {"code": finding.code, "severity": finding.severity, "text": str(finding)} for finding in whole.findings
@@ -30,7 +30,7 @@ def diagnosed(path: str, machine_file: str | None = None) -> dict[str, Any]:
     if not whole.usable:
         return {**out, "status": "unusable", "findings": findings}
     try:
-        return {**out, "status": "diagnosed", "findings": findings, "answer": answer(budget_of(whole))}
+        return {**out, "status": "diagnosed", "findings": findings, "answer": answer_json(budget_of(whole))}
     except DiagnosisError as error:
         return {**out, "status": "failed", "findings": findings, "reason": str(error)}
 

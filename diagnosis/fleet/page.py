@@ -2,8 +2,8 @@
 
 from html import escape
 
-from diagnosis.fleet.summary import Drift, Fleet, Shared
-from diagnosis.report.html import document, section, table
+from diagnosis.fleet.summary import EffectDrift, Fleet, SharedEffect
+from diagnosis.report.html import html_document, html_section, html_table
 
 WORDS = {"none": "✓ none", "effects": "! effects", "outside": "✗ outside", "undecided": "? undecided"}
 
@@ -22,7 +22,7 @@ def fleet_page(fleet: Fleet, name: str) -> str:
         _section("Every size found", [_found(fleet, k) for k in range(len(fleet.found))], FOUND),
         _section("Not usable", list(fleet.unusable), ("recording", "why")),
     ]
-    return document(name, "".join(body))
+    return html_document(name, "".join(body))
 
 
 SERIAL = "set serial in [machine] of each machine file"
@@ -32,7 +32,7 @@ MACHINES = ("machine", "verdicts in the order of time")
 FOUND = ("machine", "recording", "effect", "joint", "size", "90 %", "unit")
 
 
-def _shared(shared: Shared) -> tuple[str, ...]:
+def _shared(shared: SharedEffect) -> tuple[str, ...]:
     return (
         shared.name,
         _joint(shared.joint),
@@ -41,7 +41,7 @@ def _shared(shared: Shared) -> tuple[str, ...]:
     )
 
 
-def _drift(drift: Drift) -> tuple[str, ...]:
+def _drift(drift: EffectDrift) -> tuple[str, ...]:
     limits = f"{drift.low:.3g} to {drift.high:.3g}"
     word = "drifts" if drift.drifts else "no drift found"
     return (
@@ -78,4 +78,4 @@ def _joint(joint: int | None) -> str:
 
 
 def _section(title: str, rows: list[tuple[str, ...]], columns: tuple[str, ...]) -> str:
-    return section(title, table(columns, rows))
+    return html_section(title, html_table(columns, rows))

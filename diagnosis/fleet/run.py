@@ -7,7 +7,7 @@ from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
-from diagnosis.fleet.case import diagnosed, fingerprint
+from diagnosis.fleet.case import diagnose_case, fingerprint
 from diagnosis.fleet.workers import Workers
 from recording.files import write_durably
 
@@ -51,7 +51,7 @@ def diagnose_all(
     file = None if machine_file is None else str(machine_file.resolve())
     paired = zip(names, paths, strict=True)
     todo = [(name, (str(path.resolve()), file)) for name, path in paired if name not in results]
-    for name, future in Workers(executor, renewed).run(diagnosed, todo, at_once):
+    for name, future in Workers(executor, renewed).run(diagnose_case, todo, at_once):
         results[name] = result = _result(called[name], future)
         _save(saved / f"{name}.json", marks[name], result)
         report(called[name], len(results), len(names))

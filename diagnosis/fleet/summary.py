@@ -28,7 +28,7 @@ SECONDS_A_DAY = 86400.0
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class EffectOnMachine:
     """A named effect's size in one recording, with 90 % limits; `t_days` since 1970, None where no time was given."""
 
     machine: str
@@ -44,7 +44,7 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class Shared:
+class SharedEffect:
     """An effect with the machines that have it, and those on which it was looked for well enough and not found."""
 
     name: str
@@ -54,7 +54,7 @@ class Shared:
 
 
 @dataclass(frozen=True, slots=True)
-class Drift:
+class EffectDrift:
     """Change of an effect's size on one machine: slope per day with 90 % limits. `drifts`: zero lies outside them."""
 
     machine: str
@@ -80,9 +80,9 @@ class Fleet:
 
     machines: tuple[str, ...]
     verdicts: dict[str, tuple[tuple[str, str], ...]]
-    found: tuple[Found, ...]
-    shared: tuple[Shared, ...]
-    drifts: tuple[Drift, ...]
+    found: tuple[EffectOnMachine, ...]
+    shared: tuple[SharedEffect, ...]
+    drifts: tuple[EffectDrift, ...]
     unusable: tuple[tuple[str, str], ...]
     no_serial: int = 0
 
@@ -118,7 +118,7 @@ def _why(result: dict[str, Any]) -> str:
     return result.get("reason") or "; ".join(fatal) or result["status"]
 
 
-def _found(result: dict[str, Any]) -> list[Found]:
+def _found(result: dict[str, Any]) -> list[EffectOnMachine]:
     """Confirmed effects of a recording."""
     out = []
     for effect in _confirmed(result["answer"]):
@@ -129,7 +129,9 @@ def _found(result: dict[str, Any]) -> list[Found]:
             name, x = sized[0]
             size = (name, x["unit"], float(x["value"]), float(x["low"]), float(x["high"]))
             when = _days(result["started_utc"])
-            out.append(Found(machine_of(result), result["recording"], effect["name"], effect["joint"], *size, when))
+            out.append(
+                EffectOnMachine(machine_of(result), result["recording"], effect["name"], effect["joint"], *size, when)
+            )
     return out
 
 
@@ -145,7 +147,7 @@ def _days(text: str) -> float | None:
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp() / SECONDS_A_DAY
 
 
-def _shared(good: list[dict[str, Any]], found: tuple[Found, ...]) -> tuple[Shared, ...]:
+def _shared(good: list[dict[str, Any]], found: tuple[EffectOnMachine, ...]) -> tuple[SharedEffect, ...]:
     """Effects by how many machines have them; a machine is without one only if its size there would have been seen."""
     out = []
     for key in dict.fromkeys((finding.name, finding.joint) for finding in found):
@@ -153,7 +155,7 @@ def _shared(good: list[dict[str, Any]], found: tuple[Found, ...]) -> tuple[Share
         having = tuple(dict.fromkeys(finding.machine for finding in mine))
         size = float(np.median([abs(finding.value) for finding in mine]))
         able = [machine_of(result) for result in good if _could_see(result, key, size)]
-        out.append(Shared(*key, having, tuple(name for name in dict.fromkeys(able) if name not in having)))
+        out.append(SharedEffect(*key, having, tuple(name for name in dict.fromkeys(able) if name not in having)))
     return tuple(sorted(out, key=lambda shared: (-len(shared.machines), shared.name, shared.joint or 0)))
 
 
@@ -168,7 +170,7 @@ def _could_see(result: dict[str, Any], key: tuple[str, int | None], size: float)
     return limit is not None and limit <= size
 
 
-def _drifts(found: tuple[Found, ...]) -> tuple[Drift, ...]:
+def _drifts(found: tuple[EffectOnMachine, ...]) -> tuple[EffectDrift, ...]:
     out = []
     for key in dict.fromkeys((finding.machine, finding.name, finding.joint) for finding in found):
         mine = [
@@ -181,7 +183,7 @@ def _drifts(found: tuple[Found, ...]) -> tuple[Drift, ...]:
     return tuple(out)
 
 
-def _drift(mine: list[Found]) -> Drift:
+def _drift(mine: list[EffectOnMachine]) -> EffectDrift:
     """Weighted straight line over time.
 
     Model: value = a + b t, weights 1 / sigma^2 with sigma = (high - low) / (2 * 1.645); where the line fits worse than
@@ -201,4 +203,4 @@ def _drift(mine: list[Found]) -> Drift:
     sd = float(np.sqrt(covariance[1, 1] * max(1.0, chi2)))
     half = float(student.ppf(0.95, dof)) * sd
     first, slope = mine[0], float(a_b[1])
-    return Drift(first.machine, first.name, first.joint, first.unit, slope, slope - half, slope + half, len(mine))
+    return EffectDrift(first.machine, first.name, first.joint, first.unit, slope, slope - half, slope + half, len(mine))

@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from diagnosis.log.tables import filled
-from diagnosis.noise.floor import Whitener, increments
-from diagnosis.replay.stage_replay import LAST, OUTPUT, SKIPPED, Part, Replay, whiten_sets
+from diagnosis.log.tables import fill_gaps
+from diagnosis.noise.floor import Whitener, block_increments
+from diagnosis.replay.stage_replay import LAST, OUTPUT, SKIPPED, Replay, StretchReplay, whiten_sets
 from diagnosis.search.cell import Cell
 from machine.effects.dynamics import simulate
 from machine.effects.layout import ParameterSets
@@ -75,13 +75,13 @@ def modelled_of(cell: Cell, replay: Replay) -> list[Array]:
     return [np.asarray(getattr(run, OUTPUT[cell.stage])[0]) for run in runs]
 
 
-def _course(cell: Cell, replay: Replay, part: Part, outputs: Array, channel: int) -> Course:
+def _course(cell: Cell, replay: Replay, part: StretchReplay, outputs: Array, channel: int) -> Course:
     stretch, j, modelled = part.stretch, replay.joints[channel], outputs[:, channel]
     m = len(modelled)
-    u = filled(stretch.u)[:m] if stretch.u is not None else np.zeros((m, j + 1))
+    u = fill_gaps(stretch.u)[:m] if stretch.u is not None else np.zeros((m, j + 1))
     drive = u[:, j]
     if cell.stage == "controller" and stretch.ref is not None and stretch.enc is not None:
-        drive = (filled(stretch.ref) - filled(stretch.enc))[:m, j]
+        drive = (fill_gaps(stretch.ref) - fill_gaps(stretch.enc))[:m, j]
     if cell.stage == "link":
         drive = np.gradient(modelled, stretch.dt_s)
     load = part.drive.load[:m, channel] if len(part.drive.load) >= m else np.zeros(m)
@@ -94,10 +94,10 @@ def white_columns(whitener: Whitener, channel: int, dt_s: float, signals: Array)
     """Increments of signals (m, k), through the filter that the residual went through."""
     k = signals.shape[1]
     same = Whitener(np.repeat(whitener.a[:, [channel]], k, axis=1), np.repeat(whitener.sigma[[channel]], k))
-    return whiten_sets(same, increments(signals, dt_s)[None])[0, SKIPPED:]
+    return whiten_sets(same, block_increments(signals, dt_s)[None])[0, SKIPPED:]
 
 
-def hats(x: Array, knots: Array) -> Array:
+def hat_functions(x: Array, knots: Array) -> Array:
     """Straight pieces between knots: any continuous function of x (m, knots)."""
     return np.stack([np.interp(x, knots, row) for row in np.eye(len(knots))], axis=1)
 
@@ -133,13 +133,13 @@ DAMPING = 0.25  # wide enough that an oscillation between two of the frequencies
 RESPONSES = ("echoes", "catching up", "swings", "uneven swings", "the other joints' swings")  # old name, in baselines
 
 
-def responses(c: Course) -> dict[str, Array]:
+def actuator_responses(c: Course) -> dict[str, Array]:
     """Of one joint's actuator through a stretch: families (m, k)."""
     u, others = c.drive, list(c.others.T)
     of_others = [_oscillations(c, other) for other in others] or [np.zeros((len(u), 0))]
     families = (
         np.stack([np.interp(c.t_s - late_s, c.t_s, u) for late_s in ECHOES_S], axis=1),
-        np.concatenate([c.leaking(hats(u, LAG_KNOTS), tau_s) for tau_s in LAGS_S], axis=1),
+        np.concatenate([c.leaking(hat_functions(u, LAG_KNOTS), tau_s) for tau_s in LAGS_S], axis=1),
         _oscillations(c, u),
         _oscillations(c, u * np.abs(u)),
         np.concatenate(of_others, axis=1),

@@ -18,17 +18,17 @@ from diagnosis.errors import DiagnosisError
 from diagnosis.known.courses import (
     RESPONSES,
     Course,
+    actuator_responses,
     courses_of,
-    hats,
+    hat_functions,
     modelled_of,
     moving_families,
-    responses,
     white_columns,
 )
 from diagnosis.log.nominal import Nominal
 from diagnosis.replay.stage_replay import Replay
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import costs, neutral_fit, weights
+from diagnosis.search.fit import neutral_fit, soft_l1_costs, soft_l1_weights
 from machine.remainder import Form
 from machine.rotations import Array
 
@@ -86,14 +86,14 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
             continue
         for own, said, otherwise, course in zip(measured, known, moved, courses, strict=True):
             own[: len(said), channel] -= said
-            otherwise[channel] = Otherwise.of(course, form)
+            otherwise[channel] = OtherMotion.of(course, form)
     pieces = zip(replay.parts, measured, moved, strict=True)
     parts = tuple(replace(part, measured=own, moved=tuple(moved)) for part, own, moved in pieces)
     return replace(replay, parts=parts)
 
 
 @dataclass(frozen=True, slots=True)
-class Otherwise:
+class OtherMotion:
     """What a joint's form says beyond what was taken off (`said`), of a joint that moves otherwise than modelled.
 
     Why: a joint that sticks moves in jumps where its command is smooth. Taken from the model without a fault, a form
@@ -105,7 +105,7 @@ class Otherwise:
     said: Array
 
     @classmethod
-    def of(cls, course: Course, form: Form) -> "Otherwise":
+    def of(cls, course: Course, form: Form) -> "OtherMotion":
         """Of a stretch along whose `course` the model without a fault runs."""
         families = moving_families(course)
         own = tuple(entry for entry in form if entry[0] in families)
@@ -119,7 +119,11 @@ class Otherwise:
 def _families(courses: list[Course]) -> list[dict[str, Array]]:
     """Of one joint's actuator, for each stretch: its immediate response, and its later one (m, k)."""
     return [
-        {"the valve command": course.whole(hats(course.drive, KNOTS)), **moving_families(course), **responses(course)}
+        {
+            "the valve command": course.whole(hat_functions(course.drive, KNOTS)),
+            **moving_families(course),
+            **actuator_responses(course),
+        }
         for course in courses
     ]
 
@@ -197,7 +201,10 @@ class _Pile:
         """How well the others predict each recording, over all [nats]."""
         if len(self.family) == 0:
             return 0.0
-        return sum(float((costs(r) - costs(r - B @ self.solved(ridge, k))).sum()) for k, (B, r) in enumerate(self.rows))
+        return sum(
+            float((soft_l1_costs(r) - soft_l1_costs(r - B @ self.solved(ridge, k))).sum())
+            for k, (B, r) in enumerate(self.rows)
+        )
 
 
 def form_of(cells: list[Cell]) -> Form:
@@ -239,7 +246,7 @@ def _piled(
     power = np.mean([np.mean(B**2, axis=0) for B, _ in stacked], axis=0)
     size = np.sqrt(np.where(power > 0.0, power, np.inf))
     rows = tuple((B / size, r) for B, r in stacked)
-    normal = tuple(((B.T * weights(r)) @ B, (B.T * weights(r)) @ r) for B, r in rows)
+    normal = tuple(((B.T * soft_l1_weights(r)) @ B, (B.T * soft_l1_weights(r)) @ r) for B, r in rows)
     prior = np.eye(len(family))
     if unlike:
         U = np.concatenate([np.concatenate([columns[name] for name in names], axis=1) for columns in unlike]) / size

@@ -13,9 +13,9 @@ from diagnosis.log.nominal import Nominal
 from diagnosis.noise.excess import common_excess
 from diagnosis.noise.of_a_day import day_noise
 from diagnosis.replay.stage_replay import Replay
-from diagnosis.search.candidates import Candidate, named
+from diagnosis.search.candidates import Candidate, candidates_of_effects
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import evaluated, neutral_fit
+from diagnosis.search.fit import neutral_fit, residuals_at
 from machine.rotations import Array
 
 DAYS_MIN = 6  # recordings that can show it
@@ -38,14 +38,14 @@ def _with_wander_of(cell: Cell, nominal: Nominal) -> Cell:
     for joint in replay.joints:
         record = nominal.remainder("actuator", joint + 1)
         for name, size in record.wander if record is not None else ():
-            columns += [size * _column(cell, effect) for effect in named((name,), (joint + 1,))]
+            columns += [size * _column(cell, effect) for effect in candidates_of_effects((name,), (joint + 1,))]
     return replace(cell, whitened=replace(replay, day=day_noise(np.stack(columns, axis=1)))) if columns else cell
 
 
 def _column(cell: Cell, candidate: Candidate) -> Array:
     """How an effect moves the residual (N,), a unit of its size."""
     step = STEP * candidate.slots[0].high
-    return (evaluated(cell, (candidate,), np.array([[step]]))[0] - neutral_fit(cell).residual) / step
+    return (residuals_at(cell, (candidate,), np.array([[step]]))[0] - neutral_fit(cell).residual) / step
 
 
 @dataclass(frozen=True, slots=True)

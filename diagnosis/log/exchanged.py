@@ -5,7 +5,7 @@ from scipy.signal import lfilter
 
 from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
-from diagnosis.log.tables import PlcTable, filled
+from diagnosis.log.tables import PlcTable, fill_gaps
 from machine.effects.kernel import KP, TAU
 from machine.rotations import Array
 
@@ -27,8 +27,8 @@ def exchanged_loops(plc: PlcTable, nominal: Nominal) -> list[Finding]:
     dt_s, wrong = float(np.median(steps[steps > 0.0])), list[int]()
     for j, joint in enumerate(nominal.actuators.joints):
         share = 1.0 - np.exp(-dt_s / max(float(joint[TAU]), 1e-9))
-        u = filled(plc.u)[:, j]
-        wanted = joint[KP] * (filled(plc.ref)[:, j] - filled(plc.enc)[:, j])
+        u = fill_gaps(plc.u)[:, j]
+        wanted = joint[KP] * (fill_gaps(plc.ref)[:, j] - fill_gaps(plc.enc)[:, j])
         by_controller: Array = np.asarray(lfilter([share], [1.0, share - 1.0], wanted), dtype=float)
         size = float(np.std(u))
         as_written, exchanged = (float(np.std(u - sign * by_controller)) for sign in (1.0, -1.0))

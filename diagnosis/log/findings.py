@@ -76,7 +76,7 @@ class Finding:
         return f"{self.subject}: {self.text}"
 
 
-def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+def fatal_findings(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Those after which there is nothing left to diagnose."""
     return tuple(finding for finding in findings if finding.severity == "fatal")
 

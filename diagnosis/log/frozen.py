@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.log.findings import Finding
-from diagnosis.log.tables import filled
+from diagnosis.log.tables import fill_gaps
 from diagnosis.noise.floor import encoder_step
 from machine.rotations import Array
 
@@ -19,7 +19,7 @@ def frozen_findings(enc: Array | None) -> list[Finding]:
     """Runs of rows in which every encoder repeats its last value to the last digit, with a jump after each."""
     if enc is None:
         return []
-    runs = frozen_runs(filled(enc))
+    runs = frozen_runs(fill_gaps(enc))
     if len(runs) < TOLD_MIN:
         return []
     rows = sum(end - start for start, end in runs)

@@ -87,7 +87,7 @@ def flag_of(table: Mapping[str, Any], key: str, where: str, otherwise: bool) -> 
     return value
 
 
-def slides(joint: Mapping[str, Any], where: str) -> bool:
+def is_sliding(joint: Mapping[str, Any], where: str) -> bool:
     """Whether a [[joint]] is written as sliding: by its type, without one it turns. Raises: DiagnosisError: another."""
     kind = joint.get("type", "revolute")
     if kind not in ("revolute", "prismatic"):

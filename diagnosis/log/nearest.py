@@ -7,7 +7,7 @@ CLOSE = 0.6  # of difflib's likeness
 PREFIX_MIN = 2  # letters of a name that was cut short
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
+def nearest_name(name: str, known: Iterable[str]) -> str | None:
     """The likeliest known name: what this one begins, else what is spelt like it, small and capital letters alike."""
     by_lower = {name.lower(): name for name in sorted(known)}
     wanted = name.lower()
@@ -21,5 +21,5 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """The end of a sentence that names it; empty where none is near."""
-    found = nearest(name, known)
+    found = nearest_name(name, known)
     return "" if found is None else f"; did you mean {found!r}?"

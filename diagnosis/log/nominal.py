@@ -10,7 +10,7 @@ import numpy as np
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.findings import Finding
 from diagnosis.log.machine_keys import EYES, GEOMETRY, LIMITS, TABLES, VALVE, limits_of_other_kind, unknown_keys
-from diagnosis.log.machine_numbers import flag_of, list_of, number_of, pose_of, slides, table_of, vector_of
+from diagnosis.log.machine_numbers import flag_of, is_sliding, list_of, number_of, pose_of, table_of, vector_of
 from diagnosis.log.machine_targets import TrackedPoint, markers_of, points_of
 from diagnosis.log.urdf_arm import WEIGHTLESS, urdf_arm
 from diagnosis.log.urdf_files import UrdfFiles
@@ -107,7 +107,7 @@ class _Reader:
         self._tables = tables
         self._urdfs = urdfs
         self._joints = [table_of(section, f"joint {k}") for k, section in enumerate(list_of(tables, "joint"), start=1)]
-        self._slides = [slides(joint, f"joint {k}") for k, joint in enumerate(self._joints, start=1)]
+        self._slides = [is_sliding(joint, f"joint {k}") for k, joint in enumerate(self._joints, start=1)]
         self._count = n_joints
         self._absent: list[tuple[str, str]] = []
         self._findings: list[Finding] = unknown_keys(tables)
@@ -307,4 +307,4 @@ def _dh_row(joint: Mapping[str, Any], where: str) -> DhRow:
     convention = joint.get("dh_convention")
     if convention not in ("classic", "modified"):
         raise DiagnosisError(f"machine.toml: {where}: dh_convention = {convention!r}; give 'classic' or 'modified'")
-    return DhRow(a, d, float(np.deg2rad(alpha)), float(np.deg2rad(theta)), slides(joint, where), convention)
+    return DhRow(a, d, float(np.deg2rad(alpha)), float(np.deg2rad(theta)), is_sliding(joint, where), convention)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.log.findings import Finding
-from diagnosis.log.tables import PlcTable, Tables, filled
+from diagnosis.log.tables import PlcTable, Tables, fill_gaps
 from machine.rotations import Array
 from recording.run import Segment
 
@@ -60,7 +60,7 @@ def _reversed_positions(plc: PlcTable) -> list[Finding]:
     if plc.enc is None or plc.ref is None:
         return []
     size = _size(plc)
-    enc, ref = _blocks(filled(plc.enc), size), _blocks(filled(plc.ref), size)
+    enc, ref = _blocks(fill_gaps(plc.enc), size), _blocks(fill_gaps(plc.ref), size)
     if len(enc) < BLOCKS_MIN:
         return []
     table = _correlations(enc, ref, round(LAG_MAX_S / BLOCK_S))
@@ -157,8 +157,8 @@ def _speed_and_command(plc: PlcTable) -> Both | None:
     if plc.u is None or plc.enc is None:
         return None
     size = _size(plc)
-    speed = np.diff(_blocks(filled(plc.enc), size), axis=0)
-    u = _blocks(filled(plc.u), size)
+    speed = np.diff(_blocks(fill_gaps(plc.enc), size), axis=0)
+    u = _blocks(fill_gaps(plc.u), size)
     return speed, 0.5 * (u[1:] + u[:-1]), 2
 
 
@@ -166,7 +166,7 @@ def _encoder_and_reference(plc: PlcTable) -> Both | None:
     if plc.ref is None or plc.enc is None:
         return None
     size = _size(plc)
-    moved = [np.diff(_blocks(filled(values), size), axis=0) for values in (plc.enc, plc.ref)]
+    moved = [np.diff(_blocks(fill_gaps(values), size), axis=0) for values in (plc.enc, plc.ref)]
     return moved[0], moved[1], round(LAG_MAX_S / BLOCK_S)
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from diagnosis.log.findings import Finding
 from diagnosis.log.frozen import frozen_findings
 from diagnosis.log.nominal import Nominal
-from diagnosis.log.tables import JOINT_SIGNALS, PlcTable, Tables, filled, largest
+from diagnosis.log.tables import JOINT_SIGNALS, PlcTable, Tables, fill_gaps, largest_finite
 from machine.rotations import Array
 from recording.run import Segment
 
@@ -109,7 +109,7 @@ def _inside(t_s: Array, segments: Sequence[Segment]) -> NDArray[np.bool_]:
 def _is_jump(signals: Array | None, k: int, step: float, median: float) -> bool:
     if signals is None:
         return False
-    near = filled(signals[max(k - 5, 0) : k + 2])
+    near = fill_gaps(signals[max(k - 5, 0) : k + 2])
     around = np.diff(near[:-1], axis=0)
     if len(around) == 0:
         return False
@@ -168,8 +168,8 @@ def _constants(plc: PlcTable) -> list[Finding]:
 
 def _asked(plc: PlcTable, j: int) -> str:
     """What asked a joint (0-based) to move, in words; empty where nothing did."""
-    if plc.u is not None and largest(plc.u[:, j]) > COMMAND_WORKS:
-        return f"u_{j + 1}_frac reaches {largest(plc.u[:, j]):.2g}"
+    if plc.u is not None and largest_finite(plc.u[:, j]) > COMMAND_WORKS:
+        return f"u_{j + 1}_frac reaches {largest_finite(plc.u[:, j]):.2g}"
     ref = np.zeros(0) if plc.ref is None else plc.ref[np.isfinite(plc.ref[:, j]), j]
     asked = float(np.ptp(ref)) if len(ref) else 0.0
     return f"q_ref_{j + 1}_rad goes over {asked:.2g}" if asked > REFERENCE_WORKS else ""

@@ -124,7 +124,7 @@ def tables_of(recording: Recording) -> Tables:
     )
 
 
-def filled(values: Array) -> Array:
+def fill_gaps(values: Array) -> Array:
     """(m, n) with missing and infinite numbers on straight lines between their neighbours; empty columns are 0."""
     out = np.array(values, dtype=float)
     rows = np.arange(len(out))
@@ -135,7 +135,7 @@ def filled(values: Array) -> Array:
     return out
 
 
-def largest(values: Array) -> float:
+def largest_finite(values: Array) -> float:
     """Largest finite absolute value; 0 without any."""
     finite = np.abs(values[np.isfinite(values)])
     return float(finite.max()) if finite.size else 0.0

@@ -5,8 +5,8 @@ import numpy as np
 from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.quality import ROWS_MIN
-from diagnosis.log.tables import PlcTable, PointTable, Tables, filled, largest
-from diagnosis.sliding import column_of, slides
+from diagnosis.log.tables import PlcTable, PointTable, Tables, fill_gaps, largest_finite
+from diagnosis.sliding import column_of, is_joint_sliding
 from machine.rotations import Array
 
 LIMIT_MARGIN_RAD = 0.2
@@ -33,7 +33,7 @@ def unit_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     for subject, pattern, values in _positions(tables):
         columns = [j for j in _turning(values, sliding) if _beyond_turn(values[:, j], _limit(nominal, j))]
         if columns:
-            found.append(_degrees(subject, pattern, columns, f"reach {largest(values[:, columns]):.4g}"))
+            found.append(_degrees(subject, pattern, columns, f"reach {largest_finite(values[:, columns]):.4g}"))
         found += _slid_in_millimetres(subject, pattern, values, sliding)
     if not any(finding.code == "degrees" for finding in found) and plc is not None:
         found += _degrees_by_comparison(plc, sliding) or _degrees_by_speed(plc, nominal)
@@ -56,15 +56,17 @@ def _positions(tables: Tables) -> list[tuple[str, str, Array]]:
 
 def _turning(values: Array, sliding: tuple[bool, ...]) -> list[int]:
     """The joints (0-based) whose columns may be in degrees."""
-    return [j for j in range(values.shape[1]) if not slides(sliding, j)]
+    return [j for j in range(values.shape[1]) if not is_joint_sliding(sliding, j)]
 
 
 def _slid_in_millimetres(subject: str, pattern: str, values: Array, sliding: tuple[bool, ...]) -> list[Finding]:
     """Strokes that no machine has in metres."""
     found = []
     for j in range(values.shape[1]):
-        if slides(sliding, j) and _high(values[:, j]) > ARM_MAX_M:
-            reach = f"{column_of(pattern, sliding, j)} reaches {largest(values[:, j]):.4g} m (limit {ARM_MAX_M:g} m)"
+        if is_joint_sliding(sliding, j) and _high(values[:, j]) > ARM_MAX_M:
+            reach = (
+                f"{column_of(pattern, sliding, j)} reaches {largest_finite(values[:, j]):.4g} m (limit {ARM_MAX_M:g} m)"
+            )
             found.append(
                 Finding("millimetres", "fatal", subject, f"{reach}, which looks like millimetres; write metres")
             )
@@ -134,7 +136,7 @@ def _degrees(subject: str, pattern: str, columns: list[int], why: str) -> Findin
 def _degrees_by_comparison(plc: PlcTable, sliding: tuple[bool, ...]) -> list[Finding]:
     if plc.ref is None or plc.enc is None:
         return []
-    spans = [np.ptp(filled(x), axis=0) for x in (plc.ref, plc.enc)]
+    spans = [np.ptp(fill_gaps(x), axis=0) for x in (plc.ref, plc.enc)]
     findings = []
     for pattern, mine, other in (("q_ref_{j}_rad", *spans), ("q_{j}_rad", *spans[::-1])):
         turning = [j for j in _turning(plc.ref, sliding) if other[j] > 1e-6]
@@ -166,8 +168,8 @@ def measured_gains(t_s: Array, enc: Array, u: Array) -> Array:
     steps = np.diff(t_s)
     good = steps > 0.0
     both = (np.isfinite(enc[1:]) & np.isfinite(enc[:-1]) & np.isfinite(u[1:]) & np.isfinite(u[:-1]))[good]
-    qd = np.diff(filled(enc), axis=0)[good] / steps[good, None]
-    between = 0.5 * (filled(u)[1:] + filled(u)[:-1])[good]
+    qd = np.diff(fill_gaps(enc), axis=0)[good] / steps[good, None]
+    between = 0.5 * (fill_gaps(u)[1:] + fill_gaps(u)[:-1])[good]
     power = np.where(both, between**2, 0.0).sum(axis=0)
     return np.where(
         power > 1e-6, np.where(both, qd * between, 0.0).sum(axis=0) / np.where(power > 0.0, power, 1.0), np.nan
@@ -200,8 +202,8 @@ def _percent(plc: PlcTable) -> list[Finding]:
 def _bar(plc: PlcTable) -> list[Finding]:
     findings = []
     for name, values in (("p_supply_pa", plc.p_supply), ("p_a_<j>_pa", plc.p_a), ("p_b_<j>_pa", plc.p_b)):
-        if values is not None and 1.0 < largest(values) < BAR_MAX_PA:
-            text = f"{name} is at most {largest(values):.4g} Pa, which looks like bar; multiply by 1e5"
+        if values is not None and 1.0 < largest_finite(values) < BAR_MAX_PA:
+            text = f"{name} is at most {largest_finite(values):.4g} Pa, which looks like bar; multiply by 1e5"
             findings.append(Finding("bar", "problem", "plc.csv", text))
     return findings
 
@@ -215,7 +217,7 @@ def _millimetres(table: PointTable | None, placed: bool) -> list[Finding]:
     if table is None or not np.isfinite(table.xyz).any():
         return []
     spread = 0.0 if placed else _spread_m(table.xyz)
-    most = spread if spread > SPREAD_MIN_M else largest(table.xyz)
+    most = spread if spread > SPREAD_MIN_M else largest_finite(table.xyz)
     if most < ARM_MAX_M:
         return []
     subject = "static.csv" if table.q is not None else "tracker.csv"

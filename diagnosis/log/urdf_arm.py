@@ -9,8 +9,8 @@ import numpy as np
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.findings import Finding
 from diagnosis.log.machine_keys import GEOMETRY
-from diagnosis.log.machine_numbers import number_of, slides, vector_of
-from diagnosis.log.nearest import nearest
+from diagnosis.log.machine_numbers import is_sliding, number_of, vector_of
+from diagnosis.log.nearest import nearest_name
 from machine.effects.arm import Arm
 from machine.effects.arm_urdf import arm_from_chain
 from machine.effects.urdf_xml import UrdfJoint, urdf_chain, urdf_joint_names
@@ -74,7 +74,7 @@ def _names(joints: Sequence[Mapping[str, Any]], moving: list[str]) -> tuple[str,
 
 
 def _check_type(joint: Mapping[str, Any], number: int, urdf: UrdfJoint | None) -> None:
-    slid = slides(joint, f"joint {number}")
+    slid = is_sliding(joint, f"joint {number}")
     if urdf is not None and "type" in joint and slid != (urdf.kind == "prismatic"):
         raise DiagnosisError(
             f"machine.toml: joint {number} ({urdf.name}): type = {joint['type']!r}, but the URDF's is {urdf.kind}; "
@@ -106,7 +106,7 @@ def _misnamed(names: tuple[str, ...], moving: Mapping[str, UrdfJoint], anywhere:
     for number, name in enumerate(names, start=1):
         if name in moving:
             continue
-        near = nearest(name, held) if name not in anywhere else None
+        near = nearest_name(name, held) if name not in anywhere else None
         meant |= {near} if near else set()
         where = "is not on the URDF's chain" if name in anywhere else "is not in the URDF"
         text = f"joint {number} ({name}) {where} and moves nothing"

@@ -73,7 +73,7 @@ def block_means(values: Array, dt_s: float, block_s: float = BLOCK_S) -> Array:
     return np.asarray(values[:rows].reshape(-1, size, values.shape[1]).mean(axis=1))
 
 
-def increments(values: Array, dt_s: float) -> Array:
+def block_increments(values: Array, dt_s: float) -> Array:
     """Differences of 20 Hz block means (m' - 1, n)."""
     return np.diff(block_means(values, dt_s), axis=0)
 
@@ -91,7 +91,7 @@ def floor_of_repeats(repeats: Array, dt_s: float) -> Floor:
         raise DiagnosisError(f"repeats have shape {values.shape}; give finite (R, m, n) with R of 2 or more")
     scale = np.sqrt(len(values) / (len(values) - 1.0))
     deviations = (values - values.mean(axis=0)) * scale
-    steps = [increments(deviation, dt_s) for deviation in deviations]
+    steps = [block_increments(deviation, dt_s) for deviation in deviations]
     if len(steps[0]) < 4 * ORDER_MAX:
         raise DiagnosisError(
             f"repeats are {len(values[0]) * dt_s:.3g} s long; give {4.5 * ORDER_MAX * BLOCK_S:g} s or more"
@@ -174,7 +174,7 @@ def encoder_step(column: Array) -> float:
     return float(step) if multiples or (still > STILL_SHARE and least > PILED * more) else 0.0
 
 
-def deviations(repeats: Array) -> list[Array]:
+def repeat_deviations(repeats: Array) -> list[Array]:
     """Each repeat less their mean, at the noise's own size, of repeats (R, m, n)."""
     scale = np.sqrt(len(repeats) / (len(repeats) - 1.0))
     return list((repeats - repeats.mean(axis=0)) * scale)
@@ -186,7 +186,7 @@ def floor_without_repeats(signal: Array, dt_s: float) -> Floor:
     Model: increments' second differences over sqrt(6), robustly by their median: right for white increments (a random
            walk), 1.3 times too large for white noise of the signal itself; never too low for either.
     """
-    d = increments(np.asarray(signal, dtype=float), dt_s)
+    d = block_increments(np.asarray(signal, dtype=float), dt_s)
     if len(d) < 4:
         raise DiagnosisError(f"the signal has {len(d)} increments at 20 Hz; give at least a second of data")
     sigma = np.maximum(np.median(np.abs(np.diff(d, n=2, axis=0)), axis=0) / 0.6745 / np.sqrt(6.0), SIGMA_MIN)

@@ -9,11 +9,11 @@ from diagnosis.behind.lost_points import without_spikes, without_zeros
 from diagnosis.behind.misplaced_markers import misplaced_markers
 from diagnosis.behind.misplaced_points import misplaced_points
 from diagnosis.behind.outlying import without_outlying
-from diagnosis.datagrams.clocks import guessed, plc_to_pc_s
+from diagnosis.datagrams.clocks import is_offset_guessed, plc_to_pc_s
 from diagnosis.datagrams.ref_by_number import with_reference
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.exchanged import exchanged_loops
-from diagnosis.log.findings import Finding, by_channel, fatal
+from diagnosis.log.findings import Finding, by_channel, fatal_findings
 from diagnosis.log.fitting_file import corner_findings, machine_findings
 from diagnosis.log.headers import header_findings, metre_findings
 from diagnosis.log.missing import missing_columns
@@ -54,7 +54,7 @@ class Read:
     @property
     def usable(self) -> bool:
         """Whether there is a stage that can be judged."""
-        return self.nominal is not None and not fatal(self.findings) and bool(stages_present(self))
+        return self.nominal is not None and not fatal_findings(self.findings) and bool(stages_present(self))
 
     @property
     def missing_parts(self) -> tuple[tuple[str, str], ...]:
@@ -73,7 +73,7 @@ class Read:
         return written or any(finding.code == "no_rows" and finding.subject in named for finding in self.findings)
 
 
-def read(path: Path, machine_file: Path | None = None) -> Read:
+def read_for_diagnosis(path: Path, machine_file: Path | None = None) -> Read:
     """Read a recording for diagnosis. What is wrong with it is a finding, never an exception.
 
     Args: machine_file: used in place of the recording's own machine.toml.
@@ -83,7 +83,7 @@ def read(path: Path, machine_file: Path | None = None) -> Read:
         recording = read_run(path)
     except RecordingError as error:
         return Read(path, None, None, (), (*findings, _unreadable(path, error)))
-    whole = examine(recording, path, machine_file, findings)
+    whole = examine_recording(recording, path, machine_file, findings)
     return (
         whole if is_folder(path) else replace(whole, findings=tuple(by_channel(finding) for finding in whole.findings))
     )
@@ -94,7 +94,7 @@ def column_findings(path: Path) -> list[Finding]:
     return _guarded(lambda: header_findings(path), path.name) if is_folder(path) else []
 
 
-def examine(
+def examine_recording(
     recording: Recording,
     path: Path,
     machine_file: Path | None = None,
@@ -115,16 +115,16 @@ def examine(
             found = _guarded(partial(metre_findings, folder, nominal.sliding), folder.name)
             findings += in_recording(found, folder) if others else found
     stretches: tuple[Stretch, ...] = ()
-    if not fatal(findings):
+    if not fatal_findings(findings):
         stretches, left_out = stretches_of(tables, None if nominal is None else nominal.actuators)
         findings += left_out + repeat_findings(stretches)
         if nominal is not None:
             findings += misplaced_points(tables, nominal, stretches) + misplaced_markers(tables, nominal)
-        if not fatal(findings):
+        if not fatal_findings(findings):
             tables, outside = _without_wild_points(tables, nominal, stretches)
             findings += outside
     whole = Read(path, tables, nominal, stretches, tuple(findings), recording.machine_toml)
-    if fatal(findings) or stages_present(whole):
+    if fatal_findings(findings) or stages_present(whole):
         return whole
     return replace(whole, findings=(*findings, _nothing(whole)))
 
@@ -240,13 +240,13 @@ def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     ):
         findings += pairing_findings(tables)
         findings += machine_findings(tables, nominal) if nominal is not None else []
-        if nominal is not None and tables.plc is not None and not fatal(findings):
+        if nominal is not None and tables.plc is not None and not fatal_findings(findings):
             findings += exchanged_loops(tables.plc, nominal)
     clocks = tables.run
     if tables.markers is not None and tables.plc is not None and clocks.camera_to_pc_offset_s is None:
         text = "no clocks.camera_to_pc_offset_s: the camera's offset is unknown and must be fitted with every effect"
         findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
-    if tables.markers is not None and guessed(tables):
+    if tables.markers is not None and is_offset_guessed(tables):
         text = "no clocks.plc_to_pc_offset_s: pictures are placed by how they move with the joints, and a camera that "
         text += "stamps late cannot be found; give the offset"
         findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))

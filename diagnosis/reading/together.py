@@ -11,7 +11,7 @@ from pathlib import Path
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.findings import by_channel
 from diagnosis.log.tables import JOINT_SIGNALS
-from diagnosis.reading.read import Read, column_findings, examine, in_recording, is_folder, read
+from diagnosis.reading.read import Read, column_findings, examine_recording, in_recording, is_folder, read_for_diagnosis
 from recording.content import Recording
 from recording.errors import RecordingError
 from recording.opening import read_run
@@ -40,7 +40,7 @@ def read_together(paths: Sequence[Path], machine_file: Path | None = None) -> Re
     Raises: DiagnosisError: one of several cannot be read, or they cannot belong together; says why.
     """
     if len(paths) == 1:
-        return read(paths[0], machine_file)
+        return read_for_diagnosis(paths[0], machine_file)
     twice = [path for k, path in enumerate(paths) if path.resolve() in {earlier.resolve() for earlier in paths[:k]}]
     if twice:
         raise DiagnosisError(f"{twice[0].name} is given twice, which says no more than once; name it once")
@@ -49,13 +49,15 @@ def read_together(paths: Sequence[Path], machine_file: Path | None = None) -> Re
     except RecordingError as error:
         raise DiagnosisError(str(error)) from error
     before = [finding for path in paths for finding in in_recording(column_findings(path), path)]
-    whole = examine(together(recordings, machine_file is not None), paths[0], machine_file, before, paths[1:])
+    whole = examine_recording(
+        join_recordings(recordings, machine_file is not None), paths[0], machine_file, before, paths[1:]
+    )
     if any(is_folder(path) for path in paths):
         return whole
     return replace(whole, findings=tuple(by_channel(finding) for finding in whole.findings))
 
 
-def together(recordings: Sequence[Recording], machine_given: bool = False) -> Recording:
+def join_recordings(recordings: Sequence[Recording], machine_given: bool = False) -> Recording:
     """Recordings of one machine, the first one's clocks carried on.
 
     Raises: DiagnosisError: other machine files, other numbers of joints, or an offset of clocks known in one only.

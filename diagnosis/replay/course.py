@@ -11,7 +11,7 @@ from machine.rotations import Array
 JUMP = 4.0  # times what the command changes in the neighbouring rows
 
 
-def smooth(plant: Actuators, rows: Array) -> Array:
+def smooth_course(plant: Actuators, rows: Array) -> Array:
     """Logged rows (rows, n) at every PLC cycle: a cubic through the four nearest rows, a line next to a jump.
 
     Why no lines: at 100 Hz they cut a thousandth off a sine of 1.6 Hz, which quiet encoders show as a small gain.
@@ -21,7 +21,7 @@ def smooth(plant: Actuators, rows: Array) -> Array:
         return linear
     bend = np.zeros_like(rows)
     bend[1:-1] = np.diff(rows, n=2, axis=0)
-    jumps = jumping(rows)
+    jumps = jump_rows(rows)
     bend[jumps | np.roll(jumps, 1, axis=0)] = 0.0  # at both ends of a jump
     cycles = np.arange(len(linear))
     row, s = cycles // plant.decimate, (cycles % plant.decimate / plant.decimate)[:, None]
@@ -29,16 +29,16 @@ def smooth(plant: Actuators, rows: Array) -> Array:
     return np.ascontiguousarray(linear - s * (1.0 - s) / 6.0 * ((2.0 - s) * bend[row] + (1.0 + s) * bend[after]))
 
 
-def late(plant: Actuators, rows: Array) -> Array:
+def late_jump_course(plant: Actuators, rows: Array) -> Array:
     """The same with every jump at the end of its row, where a line has it in the middle."""
-    course = smooth(plant, rows)
+    course = smooth_course(plant, rows)
     found = late_jumps(plant, rows, course)
     return course if found is None else found
 
 
 def late_jumps(plant: Actuators, rows: Array, course: Array) -> Array | None:
     """A course (cycles, n) of logged rows with every jump at the end of its row; None where nothing jumps."""
-    jumps = jumping(rows)
+    jumps = jump_rows(rows)
     return np.where(held_rows(plant, jumps), held_rows(plant, rows), course) if jumps.any() else None
 
 
@@ -47,7 +47,7 @@ def held_rows(plant: Actuators, rows: NDArray[Any]) -> NDArray[Any]:
     return np.repeat(rows, plant.decimate, axis=0)[: (len(rows) - 1) * plant.decimate + 1]
 
 
-def jumping(rows: Array) -> NDArray[np.bool_]:
+def jump_rows(rows: Array) -> NDArray[np.bool_]:
     """Rows (rows, n) after which the command changes by much more than in the neighbouring rows."""
     change = np.abs(np.diff(rows, axis=0, append=rows[-1:]))
     neighbours = np.maximum(np.roll(change, 1, axis=0), np.roll(change, -1, axis=0))

@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.log.tables import filled
-from diagnosis.replay.course import smooth
-from diagnosis.replay.replayer import Prepared, Replayer
+from diagnosis.log.tables import fill_gaps
+from diagnosis.replay.course import smooth_course
+from diagnosis.replay.replayer import PreparedStretch, Replayer
 from diagnosis.replay.stretches import Stretch
 from machine.effects.dynamics import Drive, drive_by_sent, drive_controller
 from machine.effects.layout import ParameterSets
@@ -16,41 +16,45 @@ START_COMMAND = 0.0  # stretches begin at rest
 
 
 @dataclass(frozen=True, slots=True)
-class Merge:
+class MergedStages:
     """The stages that one cell holds, since the signals between them were not logged."""
 
     stages: tuple[str, ...]
 
 
-def merge_of(stretches: tuple[Stretch, ...]) -> Merge | None:
+def merge_of(stretches: tuple[Stretch, ...]) -> MergedStages | None:
     """What a recording without valve commands merges; None where they are there, or nothing drives the joints."""
     if any(stretch.u is not None for stretch in stretches):
         return None
     if stretches and all(stretch.ref is not None for stretch in stretches):
-        return Merge(("controller", "actuator"))
+        return MergedStages(("controller", "actuator"))
     if stretches and all(stretch.sent is not None for stretch in stretches):
-        return Merge(("link", "controller", "actuator"))
+        return MergedStages(("link", "controller", "actuator"))
     return None
 
 
 def merged_drives(
     replayer: Replayer, stretches: tuple[Stretch, ...], course: ParameterSets | None = None
-) -> list[Prepared]:
+) -> list[PreparedStretch]:
     """The stretches whose encoders can be replayed although no valve command was logged; none where one was."""
     merge = merge_of(stretches)
     if merge is None or not replayer.nominal.has_controller:
         return []
-    return [prepared for stretch in stretches if (prepared := merged(replayer, stretch, merge, course)) is not None]
+    return [
+        prepared for stretch in stretches if (prepared := merge_stages(replayer, stretch, merge, course)) is not None
+    ]
 
 
-def merged(replayer: Replayer, stretch: Stretch, merge: Merge, course: ParameterSets | None = None) -> Prepared | None:
+def merge_stages(
+    replayer: Replayer, stretch: Stretch, merge: MergedStages, course: ParameterSets | None = None
+) -> PreparedStretch | None:
     """A stretch whose encoders are driven by the first signal that was logged; None where encoders are missing."""
     enc = stretch.enc
     if enc is None or not np.isfinite(enc).any(axis=0).all():
         return None
-    plant, angles = replayer.at_rate(stretch.dt_s), filled(enc)
+    plant, angles = replayer.at_rate(stretch.dt_s), fill_gaps(enc)
     loads = replayer.loads(angles)
-    out = Prepared(plant, {}, stretch)
+    out = PreparedStretch(plant, {}, stretch)
     if "link" in merge.stages:
         if stretch.sent is None:
             return None
@@ -61,7 +65,7 @@ def merged(replayer: Replayer, stretch: Stretch, merge: Merge, course: Parameter
     references = replayer.references(stretch, course)
     if references is None:
         return None
-    seen = smooth(plant, angles)
+    seen = smooth_course(plant, angles)
 
     def driven(ref: Array) -> Drive:
         drive = drive_controller(plant, ref, seen, np.full(plant.n, START_COMMAND), fine=True)

@@ -40,7 +40,7 @@ def read_off(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) 
     return tuple(out)
 
 
-def reached(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) -> tuple[Candidate, ...]:
+def candidates_within_log(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) -> tuple[Candidate, ...]:
     """Candidates of controllers, without limits of the command that the log itself goes beyond."""
     out = []
     for candidate in candidates:

@@ -55,10 +55,10 @@ def laid_over(members: tuple[Stretch, ...], name: str) -> Array | None:
     signals = [getattr(run, name) for run in members]
     if any(signal is None for signal in signals):
         return None
-    return overlaid(members, signals)
+    return align_repeats(members, signals)
 
 
-def overlaid(members: tuple[Stretch, ...], signals: list[Array]) -> Array:
+def align_repeats(members: tuple[Stretch, ...], signals: list[Array]) -> Array:
     """Rows (m, n) of each repeat, brought onto one time since its segment's start by whole steps, cut alike."""
     dt = members[0].dt_s
     starts = [round((run.t_s[0] - run.t_segment_s) / dt) for run in members]

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from diagnosis.datagrams.sent import Sent
+from diagnosis.datagrams.sent import SentReference
 from diagnosis.log.nominal import Nominal
-from diagnosis.log.tables import filled
-from diagnosis.replay.course import held_rows, late, late_jumps, smooth
+from diagnosis.log.tables import fill_gaps
+from diagnosis.replay.course import held_rows, late_jump_course, late_jumps, smooth_course
 from diagnosis.replay.stretches import Stretch
 from machine.effects import kernel
 from machine.effects.dynamics import (
@@ -30,7 +30,7 @@ SENT_S = 0.01  # between two references, where they were not logged: what this p
 
 
 @dataclass(frozen=True, slots=True)
-class Prepared:
+class PreparedStretch:
     """A stretch ready to be replayed with any number of parameter sets: a drive for each stage that it allows.
 
     `others`: (cycles, n) each, courses that a stage's input may as well have taken between logged rows; none where each
@@ -48,7 +48,7 @@ class Prepared:
 
 
 @dataclass(frozen=True, slots=True)
-class References:
+class ReceivedReferences:
     """The received reference at every PLC cycle (cycles, n), and what else it may have been between logged rows.
 
     `others`: one that stood still from row to row; where what was sent is known, one a cycle later, and one a cycle
@@ -87,7 +87,7 @@ class Replayer:
         """Whether a baseline knows what the model is wrong by there (joint: 0-based)."""
         return self.nominal.remainder(stage, joint + 1) is not None
 
-    def prepare(self, stretch: Stretch, course: ParameterSets | None = None) -> Prepared:
+    def prepare(self, stretch: Stretch, course: ParameterSets | None = None) -> PreparedStretch:
         """Each stage's measured input at every PLC cycle.
 
         Model: between two logged rows an input moves as the stage before it says (by `course`, nominal without),
@@ -96,8 +96,10 @@ class Replayer:
         """
         known = neutral_sets(self.nominal.n) if course is None else course
         plant = self.at_rate(stretch.dt_s)
-        out = Prepared(plant, {}, stretch)
-        ref, enc, u = (None if signal is None else filled(signal) for signal in (stretch.ref, stretch.enc, stretch.u))
+        out = PreparedStretch(plant, {}, stretch)
+        ref, enc, u = (
+            None if signal is None else fill_gaps(signal) for signal in (stretch.ref, stretch.enc, stretch.u)
+        )
         ref_fine = None if ref is None else self._reference(out, ref, known)
         if u is None or enc is None:
             return out
@@ -107,46 +109,48 @@ class Replayer:
         commands = self._commands(out, self._references(out, ref, ref_fine, known), (enc, u), known)
         return self._valves(out, enc, u, commands)
 
-    def references(self, stretch: Stretch, course: ParameterSets | None = None) -> References | None:
+    def references(self, stretch: Stretch, course: ParameterSets | None = None) -> ReceivedReferences | None:
         """What the PLC received; None where it was not logged. `course`: see `prepare`."""
         if stretch.ref is None:
             return None
         known = neutral_sets(self.nominal.n) if course is None else course
-        out, ref = Prepared(self.at_rate(stretch.dt_s), {}, stretch), filled(stretch.ref)
+        out, ref = PreparedStretch(self.at_rate(stretch.dt_s), {}, stretch), fill_gaps(stretch.ref)
         return self._references(out, ref, self._reference(out, ref, known), known)
 
-    def _reference(self, out: Prepared, ref: Array, known: ParameterSets) -> Array:
+    def _reference(self, out: PreparedStretch, ref: Array, known: ParameterSets) -> Array:
         """The received reference at every PLC cycle; the link's drive goes to `out` where what was sent is known."""
         plant, sent = out.plant, out.stretch.sent
         if sent is None:
-            return smooth(plant, ref)
+            return smooth_course(plant, ref)
         out.drives["link"] = _link_drive(out, sent, sent.t_s)
         return _through(plant, ref, self._fine("link", plant, out.drives["link"], known))
 
-    def _shifted(self, out: Prepared, sent: Sent, ref: Array, known: ParameterSets, by_s: float) -> Array:
+    def _shifted(
+        self, out: PreparedStretch, sent: SentReference, ref: Array, known: ParameterSets, by_s: float
+    ) -> Array:
         """The received reference (cycles, n), had each datagram come so much later, as far as its log rows allow it."""
         plant = out.plant
         moved = within_rows(sent, by_s, plant.transport_delay_s + float(known.machine[0, kernel.DELAY]))
         drive = _link_drive(out, sent, moved)
         return _through(plant, ref, self._fine("link", plant, drive, known))
 
-    def _references(self, out: Prepared, ref: Array, fine: Array, known: ParameterSets) -> References:
+    def _references(self, out: PreparedStretch, ref: Array, fine: Array, known: ParameterSets) -> ReceivedReferences:
         """From the logged rows (rows, n) and their course (cycles, n)."""
         plant, sent = out.plant, out.stretch.sent
         if plant.decimate == 1 or (sent is not None and sent.unsure_s == 0.0):
-            return References(fine)
+            return ReceivedReferences(fine)
         if sent is None:
-            return References(fine, (held_rows(plant, ref),), late_jumps(plant, ref, fine))
+            return ReceivedReferences(fine, (held_rows(plant, ref),), late_jumps(plant, ref, fine))
         others = [self._shifted(out, sent, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
         by_s = plant.cycle_s * np.ceil(EVENLY * sent.unsure_s / plant.cycle_s)
-        return References(fine, tuple(others), self._shifted(out, sent, ref, known, by_s))
+        return ReceivedReferences(fine, tuple(others), self._shifted(out, sent, ref, known, by_s))
 
     def _commands(
-        self, out: Prepared, references: References, signals: tuple[Array, Array], known: ParameterSets
+        self, out: PreparedStretch, references: ReceivedReferences, signals: tuple[Array, Array], known: ParameterSets
     ) -> _Commands:
         """The controller's courses from references, encoders and commands; its drives go to `out`."""
         plant, (enc, u) = out.plant, signals
-        seen = smooth(plant, enc)
+        seen = smooth_course(plant, enc)
 
         def driven(course: Array) -> tuple[Drive, Array | None]:
             drive = drive_controller(plant, course, seen, u[0], fine=True)
@@ -160,7 +164,7 @@ class Replayer:
             out.late["controller"], jumped = driven(references.jumped)
         return _Commands(own, tuple(driven(other)[1] for other in references.others), jumped)
 
-    def _valves(self, out: Prepared, enc: Array, u: Array, commands: _Commands) -> Prepared:
+    def _valves(self, out: PreparedStretch, enc: Array, u: Array, commands: _Commands) -> PreparedStretch:
         """With the actuators' drive, and with the other courses that the commands may have taken."""
         plant, loads = out.plant, self.loads(enc)
 
@@ -168,11 +172,11 @@ class Replayer:
             return drive_actuator(plant, course, enc[0], loads, fine=True)
 
         if commands.own is None:
-            course = smooth(plant, u)
+            course = smooth_course(plant, u)
             out.drives["actuator"] = driven(course)
             if plant.decimate == 1:
                 return out
-            jumped = late(plant, u)
+            jumped = late_jump_course(plant, u)
             others = [jumped]
             if self.nominal.has_controller:  # the mean between rows may be larger than the rows show
                 others.append(course * (1.0 + self._teeth()))
@@ -192,17 +196,17 @@ class Replayer:
         """
         return 0.5 * SENT_S * self.plant.joints[:, kernel.KP] * self.plant.joints[:, kernel.KV]
 
-    def outputs(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
+    def outputs(self, stage: str, prepared: PreparedStretch, sets: ParameterSets) -> Array | None:
         """What every set gives for a stage's output (sets, rows, n); None where the stretch has no input or output."""
         drive = prepared.drives.get(stage)
         return None if drive is None else _output(stage, prepared.plant, sets, drive)
 
-    def residuals(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
+    def residuals(self, stage: str, prepared: PreparedStretch, sets: ParameterSets) -> Array | None:
         """Measured less modelled, (sets, rows, n), in the stage's unit; NaN in columns that were not recorded."""
         modelled, measured = self.outputs(stage, prepared, sets), measured_output(stage, prepared.stretch)
         if modelled is None or measured is None:
             return None
-        out = filled(measured)[: modelled.shape[1]] - modelled
+        out = fill_gaps(measured)[: modelled.shape[1]] - modelled
         for signal in _logged(stage, prepared.stretch):
             out[..., ~np.isfinite(signal).any(axis=0)] = np.nan
         return out
@@ -227,7 +231,7 @@ class Replayer:
         return loads_along(self.nominal.arm, neutral_sets(self.nominal.n), enc, self.torque_reference)
 
 
-def within_rows(sent: Sent, by_s: float | Array, delay_s: float) -> Array:
+def within_rows(sent: SentReference, by_s: float | Array, delay_s: float) -> Array:
     """When each datagram (k,) was sent, moved by so much as its log rows allow of its arrival `delay_s` later."""
     moved = sent.t_s + by_s
     if sent.within_s is not None:
@@ -237,7 +241,7 @@ def within_rows(sent: Sent, by_s: float | Array, delay_s: float) -> Array:
     return np.maximum.accumulate(moved)
 
 
-def _link_drive(out: Prepared, sent: Sent, t_s: Array) -> Drive:
+def _link_drive(out: PreparedStretch, sent: SentReference, t_s: Array) -> Drive:
     """What drives the link where the datagrams (k,) are taken at t_s (k,)."""
     plant, stretch = out.plant, out.stretch
     cycles = (stretch.rows - 1) * plant.decimate + 1
@@ -264,7 +268,7 @@ def replayer_of(nominal: Nominal, stretches: Sequence[Stretch]) -> Replayer | No
     if nominal.actuators is None:
         return None
     low, high = nominal.q_min, nominal.q_max
-    seen = [filled(stretch.enc) for stretch in stretches if stretch.enc is not None]
+    seen = [fill_gaps(stretch.enc) for stretch in stretches if stretch.enc is not None]
     if seen:
         low, high = (
             np.where(np.isfinite(limit), limit, of(np.concatenate(seen), axis=0))

@@ -6,19 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.errors import DiagnosisError
-from diagnosis.log.tables import filled
+from diagnosis.log.tables import fill_gaps
 from diagnosis.noise.floor import (
     Floor,
     Whitener,
-    deviations,
+    block_increments,
     fit_whitener,
     floor_of_repeats,
     floor_without_repeats,
-    increments,
+    repeat_deviations,
     with_remainder,
 )
-from diagnosis.replay.repeats import overlaid
-from diagnosis.replay.replayer import Prepared, Replayer
+from diagnosis.replay.repeats import align_repeats
+from diagnosis.replay.replayer import PreparedStretch, Replayer
 from diagnosis.replay.stretches import Stretch, repeat_groups
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
@@ -29,7 +29,7 @@ SURE = 30.0  # chi2 for each repeat's own gain: five standard errors and more
 TOO_FEW = 3  # two repeats have one difference, which is noise as well as anything
 
 
-def steadied(repeats: Array, motion: Array, dt_s: float, where: NDArray[np.bool_]) -> Array:
+def without_proportional_part(repeats: Array, motion: Array, dt_s: float, where: NDArray[np.bool_]) -> Array:
     """Residuals of repeats (R, m, n) without what each has in proportion to the motion, if that is significant.
 
     Model: d_r = g_r M + noise over white increments; chi2 = sum (g_r / its error)^2, by the noise that still holds it.
@@ -38,8 +38,8 @@ def steadied(repeats: Array, motion: Array, dt_s: float, where: NDArray[np.bool_
     if len(repeats) < TOO_FEW:
         return repeats
     out = repeats.copy()
-    steps = [increments(repeat, dt_s) for repeat in deviations(repeats)]
-    mean = increments(motion.mean(axis=0), dt_s)
+    steps = [block_increments(repeat, dt_s) for repeat in repeat_deviations(repeats)]
+    mean = block_increments(motion.mean(axis=0), dt_s)
     for j in np.nonzero(where)[0]:
         white = fit_whitener([step[:, [j]] for step in steps])
         moved = white.whiten(mean[:, [j]])[:, 0]
@@ -61,7 +61,7 @@ SILENT_SHARE = 0.25  # of the least sigma, where a program leaves nothing day by
 STEP_SHARE = 0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which repeats do not show when they round alike
 
 
-def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: ParameterSets) -> Floor:
+def stage_floor(replayer: Replayer, stage: str, prepared: list[PreparedStretch], base: ParameterSets) -> Floor:
     """The noise of a stage's residual, all joints: from the largest group of repeats, else a stand-in."""
     residuals = {entry.stretch.name: replayer.residuals(stage, entry, base) for entry in prepared}
     known = {name: np.nan_to_num(rows[0]) for name, rows in residuals.items() if rows is not None}
@@ -73,13 +73,16 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: 
     records = [replayer.nominal.remainder(stage, j + 1) for j in range(replayer.nominal.n)]
     if len(members) > 1:
         try:
-            repeats = overlaid(members, [known[member.name] for member in members])
+            repeats = align_repeats(members, [known[member.name] for member in members])
             if stage == "actuator":
-                repeats = steadied(
-                    repeats, overlaid(members, _encoders(members)), dt, np.array([not record for record in records])
+                repeats = without_proportional_part(
+                    repeats,
+                    align_repeats(members, _encoders(members)),
+                    dt,
+                    np.array([not record for record in records]),
                 )
             floor = floor_of_repeats(repeats, dt)
-            steps = [increments(repeat, dt) for repeat in deviations(repeats)]
+            steps = [block_increments(repeat, dt) for repeat in repeat_deviations(repeats)]
         except DiagnosisError:
             floor = None
     if floor is None:
@@ -103,10 +106,10 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: 
 
 
 def _encoders(members: tuple[Stretch, ...]) -> list[Array]:
-    return [np.nan_to_num(filled(member.enc)) for member in members if member.enc is not None]
+    return [np.nan_to_num(fill_gaps(member.enc)) for member in members if member.enc is not None]
 
 
-def _smallest(stage: str, prepared: list[Prepared]) -> Array:
+def _smallest(stage: str, prepared: list[PreparedStretch]) -> Array:
     """The least sigma of an increment (n,) that is believed."""
     n = prepared[0].plant.n
     least = np.full(n, SIGMA_MIN[stage])

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.errors import DiagnosisError
-from diagnosis.log.tables import filled
+from diagnosis.log.tables import fill_gaps
 from diagnosis.noise.floor import BLOCK_S, Whitener
 from diagnosis.noise.of_a_day import DayNoise
-from diagnosis.replay.replayer import Prepared, Replayer, measured_output
+from diagnosis.replay.replayer import PreparedStretch, Replayer, measured_output
 from diagnosis.replay.side_by_side import side_by_side
 from diagnosis.replay.stretches import Stretch
 from machine.effects.dynamics import Actuators, Drive, DynamicStage, simulate
@@ -28,7 +28,7 @@ UNIFORM = 3.0**-0.5  # standard deviation of what lies anywhere between -1 and 1
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class StretchReplay:
     """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
 
     `between`: (m, joints) each, how far another guess of the input's course between logged rows drives the increments
@@ -60,7 +60,7 @@ class Replay:
 
     stage: str
     joints: tuple[int, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[StretchReplay, ...]
     whitener: Whitener
     day: DayNoise | None = None
 
@@ -70,9 +70,9 @@ class Replay:
         out = np.concatenate(side_by_side(lambda part: self._white(part, chosen), self.parts), axis=1)
         return out if self.day is None else self.day.white(out)
 
-    def _white(self, part: Part, sets: ParameterSets) -> Array:
+    def _white(self, part: StretchReplay, sets: ParameterSets) -> Array:
         steps, shift = part_increments(self.stage, part, sets)
-        weight = trust(part, self.whitener)
+        weight = row_weights(part, self.whitener)
         white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
         sent = part.stretch.sent
         least, most = -1.0, 1.0
@@ -89,7 +89,7 @@ class Replay:
         return white.transpose(0, 2, 1).reshape(len(white), -1)
 
 
-def trust(part: Part, whitener: Whitener) -> Array | float:
+def row_weights(part: StretchReplay, whitener: Whitener) -> Array | float:
     """The weight of rows (1, m, joints): those after a jump that may be anywhere in its row count less.
 
     Model: 1 / (1 + x^2) over the jump's standard deviation x: near the noise a row counts as chance would have it, far
@@ -122,7 +122,7 @@ def _excused(white: Array, columns: list[tuple[Array, float, float]]) -> Array:
     return left
 
 
-def part_increments(stage: str, part: Part, sets: ParameterSets) -> tuple[Array, Array]:
+def part_increments(stage: str, part: StretchReplay, sets: ParameterSets) -> tuple[Array, Array]:
     """20 Hz increments (sets, m, joints) of measured less replayed, and their change per second of delay."""
     traces = simulate(part.plant, sets, part.drive, LAST[stage])
     modelled = getattr(traces, OUTPUT[stage])
@@ -159,7 +159,7 @@ def whiten_sets(whitener: Whitener, steps: Array) -> Array:
     return out / whitener.sigma
 
 
-def part_of(stage: str, prepared: Prepared, joints: list[int], replayer: Replayer) -> Part:
+def part_of(stage: str, prepared: PreparedStretch, joints: list[int], replayer: Replayer) -> StretchReplay:
     """One stretch's replay narrowed to some joints (0-based)."""
     drive = prepared.drives[stage]
     signals = {name: getattr(drive, name) for name in ("sent", "ref", "enc", "u", "load", "load_kg")}
@@ -169,8 +169,8 @@ def part_of(stage: str, prepared: Prepared, joints: list[int], replayer: Replaye
     output = measured_output(stage, prepared.stretch)
     if output is None:
         raise DiagnosisError(f"{prepared.stretch.name}: the output of stage {stage} was not recorded")
-    measured = filled(output)[:, joints]
-    part = Part(plant, narrowed, measured, prepared.stretch)
+    measured = fill_gaps(output)[:, joints]
+    part = StretchReplay(plant, narrowed, measured, prepared.stretch)
     finer = np.array([0.0 if replayer.learnt(stage, j) else replayer.finer for j in joints])
     if stage == "actuator" and finer.any():
         part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
@@ -198,7 +198,7 @@ def _late_valves(joints: int) -> ParameterSets:
     return sets
 
 
-def by_steps(part: Part) -> Array:
+def by_steps(part: StretchReplay) -> Array:
     """What an endless number of steps changes in the modelled course (rows, joints), to first order in the step."""
     own, half = (
         simulate(replace(part.plant, refined=times), neutral_sets(part.plant.n), part.drive).enc[0] for times in (1, 2)
@@ -206,7 +206,7 @@ def by_steps(part: Part) -> Array:
     return 2.0 * (half - own)
 
 
-def white_rows(part: Part, order: int) -> int:
+def white_rows(part: StretchReplay, order: int) -> int:
     """White residuals of one channel in a part."""
     size = max(1, round(BLOCK_S / part.stretch.dt_s))
     return max(0, len(part.measured) // size - 1 - order - SKIPPED)

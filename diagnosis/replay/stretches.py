@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.datagrams.sent import Sent, arrivals_of, sent_within
+from diagnosis.datagrams.sent import SentReference, arrivals_of, sent_within
 from diagnosis.log.findings import Finding
 from diagnosis.log.quality import DURATION_MIN_S, EDGE_S, GAP_STEPS, ROWS_MIN, too_long
 from diagnosis.log.stamps import even_grid, taken_evenly
@@ -28,7 +28,7 @@ class Stretch:
     """One unbroken piece of one segment, evenly sampled on the PLC's clock.
 
     `t_s`: (m,), a step of `dt_s`; `t_segment_s`: of the segment's start, so that repeats can be laid over each other.
-    Signals (m, n); None where not recorded. `sent`: see `Sent`; None where the link cannot be judged.
+    Signals (m, n); None where not recorded. `sent`: see `SentReference`; None where the link cannot be judged.
     `enc_step`: (n,) resolution of the encoders as they were logged, 0 where they show none. `ref_logged`: False where
     `ref` is what was sent.
     """
@@ -42,7 +42,7 @@ class Stretch:
     ref: Array | None
     enc: Array | None
     u: Array | None
-    sent: Sent | None = None
+    sent: SentReference | None = None
     enc_step: Array | None = None
     ref_logged: bool = True
 
@@ -209,7 +209,9 @@ def _filled(plc: PlcTable, broken: NDArray[np.bool_]) -> list[Finding]:
     return [Finding("not_a_number", "note", "plc.csv", text, count)]
 
 
-def _stretch(plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64], sent: Sent | None) -> Stretch:
+def _stretch(
+    plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64], sent: SentReference | None
+) -> Stretch:
     t = plc.t_s[rows]
     dt = float((t[-1] - t[0]) / (len(t) - 1))
     grid = t[0] + dt * np.arange(len(t))

@@ -4,7 +4,7 @@ from html import escape
 from math import sqrt
 from typing import Any
 
-from diagnosis.report.html import section, table, wide
+from diagnosis.report.html import html_section, html_table, scrollable
 from diagnosis.report.text import place_text
 from diagnosis.verdict import SMALL_MM
 
@@ -82,11 +82,13 @@ def budget_sections(result: dict[str, Any]) -> str:
     camera = [column for column in budget["columns"] if column["column"] == "sees"]
     return "".join(
         [
-            section("What costs how much at the tool", _waterfall(budget["effects"], tool, ("stands", "gets_there"))),
-            section("What the camera misplaces", _waterfall(budget["effects"], camera, ("sees",))),
-            section("Three columns", _columns(budget["columns"])),
-            section("Every effect", _effects(budget["effects"])),
-            section("Every stage and joint", _stages(result["stages"])),
+            html_section(
+                "What costs how much at the tool", _waterfall(budget["effects"], tool, ("stands", "gets_there"))
+            ),
+            html_section("What the camera misplaces", _waterfall(budget["effects"], camera, ("sees",))),
+            html_section("Three columns", _columns(budget["columns"])),
+            html_section("Every effect", _effects(budget["effects"])),
+            html_section("Every stage and joint", _stages(result["stages"])),
         ]
     )
 
@@ -126,7 +128,7 @@ def _waterfall(effects: list[dict[str, Any]], columns: list[dict[str, Any]], nam
         )
     size = f'viewBox="0 0 {WIDTH} {12 + ROW * len(rows)}"'
     title = "waterfall from the nominal model's miss to what is left"
-    return wide(f'<svg class="plot" {size} role="img" aria-label="{title}">{"".join(body)}</svg>')
+    return scrollable(f'<svg class="plot" {size} role="img" aria-label="{title}">{"".join(body)}</svg>')
 
 
 def _columns(columns: list[dict[str, Any]]) -> str:
@@ -140,7 +142,7 @@ def _columns(columns: list[dict[str, Any]]) -> str:
         ]
         for column in columns
     ]
-    return table(("", "nominal, mm", "with confirmed effects, mm", "noise, mm", ""), rows)
+    return html_table(("", "nominal, mm", "with confirmed effects, mm", "noise, mm", ""), rows)
 
 
 def _effects(effects: list[dict[str, Any]]) -> str:
@@ -155,7 +157,7 @@ def _effects(effects: list[dict[str, Any]]) -> str:
         ]
         for effect in effects
     ]
-    return table(("effect", "column", "mm at the tool (90 %)", "share of the square", "probability", ""), rows)
+    return html_table(("effect", "column", "mm at the tool (90 %)", "share of the square", "probability", ""), rows)
 
 
 def _stages(stages: list[dict[str, Any]]) -> str:
@@ -169,4 +171,4 @@ def _stages(stages: list[dict[str, Any]]) -> str:
         ]
         for stage in stages
     ]
-    return table(("stage", "verdict", "before, mm", "after, mm", "what would measure it"), rows)
+    return html_table(("stage", "verdict", "before, mm", "after, mm", "what would measure it"), rows)

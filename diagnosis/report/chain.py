@@ -3,7 +3,7 @@
 from html import escape
 from typing import Any
 
-from diagnosis.report.html import wide
+from diagnosis.report.html import scrollable
 from machine.effects.spec import STAGES
 
 BOX_W, BOX_H, STEP = 92, 112, 104
@@ -12,7 +12,7 @@ BAR_H = 40
 FITS = 15  # letters of a cause across a box; longer ones are drawn narrower
 
 
-def chain(result: dict[str, Any]) -> str:
+def chain_svg(result: dict[str, Any]) -> str:
     """SVG of the chain with a line below it for what could not be judged apart."""
     shares = stage_shares(result)
     judged = {search["stage"] for search in result["searched"]} | set(shares)
@@ -31,7 +31,7 @@ def chain(result: dict[str, Any]) -> str:
         for merged_stage in result["merged_stages"]
     )
     note = "<p>Bar: share of the gap, by what was found wrong there. A stage is judged by its own measured input.</p>"
-    return wide(svg) + note + (f"<ul>{merged}</ul>" if merged else "")
+    return scrollable(svg) + note + (f"<ul>{merged}</ul>" if merged else "")
 
 
 def stage_shares(result: dict[str, Any]) -> dict[str, float]:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.replay.stage_replay import LAST, OUTPUT, Part, Replay
-from diagnosis.search.candidates import put
-from diagnosis.sliding import slides, unit_of
+from diagnosis.replay.stage_replay import LAST, OUTPUT, Replay, StretchReplay
+from diagnosis.search.candidates import parameter_sets_with
+from diagnosis.sliding import is_joint_sliding, unit_of
 from diagnosis.whole_model.held_out import HeldOut
 from machine.effects.dynamics import simulate
 from machine.effects.layout import ParameterSets
@@ -21,7 +21,7 @@ SIGNAL_UNITS = {"link": "rad", "controller": "of full command", "actuator": "rad
 
 
 @dataclass(frozen=True, slots=True)
-class Residuals:
+class CellResiduals:
     """White held-out residuals of one cell, in noise floors: t_s, before, after (N,) each, in the order of time.
 
     `series`: (N,) which of several measured side by side each belongs to: an axis of a point, a joint's stretch.
@@ -34,7 +34,7 @@ class Residuals:
 
 
 @dataclass(frozen=True, slots=True)
-class Replayed:
+class ReplayedTrajectory:
     """One held-out trajectory of one joint: t_s, measured, nominal, explained (m,) each, in `unit`."""
 
     kind: str
@@ -53,8 +53,8 @@ class CellCurves:
 
     label: str
     named: str
-    residuals: Residuals
-    replayed: Replayed | None
+    residuals: CellResiduals
+    replayed: ReplayedTrajectory | None
 
 
 def curves_of(cells: Sequence[HeldOut], sliding: tuple[bool, ...]) -> tuple[CellCurves, ...]:
@@ -72,11 +72,11 @@ def _cell(held_out: HeldOut, sliding: tuple[bool, ...]) -> CellCurves:
     named = " + ".join(effect.name for effect in held_out.fit.hypothesis)
     order = np.argsort(cell.t_s, kind="stable")
     before, after = held_out.before, held_out.after
-    white = Residuals(cell.t_s[order], before[order], after[order], cell.rows.series[order])
+    white = CellResiduals(cell.t_s[order], before[order], after[order], cell.rows.series[order])
     return CellCurves(cell.label, named, white, _replayed(held_out, sliding))
 
 
-def _replayed(held_out: HeldOut, sliding: tuple[bool, ...]) -> Replayed | None:
+def _replayed(held_out: HeldOut, sliding: tuple[bool, ...]) -> ReplayedTrajectory | None:
     """The stretch and joint on which the effect matters most, replayed by numbers fitted without that stretch's kind.
 
     Without a named effect: where the gap is largest; nominal and explained are then the same.
@@ -91,13 +91,16 @@ def _replayed(held_out: HeldOut, sliding: tuple[bool, ...]) -> Replayed | None:
     fold = _fold_of(held_out, int(at) * len(replay.joints) + int(channel))
     theta = held_out.theta_without(fold)
     base = held_out.cell.base
-    traces = [_output(replay, part, sets, int(channel)) for sets in (base, put(base, held_out.fit.hypothesis, theta))]
+    traces = [
+        _output(replay, part, sets, int(channel))
+        for sets in (base, parameter_sets_with(base, held_out.fit.hypothesis, theta))
+    ]
     rows, joint = len(traces[0]), replay.joints[int(channel)]
     signal = SIGNALS[replay.stage]
-    return Replayed(
+    return ReplayedTrajectory(
         part.stretch.kind,
         joint + 1,
-        SLID.get(signal, signal) if slides(sliding, joint) else signal,
+        SLID.get(signal, signal) if is_joint_sliding(sliding, joint) else signal,
         unit_of(SIGNAL_UNITS[replay.stage], sliding, joint),
         part.stretch.t_s[:rows] - part.stretch.t_s[0],
         part.measured[:rows, int(channel)],
@@ -117,7 +120,7 @@ def _fold_of(held_out: HeldOut, series: int) -> int:
     return int(rows.fold[np.argmax(rows.series == series)])
 
 
-def _output(replay: Replay, part: Part, sets: ParameterSets, channel: int) -> Array:
+def _output(replay: Replay, part: StretchReplay, sets: ParameterSets, channel: int) -> Array:
     chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(replay.joints)]), sets.machine)
     traces = simulate(part.plant, chosen, part.drive, LAST[replay.stage])
     return np.asarray(getattr(traces, OUTPUT[replay.stage])[0, : len(part.measured), channel], dtype=float)

@@ -5,10 +5,10 @@ from html import escape
 from typing import Any
 
 from diagnosis.report.budget import budget_head, budget_sections
-from diagnosis.report.chain import chain
+from diagnosis.report.chain import chain_svg
 from diagnosis.report.curves import CellCurves
-from diagnosis.report.html import document, section, table
-from diagnosis.report.plots import plots
+from diagnosis.report.html import html_document, html_section, html_table
+from diagnosis.report.plots import cell_plots
 from diagnosis.report.text import place_text
 from machine.effects.registry import effect_named
 
@@ -42,23 +42,25 @@ def next_text(result: dict[str, Any]) -> str:
 PLACES_MAX = 40
 
 
-def page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] = ()) -> str:
+def report_page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] = ()) -> str:
     """The whole page. `result`: the answer's JSON; `curves`: what cannot be drawn from it."""
     body = [
         budget_head(result, name) + budget_sections(result),
-        section("Where the gap lies", chain(result)),
-        section("Measured, nominal, nominal with the effects", plots(curves)),
-        section("What cannot be distinguished", _classes(result)),
-        section("Next experiment", f"<p>{escape(next_text(result))}</p>"),
-        section("How far the gap shrinks on held-out trajectories", _shrinks(result)),
-        section("What nothing explains", _table(result["unexplained"], UNEXPLAINED)),
-        section("What the recording lacked", _table(result["missing"], (("signal", "signal"), ("costs", "costs")))),
-        section("Findings about the recording", _table(result["findings"], FINDINGS)),
+        html_section("Where the gap lies", chain_svg(result)),
+        html_section("Measured, nominal, nominal with the effects", cell_plots(curves)),
+        html_section("What cannot be distinguished", _classes(result)),
+        html_section("Next experiment", f"<p>{escape(next_text(result))}</p>"),
+        html_section("How far the gap shrinks on held-out trajectories", _shrinks(result)),
+        html_section("What nothing explains", _table(result["unexplained"], UNEXPLAINED)),
+        html_section(
+            "What the recording lacked", _table(result["missing"], (("signal", "signal"), ("costs", "costs")))
+        ),
+        html_section("Findings about the recording", _table(result["findings"], FINDINGS)),
         _details("What the confirmed effects look like", what_it_looks_like(result)),
         _details("Every place: stage, joint, axis, regime", _table(_places(result), PLACES)),
         _details("Smallest effects this recording could have shown", _table(result["detection_limits"], LIMITS)),
     ]
-    return document(f"{name}: {result['verdict']}", "".join(body))
+    return html_document(f"{name}: {result['verdict']}", "".join(body))
 
 
 UNEXPLAINED = (
@@ -132,4 +134,4 @@ def _limits(row: dict[str, Any]) -> str:
 
 
 def _table(rows: list[dict[str, Any]], columns: tuple[tuple[str, str], ...]) -> str:
-    return table([title for _, title in columns], [[row.get(key) for key, _ in columns] for row in rows])
+    return html_table([title for _, title in columns], [[row.get(key) for key, _ in columns] for row in rows])

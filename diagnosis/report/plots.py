@@ -5,12 +5,12 @@ from html import escape
 
 import numpy as np
 
-from diagnosis.report.curves import CellCurves, Replayed, Residuals
-from diagnosis.report.svg import DOTS, Line, autocorrelation, chart, histogram
+from diagnosis.report.curves import CellCurves, CellResiduals, ReplayedTrajectory
+from diagnosis.report.svg import DOTS, CurveLine, autocorrelation, chart, histogram
 from machine.rotations import Array
 
 
-def plots(curves: Sequence[CellCurves]) -> str:
+def cell_plots(curves: Sequence[CellCurves]) -> str:
     """One block a cell; the first open, the others folded away."""
     blocks = [_block(curve, number == 0) for number, curve in enumerate(curves)]
     return "".join(blocks)
@@ -25,16 +25,16 @@ def _block(curves: CellCurves, is_open: bool) -> str:
     return f"<details{state}><summary>{escape(curves.label)}: {escape(named)}</summary>{body}</details>"
 
 
-def _replayed(replayed: Replayed, explained: bool) -> str:
+def _replayed(replayed: ReplayedTrajectory, explained: bool) -> str:
     lines = [
-        Line("measured", "measured", replayed.t_s, replayed.measured),
-        Line("nominal model", "before", replayed.t_s, replayed.nominal),
+        CurveLine("measured", "measured", replayed.t_s, replayed.measured),
+        CurveLine("nominal model", "before", replayed.t_s, replayed.nominal),
     ]
-    apart = [Line("measured less nominal", "before", replayed.t_s, replayed.measured - replayed.nominal)]
+    apart = [CurveLine("measured less nominal", "before", replayed.t_s, replayed.measured - replayed.nominal)]
     if explained:
-        lines.append(Line("nominal with the effects", "after", replayed.t_s, replayed.explained))
+        lines.append(CurveLine("nominal with the effects", "after", replayed.t_s, replayed.explained))
         apart.append(
-            Line(
+            CurveLine(
                 "measured less nominal with the effects", "after", replayed.t_s, replayed.measured - replayed.explained
             )
         )
@@ -48,22 +48,22 @@ def _replayed(replayed: Replayed, explained: bool) -> str:
     )
 
 
-def _residuals(residuals: Residuals) -> str:
+def _residuals(residuals: CellResiduals) -> str:
     t = residuals.t_s - residuals.t_s[0] if len(residuals.t_s) else residuals.t_s
     together = bool((np.diff(residuals.t_s) == 0.0).any())  # several at an instant: no line leads from one to the next
     along = "pose" if together and bool((residuals.t_s == np.round(residuals.t_s)).all()) else "time [s]"
     shown = f" {DOTS}" if together else ""
     over_time = [
-        Line("before", f"before{shown}", t, residuals.before),
-        Line("after", f"after{shown}", t, residuals.after),
+        CurveLine("before", f"before{shown}", t, residuals.before),
+        CurveLine("after", f"after{shown}", t, residuals.after),
     ]
     lags = np.arange(1, 41, dtype=float)
     limit = 1.96 / np.sqrt(max(1, len(residuals.before)))
     correlated = [
-        Line("before", "before", lags, autocorrelation(residuals.before, residuals.series)),
-        Line("after", "after", lags, autocorrelation(residuals.after, residuals.series)),
-        Line("95 % of pure noise", "floor", lags, _constant(lags, limit)),
-        Line("", "floor", lags, _constant(lags, -limit)),
+        CurveLine("before", "before", lags, autocorrelation(residuals.before, residuals.series)),
+        CurveLine("after", "after", lags, autocorrelation(residuals.after, residuals.series)),
+        CurveLine("95 % of pure noise", "floor", lags, _constant(lags, limit)),
+        CurveLine("", "floor", lags, _constant(lags, -limit)),
     ]
     return (
         "<h3>What is left, in noise floors, on held-out data</h3>"

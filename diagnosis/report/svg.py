@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.report.html import wide
+from diagnosis.report.html import scrollable
 from machine.rotations import Array
 
 WIDTH, HEIGHT = 720, 210
@@ -18,7 +18,7 @@ DOTS = "dots"
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class CurveLine:
     """One line (m,) over x (m,). `css`: class that gives it its colour and dashes; with DOTS: points."""
 
     label: str
@@ -27,7 +27,7 @@ class Line:
     y: Array
 
 
-def chart(lines: Sequence[Line], x_label: str, y_label: str, title: str, symmetric: bool = False) -> str:
+def chart(lines: Sequence[CurveLine], x_label: str, y_label: str, title: str, symmetric: bool = False) -> str:
     """Lines over a common x, with axes, ticks and a legend; NaN breaks a line."""
     shown = [_thinned(line) for line in lines if len(line.x)]
     if not shown:
@@ -45,9 +45,9 @@ def histogram(before: Array, after: Array, unit: str, title: str) -> str:
     edge = float(np.quantile(np.abs(np.concatenate([before, after])), 0.995)) or 1.0
     edges = np.linspace(-edge, edge, 61)
     lines = [
-        Line("before", "before", *_steps(edges, before)),
-        Line("after", "after", *_steps(edges, after)),
-        Line("noise alone", "floor", *_normal(edges)),
+        CurveLine("before", "before", *_steps(edges, before)),
+        CurveLine("after", "after", *_steps(edges, after)),
+        CurveLine("noise alone", "floor", *_normal(edges)),
     ]
     return chart(lines, unit, "share per bin", title)
 
@@ -99,7 +99,7 @@ def _range(values: Array, symmetric: bool) -> tuple[float, float]:
     return low, high
 
 
-def _thinned(line: Line) -> Line:
+def _thinned(line: CurveLine) -> CurveLine:
     """At most 700 points that keep each stretch's extremes."""
     if len(line.x) <= POINTS_MAX:
         return line
@@ -107,10 +107,10 @@ def _thinned(line: Line) -> Line:
     for cut in np.array_split(np.arange(len(line.x)), POINTS_MAX // 2):
         values = np.nan_to_num(line.y[cut], nan=0.0)
         kept += sorted({int(cut[np.argmin(values)]), int(cut[np.argmax(values)])})
-    return Line(line.label, line.css, line.x[kept], line.y[kept])
+    return CurveLine(line.label, line.css, line.x[kept], line.y[kept])
 
 
-def _path(frame: _Frame, line: Line) -> str:
+def _path(frame: _Frame, line: CurveLine) -> str:
     xs, ys = frame.px(line.x), frame.py(line.y)
     if DOTS in line.css:
         return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in zip(xs, ys, strict=True) if np.isfinite(y))
@@ -168,7 +168,7 @@ def _normal(edges: Array) -> tuple[Array, Array]:
     return middle, share
 
 
-def _legend(lines: Sequence[Line]) -> str:
+def _legend(lines: Sequence[CurveLine]) -> str:
     keys = "".join(
         f'<span><svg width="26" height="10" aria-hidden="true"><path class="{line.css}" d="M1 5L25 5"/></svg> '
         f"{escape(line.label)}</span>"
@@ -180,4 +180,4 @@ def _legend(lines: Sequence[Line]) -> str:
 
 def _svg(body: str, title: str) -> str:
     size = f'viewBox="0 0 {WIDTH} {HEIGHT}"'
-    return wide(f'<svg class="plot" {size} role="img" aria-label="{escape(title)}">{body}</svg>')
+    return scrollable(f'<svg class="plot" {size} role="img" aria-label="{escape(title)}">{body}</svg>')

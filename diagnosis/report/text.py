@@ -5,7 +5,7 @@ from typing import Any
 NAMES_MAX = 5
 
 
-def lines(result: dict[str, Any]) -> list[str]:
+def report_lines(result: dict[str, Any]) -> list[str]:
     """What a person reads after the budget."""
     out = [f"verdict: {result['verdict']} ({result['why']})"]
     places = list(dict.fromkeys(place_text(members[0]) for members in result["indistinguishable"]))

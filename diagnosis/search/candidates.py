@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 
-from machine.effects.layout import ParameterSets, Slot, slots_of
+from machine.effects.layout import ParameterSets, ParameterSlot, slots_of
 from machine.effects.registry import effect_of, effects_of
 from machine.effects.spec import Effect, Stage
 from machine.rotations import Array
@@ -42,8 +42,8 @@ class Candidate:
     joint: int | None
     stage: str
     option: str
-    slots: tuple[Slot, ...]
-    fixed: tuple[tuple[Slot, float], ...] = ()
+    slots: tuple[ParameterSlot, ...]
+    fixed: tuple[tuple[ParameterSlot, float], ...] = ()
     counted: int = 0
     read_off: bool = False
     cycles: tuple[float, float] | None = None
@@ -95,14 +95,14 @@ def candidates_of(stage: Stage, joints: tuple[int, ...], machine: bool) -> tuple
     return tuple(candidate for effect in effects_of(stage) for candidate in _of_effect(effect, joints, machine))
 
 
-def named(names: tuple[str, ...], joints: tuple[int, ...]) -> tuple[Candidate, ...]:
+def candidates_of_effects(names: tuple[str, ...], joints: tuple[int, ...]) -> tuple[Candidate, ...]:
     """Candidates of these effects."""
     return tuple(candidate for name in names for candidate in _of_effect(effect_of(name), joints, True))
 
 
 def arm_candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
     """What changes where a link is for its encoder. `moving`: whether the encoders' course in time is known, too."""
-    found = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
+    found = candidates_of("structure", joints, True) + candidates_of_effects(SEEN_BEHIND_ENCODER, joints)
     return tuple(candidate for candidate in found if moving or candidate.name not in SEEN_IN_MOTION)
 
 
@@ -166,7 +166,7 @@ def _with_baseline_shape(base: ParameterSets, candidate: Candidate) -> Candidate
     return replace(candidate, slots=(size, *(replace(slot, start=base.get(slot)) for slot in shape)))
 
 
-def _grid(slot: Slot) -> Array:
+def _grid(slot: ParameterSlot) -> Array:
     spec = slot.spec
     known = [slot.start] if slot.start != spec.start else []
     if slot.parameter == "phase_rad":
@@ -187,15 +187,16 @@ def _grid(slot: Slot) -> Array:
     return np.concatenate([slot.low * np.array(SIZES), above]) if slot.low < 0.0 else above
 
 
-def _around(slots: tuple[Slot, ...]) -> Array:
+def _around(slots: tuple[ParameterSlot, ...]) -> Array:
     sizes = np.array([slot.high for slot in slots]) * np.eye(len(slots))
     return np.concatenate([share * sign * sizes for share in (0.02, 0.1) for sign in (1.0, -1.0)])
 
 
-def put(base: ParameterSets, candidates: tuple[Candidate, ...], thetas: Array) -> ParameterSets:
+def parameter_sets_with(base: ParameterSets, candidates: tuple[Candidate, ...], thetas: Array) -> ParameterSets:
     """`base` (one set) with these effects on top of it, once for each row of thetas (m, slots of all candidates).
 
-    Model: as `machine.effects.entries.pack`: what is neutral at 0 adds up, limits take the smaller, shapes replace.
+    Model: as `machine.effects.entries.pack_effects`: what is neutral at 0 adds up, limits take the smaller, shapes
+    replace.
     """
     thetas = np.atleast_2d(thetas)
     sets = base.repeated(len(thetas))

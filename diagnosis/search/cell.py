@@ -21,7 +21,7 @@ DRIVEN_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly 
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class ResidualRows:
     """What each residual (N,) belongs to: fold (left out together), block (scored together), series, channel.
 
     `alike`: rows that a model is wrong by alike (one posture), as numbers; None: those of a block.
@@ -64,7 +64,7 @@ class Cell:
     candidates: tuple[Candidate, ...]
     base: ParameterSets
     whitened: Callable[[ParameterSets], Array]
-    rows: Rows
+    rows: ResidualRows
     scale: Array
     quiet: float
     floor_known: bool

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.errors import DiagnosisError
-from diagnosis.search.candidates import Candidate, put
+from diagnosis.search.candidates import Candidate, parameter_sets_with
 from diagnosis.search.cell import Cell
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.layout import ParameterSets
@@ -53,19 +53,19 @@ class Fit:
         )
 
 
-def costs(residual: Array) -> Array:
+def soft_l1_costs(residual: Array) -> Array:
     """Soft-L1 cost of each residual [nats]; 1/2 r^2 while small."""
     return SOFT**2 * (np.sqrt(1.0 + (residual / SOFT) ** 2) - 1.0)
 
 
-def weights(residual: Array) -> Array:
+def soft_l1_weights(residual: Array) -> Array:
     """Of each residual in a Gauss-Newton step."""
     return 1.0 / np.sqrt(1.0 + (residual / SOFT) ** 2)
 
 
-def evaluated(cell: Cell, hypothesis: Hypothesis, thetas: Array) -> Array:
+def residuals_at(cell: Cell, hypothesis: Hypothesis, thetas: Array) -> Array:
     """Residuals (m, N) at each row of thetas (m, k)."""
-    return evaluated_at(cell, put(cell.base, hypothesis, thetas))
+    return evaluated_at(cell, parameter_sets_with(cell.base, hypothesis, thetas))
 
 
 def evaluated_at(cell: Cell, sets: ParameterSets) -> Array:
@@ -75,31 +75,31 @@ def evaluated_at(cell: Cell, sets: ParameterSets) -> Array:
 
 def neutral_fit(cell: Cell) -> Fit:
     """No effect at all."""
-    residual = evaluated(cell, (), np.zeros((1, 0)))[0]
-    return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)), float(costs(residual).sum()))
+    residual = residuals_at(cell, (), np.zeros((1, 0)))[0]
+    return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)), float(soft_l1_costs(residual).sum()))
 
 
-def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
+def parameter_bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
     """Lower and upper bounds (k,) each."""
     slots = [slot for candidate in hypothesis for slot in candidate.slots]
     return np.array([slot.low for slot in slots]), np.array([slot.highest for slot in slots])
 
 
-def spans(hypothesis: Hypothesis) -> Array:
+def parameter_spans(hypothesis: Hypothesis) -> Array:
     """The ruler of each number (k,): what good machines have of it, from end to end."""
     return np.array([slot.high - slot.low for candidate in hypothesis for slot in candidate.slots])
 
 
-def jacobian(cell: Cell, hypothesis: Hypothesis, theta: Array, residual: Array) -> Array:
+def residual_jacobian(cell: Cell, hypothesis: Hypothesis, theta: Array, residual: Array) -> Array:
     """(N, k) by finite steps away from the nearer bound, one kernel call."""
-    high = bounds(hypothesis)[1]
-    steps = STEP_SHARE * spans(hypothesis)
+    high = parameter_bounds(hypothesis)[1]
+    steps = STEP_SHARE * parameter_spans(hypothesis)
     signs = np.where(theta + steps > high, -1.0, 1.0)
     moved = theta + np.diag(signs * steps)
-    return ((evaluated(cell, hypothesis, moved) - residual) / (signs * steps)[:, None]).T
+    return ((residuals_at(cell, hypothesis, moved) - residual) / (signs * steps)[:, None]).T
 
 
-def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) -> Fit:
+def fit_hypothesis(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) -> Fit:
     """Gauss-Newton with damping inside bounds from one start.
 
     Model:  min sum rho(r(theta)); each round solves (J'WJ + d diag) step = -J'Wr for three dampings d and takes the
@@ -107,37 +107,40 @@ def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) 
             less than 0.02 nats.
     Raises: DiagnosisError: the start has another length than the hypothesis.
     """
-    low, high = bounds(hypothesis)
+    low, high = parameter_bounds(hypothesis)
     if len(start) != len(low):
         raise DiagnosisError(f"a start has {len(start)} numbers; the hypothesis has {len(low)}")
     theta = np.clip(np.asarray(start, dtype=float), low, high)
-    residual = evaluated(cell, hypothesis, theta)[0]
-    cost = float(costs(residual).sum())
-    J = jacobian(cell, hypothesis, theta, residual)
+    residual = residuals_at(cell, hypothesis, theta)[0]
+    cost = float(soft_l1_costs(residual).sum())
+    J = residual_jacobian(cell, hypothesis, theta, residual)
     for _ in range(rounds):
-        steps = damped_steps(J, residual, spans(hypothesis))
+        steps = damped_steps(J, residual, parameter_spans(hypothesis))
         trials = np.clip(theta + np.array([*steps, 0.3 * steps[0], 0.1 * steps[0]]), low, high)
-        tried = evaluated(cell, hypothesis, trials)
-        totals = costs(tried).sum(axis=1)
-        promised = -0.5 * float((trials[0] - theta) @ (J.T @ (weights(residual) * residual)))
+        tried = residuals_at(cell, hypothesis, trials)
+        totals = soft_l1_costs(tried).sum(axis=1)
+        promised = -0.5 * float((trials[0] - theta) @ (J.T @ (soft_l1_weights(residual) * residual)))
         if len(theta) > 1 and cost - float(totals.min()) < CURVED * promised:
             bent = np.clip(trials + _bends(J, residual, theta, trials, tried), low, high)
-            trials, tried = np.concatenate([trials, bent]), np.concatenate([tried, evaluated(cell, hypothesis, bent)])
-            totals = costs(tried).sum(axis=1)
+            trials, tried = (
+                np.concatenate([trials, bent]),
+                np.concatenate([tried, residuals_at(cell, hypothesis, bent)]),
+            )
+            totals = soft_l1_costs(tried).sum(axis=1)
         best = int(np.argmin(totals))
         gained = cost - float(totals[best])
         if gained <= 0.0:
             break
         theta, residual, cost = trials[best], tried[best], float(totals[best])
-        J = jacobian(cell, hypothesis, theta, residual)
+        J = residual_jacobian(cell, hypothesis, theta, residual)
         if gained < SETTLED_NATS + SETTLED_SHARE * cost:
             break
     kinks = np.clip(_at_kinks(hypothesis, theta), low, high)
     if not np.array_equal(kinks, theta):
-        there = evaluated(cell, hypothesis, kinks)[0]
-        if float(costs(there).sum()) < cost:
-            theta, residual, cost = kinks, there, float(costs(there).sum())
-            J = jacobian(cell, hypothesis, theta, residual)
+        there = residuals_at(cell, hypothesis, kinks)[0]
+        if float(soft_l1_costs(there).sum()) < cost:
+            theta, residual, cost = kinks, there, float(soft_l1_costs(there).sum())
+            J = residual_jacobian(cell, hypothesis, theta, residual)
     return Fit(hypothesis, theta, residual, J, cost)
 
 
@@ -154,7 +157,7 @@ def _at_kinks(hypothesis: Hypothesis, theta: Array) -> Array:
 def normal_equations(J: Array, residual: Array, span: Array) -> tuple[Array, Array]:
     """H (k, k) and g (k,) of a Gauss-Newton step H step = -g on the soft-L1 cost, numbers counted in their ranges."""
     scaled = J * span
-    weighed = scaled * weights(residual)[:, None]
+    weighed = scaled * soft_l1_weights(residual)[:, None]
     return weighed.T @ scaled, weighed.T @ residual
 
 
@@ -167,7 +170,7 @@ def damped_steps(J: Array, residual: Array, span: Array) -> Array:
 
 def _bends(J: Array, residual: Array, theta: Array, trials: Array, tried: Array) -> Array:
     """What takes trials (m, k) with residuals (m, N) back into a curved valley, to second order."""
-    w = weights(residual)[:, None]
+    w = soft_l1_weights(residual)[:, None]
     off = tried - residual - (trials - theta) @ J.T
     return -off @ (np.linalg.pinv((J * w).T @ J, hermitian=True) @ (J * w).T).T
 

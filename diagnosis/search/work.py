@@ -11,14 +11,14 @@ FIT_BEHIND_S = 2e-5  # the same of points and corners
 CONCLUDING = 0.35  # of all fits' cost: weighing, held-out data, where it lies, the next experiment
 
 
-def silent(_text: str, _done: float, _all: float) -> None:
+def no_progress(_text: str, _done: float, _all: float) -> None:
     """Report nothing."""
 
 
-class Work:
+class WorkProgress:
     """Reports to a `Progress` what is done and what is done in all, as far as it is known."""
 
-    def __init__(self, progress: Progress = silent) -> None:
+    def __init__(self, progress: Progress = no_progress) -> None:
         self._progress = progress
         self._text = ""
         self._ended = self._concluded = self._cost = self._done = 0.0

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import costs
-from diagnosis.whole_model.linear import Term, linearised
+from diagnosis.search.fit import soft_l1_costs
+from diagnosis.whole_model.linear import EffectTerm, linearise_terms
 from diagnosis.whole_model.refine import alike_delays
 from diagnosis.whole_model.solve import Fitted, WholeFit
 from diagnosis.whole_model.subsets import best_set
@@ -39,13 +39,13 @@ class Evidence:
     `wide`: (sizes, 2) 90 % limits in that model of sizes that the data do not determine by themselves; None without.
     """
 
-    term: Term
+    term: EffectTerm
     part: str
     gain_nats: float
     sd: Array
     z: float
     scatter: float
-    equals: tuple[tuple[Term, ...], ...]
+    equals: tuple[tuple[EffectTerm, ...], ...]
     left: float
     above: float
     noise_known: bool
@@ -84,10 +84,10 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
     present = np.nonzero(best.present)[0]
     if not len(present):
         return ()
-    lin = linearised(fit.cell, tuple(best.terms[k] for k in present), to_move=True)
+    lin = linearise_terms(fit.cell, tuple(best.terms[k] for k in present), to_move=True)
     w = lin.weight * fit.trust
     J, residual = lin.J * np.sqrt(w)[:, None], lin.residual * np.sqrt(w)
-    spread = deviations(J, residual, lin.slab, fit.cell.rows.together)
+    spread = standard_deviations(J, residual, lin.slab, fit.cell.rows.together)
     left = float(np.mean(lin.weight * lin.residual**2))
     S = np.asarray(np.linalg.inv((lin.J * lin.weight[:, None]).T @ lin.J + np.diag(lin.slab**-2.0)), dtype=float)
     groupings = groupings_of(fit.cell)
@@ -112,7 +112,7 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
                 sd=sd,
                 z=z,
                 scatter=_share_of_size(
-                    term, scatter(J, residual, own[: term.sizes], groupings, fit.cell.usual is not None)
+                    term, scatter_between_groups(J, residual, own[: term.sizes], groupings, fit.cell.usual is not None)
                 ),
                 equals=_with_sharing(fit, equals, sharing),
                 left=left,
@@ -126,7 +126,7 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
     return tuple(out)
 
 
-def deviations(J: Array, residual: Array, slab: Array, block: NDArray[np.int64]) -> Array:
+def standard_deviations(J: Array, residual: Array, slab: Array, block: NDArray[np.int64]) -> Array:
     """Standard deviations (k,) of numbers with columns J (N, k) under priors `slab` (k,): by the posterior, and at
     least what leaving out one block of rows after the other moves them by.
 
@@ -144,7 +144,7 @@ def deviations(J: Array, residual: Array, slab: Array, block: NDArray[np.int64])
     return np.maximum(np.sqrt(np.maximum(np.diag(S), 0.0)), jackknife)
 
 
-def _z(term: Term, sd: Array) -> float:
+def _z(term: EffectTerm, sd: Array) -> float:
     if term.limits:
         return float("inf")
     return float(np.linalg.norm(term.theta[: term.sizes] / np.maximum(sd, 1e-300)))
@@ -156,12 +156,12 @@ def _share_above(x: Array, S: Array, beyond: float) -> float:
     return explained / (explained + beyond) if explained > 0.0 else 0.0
 
 
-def _share_of_size(term: Term, spread: float) -> float:
+def _share_of_size(term: EffectTerm, spread: float) -> float:
     size = 1.0 if term.limits else float(np.linalg.norm(term.theta[: term.sizes]))
     return spread / size if size > 0.0 else 0.0
 
 
-def _with_open(term: Term, sd: Array) -> Array:
+def _with_open(term: EffectTerm, sd: Array) -> Array:
     """Deviations (slots,) of a term's numbers, with what the effect's definition leaves open."""
     open_part = [
         max(slot.spec.open_size, slot.spec.open_frac * abs(x))
@@ -170,12 +170,12 @@ def _with_open(term: Term, sd: Array) -> Array:
     return np.hypot(sd, open_part)
 
 
-def _rivals_of(fit: WholeFit, k: int) -> tuple[float, tuple[tuple[Term, ...], ...]]:
+def _rivals_of(fit: WholeFit, k: int) -> tuple[float, tuple[tuple[EffectTerm, ...], ...]]:
     """What the best set loses without an effect and its equals [nats], and these: terms with the same column, and what
     takes its place where T is below 9, as often as something else does. Sets of many terms are not listed.
     """
     problem, present, terms = fit.best.problem, fit.best.present, fit.best.terms
-    equals: list[tuple[Term, ...]] = [(terms[out],) for kept, out in fit.twins if kept == k]
+    equals: list[tuple[EffectTerm, ...]] = [(terms[out],) for kept, out in fit.twins if kept == k]
     allowed = np.ones(len(terms), dtype=bool)
     allowed[[k, *(out for _, out in fit.twins)]] = False
     rival, gain = fit.rivals.get(k), 0.0
@@ -246,18 +246,18 @@ def _alone(fit: WholeFit, k: int, everything: tuple[Array, Array]) -> tuple[floa
 
 
 def _with_sharing(
-    fit: WholeFit, equals: tuple[tuple[Term, ...], ...], sharing: tuple[int, ...]
-) -> tuple[tuple[Term, ...], ...]:
+    fit: WholeFit, equals: tuple[tuple[EffectTerm, ...], ...], sharing: tuple[int, ...]
+) -> tuple[tuple[EffectTerm, ...], ...]:
     """Equals, and each term that shares the evidence of an effect; each set of names and joints is listed once."""
     sets = (*equals, *((fit.best.terms[t],) for t in sharing))
     return tuple({tuple(term.effect.key for term in members): members for members in reversed(sets)}.values())[::-1]
 
 
 def _cost(one: Fitted, fit: WholeFit) -> float:
-    return float((costs(one.lin.residual) * fit.trust).sum())
+    return float((soft_l1_costs(one.lin.residual) * fit.trust).sum())
 
 
-def scatter(
+def scatter_between_groups(
     J: Array, residual: Array, own: NDArray[np.int64], groupings: Sequence[NDArray[np.int64]], known: bool = False
 ) -> float:
     """Standard deviation of a size between groups of rows beyond its noise, the largest of the groupings; 0 by chance.
@@ -309,7 +309,7 @@ def groupings_of(cell: Cell) -> list[NDArray[np.int64]]:
     return [group for group in out if len(np.unique(group)) > 1]
 
 
-def detectable(fit: WholeFit) -> dict[int, float]:
+def smallest_detectable(fit: WholeFit) -> dict[int, float]:
     """By absent term, the smallest size that this recording would have shown: found nine times of ten at 2 % alarms."""
     H, best = fit.best.problem.H, fit.best
     cols = np.nonzero(np.repeat(best.present, np.diff(best.lin.first)))[0]

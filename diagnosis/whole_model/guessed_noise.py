@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.behind.saturated import unexplained
-from diagnosis.noise.floor import ORDER_MAX, Whitener, fit_whitener, increments
+from diagnosis.behind.saturated import unexplained_by_mixtures
+from diagnosis.noise.floor import ORDER_MAX, Whitener, block_increments, fit_whitener
 from diagnosis.replay.stage_replay import Replay
-from diagnosis.search.candidates import put
+from diagnosis.search.candidates import parameter_sets_with
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import Fit, evaluated_at
 from diagnosis.whole_model.quiet_loop import quiet_loop
@@ -35,12 +35,12 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
     Model: one linear step in all effects together, its degrees of freedom counted; autoregression of what it leaves.
     Why by commands without the disturbance: effects of a command that follows the noise would take most of it away.
     """
-    replay, at = cell.whitened, put(cell.base, about.hypothesis, about.theta)
+    replay, at = cell.whitened, parameter_sets_with(cell.base, about.hypothesis, about.theta)
     if not isinstance(replay, Replay):
         return None
     quiet = quiet_loop(cell)
     residual = (lambda sets: evaluated_at(cell, sets)) if quiet is None else quiet.residual(about)
-    left, dof = unexplained(residual, at, cell.candidates)
+    left, dof = unexplained_by_mixtures(residual, at, cell.candidates)
     runs = [_runs(cell, left, channel) for channel in range(len(replay.joints))]
     if not all(runs):
         return None
@@ -50,7 +50,7 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
         a[: whitener.order, j] = whitener.a[:, 0]
     unit = replay.whitener.sigma * np.sqrt(len(left) / dof)
     noise_rms = unit * np.array([np.sqrt(np.mean(np.concatenate(own) ** 2)) for own in runs])
-    moved = np.concatenate([increments(part.measured, part.stretch.dt_s) for part in replay.parts])
+    moved = np.concatenate([block_increments(part.measured, part.stretch.dt_s) for part in replay.parts])
     if (noise_rms > SHARE_MAX * np.sqrt(np.mean(moved**2, axis=0))).any():
         return None
     order = max(whitener.order for whitener in found)

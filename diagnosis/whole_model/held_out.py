@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import Fit, bounds, costs, evaluated, normal_equations, spans
+from diagnosis.search.fit import Fit, normal_equations, parameter_bounds, parameter_spans, residuals_at, soft_l1_costs
 from machine.rotations import Array
 
 DAMPINGS = (0.1, 1.0, 10.0, 100.0)  # of a step that leads astray, over each number's own curvature
@@ -41,19 +41,19 @@ def held_out(cell: Cell, found: Fit) -> HeldOut:
            the step goes far astray, and the effect is not to blame for what the fold then costs.
     """
     folds = np.unique(cell.rows.fold)
-    before = evaluated(cell, (), np.zeros((1, 0)))[0]
+    before = residuals_at(cell, (), np.zeros((1, 0)))[0]
     if found.k == 0:
         return HeldOut(cell, found, folds, np.zeros((len(folds), 0)), before, before)
     kept = cell.rows.fold != folds[:, None]
     thetas = np.array([_stepped(found, keep, 0.0) for keep in kept])
-    residuals = evaluated(cell, found.hypothesis, thetas)
-    worse = np.nonzero((costs(residuals) * kept).sum(axis=1) > kept @ costs(found.residual))[0]
+    residuals = residuals_at(cell, found.hypothesis, thetas)
+    worse = np.nonzero((soft_l1_costs(residuals) * kept).sum(axis=1) > kept @ soft_l1_costs(found.residual))[0]
     if len(worse):
         damped = np.array([[_stepped(found, kept[k], damping) for k in worse] for damping in DAMPINGS])
-        there = evaluated(cell, found.hypothesis, damped.reshape(-1, found.k)).reshape(len(DAMPINGS), len(worse), -1)
+        there = residuals_at(cell, found.hypothesis, damped.reshape(-1, found.k)).reshape(len(DAMPINGS), len(worse), -1)
         damped = np.concatenate([damped, np.tile(found.theta, (1, len(worse), 1))])
         there = np.concatenate([there, np.tile(found.residual, (1, len(worse), 1))])
-        best = np.argmin((costs(there) * kept[worse]).sum(axis=2), axis=0), np.arange(len(worse))
+        best = np.argmin((soft_l1_costs(there) * kept[worse]).sum(axis=2), axis=0), np.arange(len(worse))
         thetas[worse], residuals[worse] = damped[best], there[best]
     after = residuals[np.searchsorted(folds, cell.rows.fold), np.arange(cell.rows.count)]
     return HeldOut(cell, found, folds, thetas, before, after)
@@ -64,8 +64,8 @@ def _stepped(found: Fit, keep: NDArray[np.bool_], damping: float) -> Array:
 
     Why go on: a second effect that is nothing here would else keep its neighbours where they are.
     """
-    low, high = bounds(found.hypothesis)
-    span = spans(found.hypothesis)
+    low, high = parameter_bounds(found.hypothesis)
+    span = parameter_spans(found.hypothesis)
     H, g = normal_equations(found.J[keep], found.residual[keep], span)
     H = H + damping * np.diag(np.diag(H)) + np.eye(found.k)
     least, most = (low - found.theta) / span, (high - found.theta) / span

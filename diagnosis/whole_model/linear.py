@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.search.candidates import Candidate, put
+from diagnosis.search.candidates import Candidate, parameter_sets_with
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import STEP_SHARE, evaluated_at, weights
+from diagnosis.search.fit import STEP_SHARE, evaluated_at, soft_l1_weights
 from diagnosis.whole_model.subsets import LinearProblem, Members
 from machine.effects.layout import ParameterSets
 from machine.effects.registry import effect_of
@@ -28,7 +28,7 @@ TWINS = 1e-5  # of the cosine between columns, by finite steps of different leng
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class EffectTerm:
     """One effect of the library with its numbers (slots,); `present`: whether the machine is taken to have it."""
 
     effect: Candidate
@@ -65,14 +65,14 @@ class Term:
 
 
 @dataclass(frozen=True, slots=True)
-class Linearised:
+class LinearModel:
     """Residual (N,) and columns J (N, k) about the terms as they stand; x (k,): their numbers in those columns.
 
     `first`: (terms + 1,) columns of each term. `weight`: (N,) of each row in a least-squares step. `log_odds`:
     (terms,), prior, of a term being there.
     """
 
-    terms: tuple[Term, ...]
+    terms: tuple[EffectTerm, ...]
     residual: Array
     J: Array
     x: Array
@@ -118,10 +118,10 @@ class Linearised:
         """Columns of one term (N, its columns)."""
         return self.J[:, self.first[k] : self.first[k + 1]]
 
-    def at(self, terms: tuple[Term, ...], residual: Array) -> "Linearised":
+    def at(self, terms: tuple[EffectTerm, ...], residual: Array) -> "LinearModel":
         """The same columns, where present terms have other numbers that leave another residual, for a further step."""
         x = np.concatenate([_offsets(term, True) for term in terms])
-        return replace(self, terms=terms, residual=residual, x=x, weight=weights(residual))
+        return replace(self, terms=terms, residual=residual, x=x, weight=soft_l1_weights(residual))
 
     @property
     def present(self) -> Members:
@@ -129,18 +129,18 @@ class Linearised:
         return np.array([term.present for term in self.terms], dtype=bool)
 
 
-def packed(cell: Cell, terms: Sequence[Term], thetas: Array | None = None) -> ParameterSets:
+def pack_terms(cell: Cell, terms: Sequence[EffectTerm], thetas: Array | None = None) -> ParameterSets:
     """Parameter sets with the present terms; `thetas` (m, numbers of the present ones) in place of their own."""
     some = [term for term in terms if term.present]
     own = np.concatenate([term.theta for term in some])[None] if some else np.zeros((1, 0))
-    return put(cell.base, tuple(term.effect for term in some), own if thetas is None else thetas)
+    return parameter_sets_with(cell.base, tuple(term.effect for term in some), own if thetas is None else thetas)
 
 
-def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False, absent: bool = True) -> Linearised:
+def linearise_terms(cell: Cell, terms: Sequence[EffectTerm], to_move: bool = False, absent: bool = True) -> LinearModel:
     """Columns of all terms about the present ones as they stand. `to_move`: tangents of present thresholds, too, for a
     step of their sizes, in place of the secants by which they are left out. `absent`: whether absent terms get columns.
     """
-    base = packed(cell, terms)
+    base = pack_terms(cell, terms)
     residual = evaluated_at(cell, base)[0]
     tangents = _tangents(cell, terms, residual, to_move)
     smooth = [k for k, term in enumerate(terms) if absent and not term.present and term.smooth]
@@ -154,7 +154,7 @@ def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False, absent:
         .reshape(-1, len(residual))
         .T
     )
-    w = np.sqrt(weights(residual))
+    w = np.sqrt(soft_l1_weights(residual))
     scanned = absent and any(not term.present and not term.smooth for term in terms)
     Q = np.linalg.qr(known * w[:, None])[0] if scanned and known.size else np.zeros((len(residual), 0))
     out = list(terms)
@@ -167,19 +167,23 @@ def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False, absent:
     first = np.concatenate([[0], np.cumsum([len(columns[k]) for k in range(len(out))])]).astype(np.int64)
     J = np.array([column for k in range(len(out)) for column in columns[k]]).reshape(-1, len(residual)).T
     odds = np.array([log_odds_of(cell, term) for term in out])
-    return Linearised(tuple(out), residual, J, np.concatenate([*x, np.zeros(0)]), first, weights(residual), odds)
+    return LinearModel(
+        tuple(out), residual, J, np.concatenate([*x, np.zeros(0)]), first, soft_l1_weights(residual), odds
+    )
 
 
-def about(cell: Cell, terms: tuple[Term, ...], columns: Sequence[Array]) -> Linearised:
+def about(cell: Cell, terms: tuple[EffectTerm, ...], columns: Sequence[Array]) -> LinearModel:
     """Present terms with columns (N, numbers of each) that were found nearby."""
     first = np.concatenate([[0], np.cumsum([len(term.theta) for term in terms])]).astype(np.int64)
-    residual = evaluated_at(cell, packed(cell, terms))[0]
+    residual = evaluated_at(cell, pack_terms(cell, terms))[0]
     x = np.concatenate([_offsets(term, True) for term in terms])
     odds = np.array([log_odds_of(cell, term) for term in terms])
-    return Linearised(tuple(terms), residual, np.concatenate(list(columns), axis=1), x, first, weights(residual), odds)
+    return LinearModel(
+        tuple(terms), residual, np.concatenate(list(columns), axis=1), x, first, soft_l1_weights(residual), odds
+    )
 
 
-def _offsets(term: Term, to_move: bool) -> Array:
+def _offsets(term: EffectTerm, to_move: bool) -> Array:
     """A present term's numbers in its columns: sizes as they are, shapes counted from where they stand."""
     sizes = term.theta[: term.sizes]
     if term.limits:
@@ -187,7 +191,7 @@ def _offsets(term: Term, to_move: bool) -> Array:
     return np.concatenate([sizes, np.zeros(len(term.theta) - term.sizes)])
 
 
-def _tangents(cell: Cell, terms: Sequence[Term], residual: Array, to_move: bool) -> dict[int, list[Array]]:
+def _tangents(cell: Cell, terms: Sequence[EffectTerm], residual: Array, to_move: bool) -> dict[int, list[Array]]:
     """Columns of the present terms: tangents, and for a size with a threshold the secant back to absence."""
     some = [k for k, term in enumerate(terms) if term.present]
     if not some:
@@ -208,7 +212,7 @@ def _tangents(cell: Cell, terms: Sequence[Term], residual: Array, to_move: bool)
                 row[at + s] += step[at + s]
             moves.append((k, at + s, row))
         at += len(term.theta)
-    there = _in_parts(cell, packed(cell, terms, np.array([row for _, _, row in moves])))
+    there = _in_parts(cell, pack_terms(cell, terms, np.array([row for _, _, row in moves])))
     out: dict[int, list[Array]] = {k: [] for k in some}
     for (k, column, row), moved in zip(moves, there, strict=True):
         change = row[column] - theta[column]
@@ -218,8 +222,8 @@ def _tangents(cell: Cell, terms: Sequence[Term], residual: Array, to_move: bool)
 
 
 def _scanned(
-    cell: Cell, base: ParameterSets, term: Term, residual: Array, w: Array, Q: Array
-) -> tuple[Term, list[Array]]:
+    cell: Cell, base: ParameterSets, term: EffectTerm, residual: Array, w: Array, Q: Array
+) -> tuple[EffectTerm, list[Array]]:
     """The start at which an absent term explains most of what known columns leave, and its secant; Q (N, k): their
     orthonormal basis, rows weighted by w (N,).
     """
@@ -234,10 +238,10 @@ def _scanned(
     gain = np.where(shown, np.maximum(-(white @ own), 0.0) ** 2 / np.where(shown, power, 1.0), 0.0)
     best = int(np.argmax(gain))
     size = 1.0 if term.limits else starts[best, 0]
-    return Term(term.effect, starts[best], False), [columns[best] / size]
+    return EffectTerm(term.effect, starts[best], False), [columns[best] / size]
 
 
-def _starts(term: Term) -> Array:
+def _starts(term: EffectTerm) -> Array:
     """Where an absent term may be (m, slots); one size alone where the change is in proportion to it."""
     starts = term.effect.starts()
     starts = starts[starts[:, 0] != term.absent]
@@ -254,7 +258,7 @@ def _evaluated(cell: Cell, base: ParameterSets, moves: Sequence[tuple[Candidate,
         part = moves[k : k + SCANNED_AT_ONCE]
         sets = base.repeated(len(part))
         for row, (effect, theta) in enumerate(part):
-            one = put(base, (effect,), theta)
+            one = parameter_sets_with(base, (effect,), theta)
             sets.joint[row], sets.machine[row] = one.joint[0], one.machine[0]
         out.extend(evaluated_at(cell, sets))
     return out
@@ -268,13 +272,13 @@ def _in_parts(cell: Cell, sets: ParameterSets) -> list[Array]:
     return out
 
 
-def _steps(term: Term) -> Array:
+def _steps(term: EffectTerm) -> Array:
     if term.effect.cycles is not None:  # the cost is a staircase of PLC cycles and logged rows
         return np.full(1, STEP_CYCLES * term.effect.cycles[0])
     return STEP_SHARE * np.array([slot.high - slot.low for slot in term.effect.slots])
 
 
-def _slabs(term: Term) -> Array:
+def _slabs(term: EffectTerm) -> Array:
     """(columns,) prior deviations: sizes by the catalogue, shapes of a present term by their range."""
     slots = term.effect.slots if term.present else term.effect.slots[: term.sizes]
     out = []
@@ -288,13 +292,13 @@ def _slabs(term: Term) -> Array:
     return np.array(out)
 
 
-def _nonnegative(term: Term) -> Members:
+def _nonnegative(term: EffectTerm) -> Members:
     columns = len(term.theta) if term.present else term.sizes
     first = term.limits or term.effect.slots[0].low >= 0.0
     return np.array([first and k < term.sizes for k in range(columns)], dtype=bool)
 
 
-def log_odds_of(cell: Cell, term: Term) -> float:
+def log_odds_of(cell: Cell, term: EffectTerm) -> float:
     """Prior log odds of an effect: of a machine that has it or, given a baseline, of one that got it since.
 
     Why less what it usually gains: by so much it explains the wrong form of the machine's own model.

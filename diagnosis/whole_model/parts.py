@@ -7,20 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.cells.behind import behind_cells, fitting, shown_behind, without
+from diagnosis.cells.behind import behind_cells, cells_fitting_joint, cells_without, shown_behind
 from diagnosis.cells.dynamic import coupled_cell, stage_cells
 from diagnosis.cells.merged import merged_cells
 from diagnosis.cells.own_step import at_its_step
 from diagnosis.known.known import with_known
 from diagnosis.reading.read import Read
 from diagnosis.replay.replayer import Replayer, replayer_of
-from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put, with_baseline_shapes
+from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, parameter_sets_with, with_baseline_shapes
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.fit import neutral_fit
-from diagnosis.search.work import Work
+from diagnosis.search.work import WorkProgress
 from diagnosis.whole_model.guessed_noise import SETTLED, by_noise_of, noise_about
-from diagnosis.whole_model.linear import Term, linearised
-from diagnosis.whole_model.solve import WholeFit, fit_of, score_at, solve, trusted
+from diagnosis.whole_model.linear import EffectTerm, linearise_terms
+from diagnosis.whole_model.solve import WholeFit, fit_and_prune, fit_of, score_at, trusted_rows
 from diagnosis.whole_model.subsets import best_set
 from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
@@ -29,16 +29,16 @@ DEADBAND, GAIN = "valve_deadband", "flow_gain_error"
 OTHER_FORMS = {DEADBAND: "kept", "stiction": "at_reversals"}  # tried in place of the first one, never together with it
 
 
-def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...] = ()) -> tuple[WholeFit, ...]:
+def fit_machine(whole: Read, work: WorkProgress | None = None, left_out: tuple[str, ...] = ()) -> tuple[WholeFit, ...]:
     """Every part that the recording allows, fitted by all of its effects together. `left_out`: effects not tried."""
     nominal = whole.nominal
     if nominal is None:
         return ()
-    work = work or Work()
+    work = work or WorkProgress()
     base = pack_under(nominal.baseline, nominal.n)
     replayer = replayer_of(nominal, whole.stretches) if whole.stretches else None
     cells = behind_cells(whole, base, with_odometry=not nominal.remainders)
-    behind = without(fitting(cells, nominal), left_out)
+    behind = cells_without(cells_fitting_joint(cells, nominal), left_out)
     found = _solved(behind, work)
     if replayer is None:
         return tuple(found)
@@ -48,17 +48,17 @@ def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...]
     course = known
     for stage in DRIVEN_STAGES:
         cells = with_known(stage_cells(stage, replayer, whole.stretches, known, course), nominal)
-        cells = fitting(cells, nominal)
-        own = _solved(without(cells, unseen), work)
+        cells = cells_fitting_joint(cells, nominal)
+        own = _solved(cells_without(cells, unseen), work)
         if stage == "actuator" and DROOP not in left_out:
             own = _shared_flow(own, replayer, whole, (known, course))
         course = with_found(course, own)
         found += own
     one_by_one, _ = merged_cells(replayer, whole.stretches, known, course)
-    return (*found, *_solved(without(fitting(one_by_one, nominal), unseen), work))
+    return (*found, *_solved(cells_without(cells_fitting_joint(one_by_one, nominal), unseen), work))
 
 
-def _solved(cells: list[Cell], work: Work) -> list[WholeFit]:
+def _solved(cells: list[Cell], work: WorkProgress) -> list[WholeFit]:
     out = []
     work.stage(cells)
     for cell in cells:
@@ -68,17 +68,17 @@ def _solved(cells: list[Cell], work: Work) -> list[WholeFit]:
     return out
 
 
-def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
+def _solved_by_its_noise(cell: Cell, work: WorkProgress) -> WholeFit:
     """A part's fit; where its noise was never measured, by the noise that all effects together leave (REML)."""
     noise = None if cell.at_noise is None else noise_about(cell, neutral_fit(cell))
     if cell.at_noise is None or noise is None:
-        return solve(cell, library_of(cell))
-    found = solve(by_noise_of(cell, cell.at_noise(noise)), library_of(cell))
+        return fit_and_prune(cell, library_of(cell))
+    found = fit_and_prune(by_noise_of(cell, cell.at_noise(noise)), library_of(cell))
     again = noise_about(cell, fit_of(found.best.terms, found.best.lin))
     if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
         return found
     work.again()
-    return solve(by_noise_of(cell, cell.at_noise(again)), (), found.best.terms)
+    return fit_and_prune(by_noise_of(cell, cell.at_noise(again)), (), found.best.terms)
 
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
@@ -102,7 +102,7 @@ def _in_other_form(found: WholeFit) -> WholeFit:
         if gain is not None and not _has(found.best.terms, gain):
             continue
         others = tuple(replace(other, present=other.present and other.effect.key != gain) for other in found.best.terms)
-        tried = solve(found.cell, (), (*others[:k], replace(others[k], effect=form), *others[k + 1 :]))
+        tried = fit_and_prune(found.cell, (), (*others[:k], replace(others[k], effect=form), *others[k + 1 :]))
         if gain is not None and _has(tried.best.terms, gain):
             continue
         if score_at(tried.best.lin, found.trust) > score_at(found.best.lin, found.trust):
@@ -110,7 +110,7 @@ def _in_other_form(found: WholeFit) -> WholeFit:
     return found
 
 
-def _has(terms: tuple[Term, ...], key: tuple[str, int | None]) -> bool:
+def _has(terms: tuple[EffectTerm, ...], key: tuple[str, int | None]) -> bool:
     return any(term.present and term.effect.key == key for term in terms)
 
 
@@ -119,7 +119,7 @@ def with_found(base: ParameterSets, fits: list[WholeFit], names: tuple[str, ...]
     for fit in fits:
         for term in fit.best.terms:
             if term.present and (names is None or term.effect.name in names):
-                base = put(base, (term.effect,), term.theta)
+                base = parameter_sets_with(base, (term.effect,), term.theta)
     return base
 
 
@@ -131,19 +131,19 @@ def _shared_flow(
     if cell is None or len(own) != len(replayer.plant.joints):
         return own
     apart = tuple(term for fit in own for term in fit.best.terms if term.present)
-    terms = (*apart, *(Term(effect, effect.starts()[0], False) for effect in cell.candidates))
-    lin = linearised(cell, terms)
-    best = best_set(lin.problem(trusted(cell, apart)), lin.present, np.ones(len(terms), dtype=bool))
+    terms = (*apart, *(EffectTerm(effect, effect.starts()[0], False) for effect in cell.candidates))
+    lin = linearise_terms(cell, terms)
+    best = best_set(lin.problem(trusted_rows(cell, apart)), lin.present, np.ones(len(terms), dtype=bool))
     if not best[len(apart) :].any():
         return own
-    together = solve(cell, (), terms)
+    together = fit_and_prune(cell, (), terms)
     if not any(term.present and term.effect.name == DROOP for term in together.best.terms):
         return own
     everything = tuple(term for fit in own for term in fit.best.terms)
-    return [solve(replace(cell, candidates=()), (), _with_states(everything, together.best.terms))]
+    return [fit_and_prune(replace(cell, candidates=()), (), _with_states(everything, together.best.terms))]
 
 
-def _with_states(terms: tuple[Term, ...], known: tuple[Term, ...]) -> tuple[Term, ...]:
+def _with_states(terms: tuple[EffectTerm, ...], known: tuple[EffectTerm, ...]) -> tuple[EffectTerm, ...]:
     """Terms as another fit found them, where it has them; with what it has besides."""
     by_variant = {term.effect.variant: term for term in known}
     mine = tuple(by_variant.pop(term.effect.variant, term) for term in terms)

@@ -1,8 +1,9 @@
 """From the evidence of an effect to the probability that it is there with that size: one trained, monotone model.
 
-Model:  logistic regression with coefficients of known sign on a few figures of the evidence (`features`). The numbers
-        are in calibration.json, with the cases they were fitted on and the reliability curve; `longreach bench
-        first-day --calibrate` fits them (docs/first-day.md). Nothing else in the diagnosis is a threshold on evidence.
+Model:  logistic regression with coefficients of known sign on a few figures of the evidence (`evidence_features`).
+        The numbers are in calibration.json, with the cases they were fitted on and the reliability curve;
+        `longreach bench first-day --calibrate` fits them (docs/first-day.md). Nothing else in the
+        diagnosis is a threshold on evidence.
 """
 
 import json
@@ -24,7 +25,7 @@ LEAST_SHARE = 1e-4  # of what is left: below, an effect is lost in it
 RIDGE = 2.5**-2.0
 
 
-def features(evidence: Evidence) -> Array:
+def evidence_features(evidence: Evidence) -> Array:
     """The figures (FEATURES,) of one effect's evidence.
 
     Why a size over its deviation is at most the root of twice the gain: the deviation of a shape or a threshold may be
@@ -54,12 +55,12 @@ def probability(evidence: Evidence) -> float:
     if evidence.prior_nats is not None:
         share = 1.0 if np.isinf(evidence.z) else 1.0 / (1.0 + (evidence.scatter * evidence.z) ** 2)
         return float(logistic(evidence.prior_nats + share * (evidence.gain_nats - evidence.prior_nats)))
-    return probability_of(features(evidence))
+    return probability_of(evidence_features(evidence))
 
 
 def probability_of(figures: Array) -> float:
     """The same from the figures (FEATURES,) of its evidence."""
-    table = calibration()
+    table = trained_calibration()
     weights = [float(table["weights"].get(name, 0.0)) for name in FEATURES]  # 0: a figure that is newer than the fit
     return float(logistic(float(table["intercept"]) + figures @ np.array(weights)))
 
@@ -70,13 +71,13 @@ def logistic(score: Array | float) -> Array:
 
 
 @cache
-def calibration() -> dict[str, Any]:
+def trained_calibration() -> dict[str, Any]:
     """The trained numbers: intercept, weights, and what they were fitted on."""
     text = files("diagnosis.whole_model").joinpath("calibration.json").read_text(encoding="utf-8")
     return json.loads(text)
 
 
-def fitted(X: Array, right: Array, penalty: float = RIDGE) -> tuple[float, Array]:
+def fit_logistic(X: Array, right: Array, penalty: float = RIDGE) -> tuple[float, Array]:
     """Intercept and weights, none below zero, that make `right` (n,) most likely from figures X (n, k).
 
     Model:  logistic regression, figures standardised, w_j ~ N(0, 1 / penalty): finite where the data are separable.

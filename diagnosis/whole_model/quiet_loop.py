@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.log.tables import filled
-from diagnosis.replay.course import smooth
-from diagnosis.replay.stage_replay import Part, Replay
-from diagnosis.search.candidates import put
+from diagnosis.log.tables import fill_gaps
+from diagnosis.replay.course import smooth_course
+from diagnosis.replay.stage_replay import Replay, StretchReplay
+from diagnosis.search.candidates import parameter_sets_with
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import Fit, evaluated_at
 from machine.effects import kernel
@@ -44,7 +44,7 @@ class QuietLoop:
 
     cell: Cell
     replay: Replay
-    loops: tuple[Part, ...]
+    loops: tuple[StretchReplay, ...]
 
     def obeyed(self) -> bool:
         """Whether the measured command is what the controller gives of reference and encoders."""
@@ -67,7 +67,10 @@ class QuietLoop:
 
     def _beyond(self, loop: Fit, rest: Fit) -> Replay:
         """The replay by commands of a loop as one fit says, of encoders that move as another one says."""
-        joints, known = self.replay.joints, put(self.cell.course or self.cell.base, loop.hypothesis, loop.theta)
+        joints, known = (
+            self.replay.joints,
+            parameter_sets_with(self.cell.course or self.cell.base, loop.hypothesis, loop.theta),
+        )
         without, parts = self._put(rest), []
         for part, closed in zip(self.replay.parts, self.loops, strict=True):
             u = simulate(closed.plant, _of(known, joints), closed.drive, DynamicStage.ACTUATOR).u[0]
@@ -77,20 +80,22 @@ class QuietLoop:
         return replace(self.replay, parts=tuple(parts))
 
     def _put(self, fit: Fit) -> ParameterSets:
-        return put(self.cell.base, fit.hypothesis, fit.theta)
+        return parameter_sets_with(self.cell.base, fit.hypothesis, fit.theta)
 
 
-def _loop(part: Part, joints: tuple[int, ...]) -> Part | None:
+def _loop(part: StretchReplay, joints: tuple[int, ...]) -> StretchReplay | None:
     """A part whose input is the received reference, at every PLC cycle; None where that is not to be had."""
     stretch, plant, own = part.stretch, part.plant, list(joints)
     known = part.drive.first is DynamicStage.ACTUATOR and stretch.ref is not None and stretch.enc is not None
     if not known or (plant.joints[:, kernel.KP] <= 0.0).any():
         return None
-    ref, enc = (filled(signal)[:, own] for signal in (stretch.ref, stretch.enc) if signal is not None)
+    ref, enc = (fill_gaps(signal)[:, own] for signal in (stretch.ref, stretch.enc) if signal is not None)
     if not np.isfinite(ref).all():
         return None
     every = replace(plant, log_cycle_s=plant.cycle_s)
-    fine_ref, fine_enc = (smooth(plant, np.ascontiguousarray(signal))[: part.drive.cycles] for signal in (ref, enc))
+    fine_ref, fine_enc = (
+        smooth_course(plant, np.ascontiguousarray(signal))[: part.drive.cycles] for signal in (ref, enc)
+    )
     load, load_kg = (at_cycles(plant, signal)[: part.drive.cycles] for signal in (part.drive.load, part.drive.load_kg))
     drive = drive_controller(every, fine_ref, fine_enc, part.drive.u[0], fine=True)
     return replace(part, plant=every, drive=replace(drive, load=load, load_kg=load_kg))

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import STEP_SHARE, costs, evaluated_at
-from diagnosis.whole_model.linear import Linearised, Term, about, linearised, packed
+from diagnosis.search.fit import STEP_SHARE, evaluated_at, soft_l1_costs
+from diagnosis.whole_model.linear import EffectTerm, LinearModel, about, linearise_terms, pack_terms
 from machine.rotations import Array
 
 STEPS = 10  # of Gauss-Newton between two choices
@@ -16,9 +16,9 @@ SETTLED_NATS = 0.05
 CYCLES = 10  # of a PLC, to either side of a delay that a fit ended at
 
 
-def refined(
-    cell: Cell, terms: tuple[Term, ...], trust: Array, columns: dict[int, Array] | None = None
-) -> tuple[Term, ...]:
+def refine_present_terms(
+    cell: Cell, terms: tuple[EffectTerm, ...], trust: Array, columns: dict[int, Array] | None = None
+) -> tuple[EffectTerm, ...]:
     """Gauss-Newton of the present terms under their priors, from where they stand.
 
     Args:  columns: by term, its tangents where the terms stood nearby; without them they are computed.
@@ -29,7 +29,7 @@ def refined(
     if not own:
         return terms
     fresh = columns is None
-    lin = linearised(cell, own, to_move=True) if columns is None else about(cell, own, [columns[k] for k in some])
+    lin = linearise_terms(cell, own, to_move=True) if columns is None else about(cell, own, [columns[k] for k in some])
     total = _total(lin, trust)
     for _ in range(STEPS):
         moved = _step(cell, lin, trust, SHARES if fresh else (1.0,), total)
@@ -41,19 +41,19 @@ def refined(
         if columns is not None and gained > NEARLY_NATS:
             fresh = False
         else:
-            lin, fresh = linearised(cell, lin.terms, to_move=True), True
+            lin, fresh = linearise_terms(cell, lin.terms, to_move=True), True
     moved = _at_whole_cycles(cell, lin, trust)
     if _total(moved, trust) < total - NEARLY_NATS:
         whole_cycles = dict(zip(some, moved.terms, strict=True))
-        return refined(cell, tuple(whole_cycles.get(k, term) for k, term in enumerate(terms)), trust)
+        return refine_present_terms(cell, tuple(whole_cycles.get(k, term) for k, term in enumerate(terms)), trust)
     lin = moved
     by_number = dict(zip(some, (replace(term, present=not _vanished(term)) for term in lin.terms), strict=True))
     return tuple(by_number.get(k, term) for k, term in enumerate(terms))
 
 
 def _step(
-    cell: Cell, lin: Linearised, trust: Array, shares: tuple[float, ...], total: float
-) -> tuple[Linearised, float] | None:
+    cell: Cell, lin: LinearModel, trust: Array, shares: tuple[float, ...], total: float
+) -> tuple[LinearModel, float] | None:
     """The best of some shares of a Gauss-Newton step, with its total; None where none of them helps."""
     own = lin.terms
     now = np.concatenate([term.theta for term in own])
@@ -63,7 +63,7 @@ def _step(
     target = np.concatenate([bounded(term, theta) for term, theta in zip(own, moved, strict=True)])
     trials = now + np.array(shares)[:, None] * (target - now)
     tried = []
-    for row, left in zip(trials, evaluated_at(cell, packed(cell, own, trials)), strict=True):
+    for row, left in zip(trials, evaluated_at(cell, pack_terms(cell, own, trials)), strict=True):
         there = tuple(replace(term, theta=theta) for term, theta in zip(own, np.split(row, ends), strict=True))
         one = lin.at(there, left)
         tried.append((_total(one, trust), one))
@@ -71,7 +71,7 @@ def _step(
     return (at, best) if best < total else None
 
 
-def _at_whole_cycles(cell: Cell, lin: Linearised, trust: Array) -> Linearised:
+def _at_whole_cycles(cell: Cell, lin: LinearModel, trust: Array) -> LinearModel:
     """The terms with every delay in the middle of those whole PLC cycles near it that fit best; at none if that is
     one of them.
     """
@@ -80,11 +80,11 @@ def _at_whole_cycles(cell: Cell, lin: Linearised, trust: Array) -> Linearised:
             run = alike_delays(cell, lin, k, trust)
             theta = run[0] if run[0, 0] == term.absent else run[len(run) // 2]
             terms = tuple(other if j != k else replace(term, theta=theta) for j, other in enumerate(lin.terms))
-            lin = lin.at(terms, evaluated_at(cell, packed(cell, terms))[0])
+            lin = lin.at(terms, evaluated_at(cell, pack_terms(cell, terms))[0])
     return lin
 
 
-def alike_delays(cell: Cell, lin: Linearised, k: int, trust: Array) -> Array:
+def alike_delays(cell: Cell, lin: LinearModel, k: int, trust: Array) -> Array:
     """Whole PLC cycles (m, 1) near a present delay, term k, that fit best and alike [s].
 
     Why: what arrives is taken over at the next cycle and logged with the next row, so the cost is a staircase, which no
@@ -98,7 +98,7 @@ def alike_delays(cell: Cell, lin: Linearised, k: int, trust: Array) -> Array:
         tuple(other if j != k else replace(term, theta=theta) for j, other in enumerate(lin.terms)) for theta in tried
     ]
     thetas = np.array([np.concatenate([term.theta for term in terms]) for terms in sets])
-    left = evaluated_at(cell, packed(cell, lin.terms, thetas))
+    left = evaluated_at(cell, pack_terms(cell, lin.terms, thetas))
     totals = np.array([_total(lin.at(terms, residual), trust) for terms, residual in zip(sets, left, strict=True)])
     alike, best = totals < totals.min() + NEARLY_NATS, int(np.argmin(totals))
     first = best - int(np.argmin(alike[best::-1])) + 1 if not alike[: best + 1].all() else 0
@@ -106,12 +106,12 @@ def alike_delays(cell: Cell, lin: Linearised, k: int, trust: Array) -> Array:
     return tried[first:end]
 
 
-def _total(lin: Linearised, trust: Array) -> float:
+def _total(lin: LinearModel, trust: Array) -> float:
     """Costs and priors of the terms as they stand, of columns to move by [nats]."""
-    return float((costs(lin.residual) * trust).sum() + 0.5 * ((lin.x / lin.slab) ** 2).sum())
+    return float((soft_l1_costs(lin.residual) * trust).sum() + 0.5 * ((lin.x / lin.slab) ** 2).sum())
 
 
-def bounded(term: Term, theta: Array) -> Array:
+def bounded(term: EffectTerm, theta: Array) -> Array:
     """A term's numbers (k,) inside their ranges; an absent term that has only limits is left as it was scanned."""
     low = np.array([slot.low for slot in term.effect.slots])
     high = np.array([slot.highest for slot in term.effect.slots])
@@ -119,7 +119,7 @@ def bounded(term: Term, theta: Array) -> Array:
     return inside if term.present or not term.limits else theta
 
 
-def _vanished(term: Term) -> bool:
+def _vanished(term: EffectTerm) -> bool:
     """Whether a size that cannot be negative ended at nothing."""
     slot = term.effect.slots[0]
     return not term.limits and slot.low >= 0.0 and float(term.theta[0]) <= STEP_SHARE * slot.start

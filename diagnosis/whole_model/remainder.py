@@ -16,7 +16,7 @@ def lead_of(fit: WholeFit) -> str:
         return fit.cell.restless
     residual = fit.best.lin.residual
     found = [
-        (explained(own, values), name)
+        (explained_share(own, values), name)
         for part, own in fit.cell.by_part(residual)
         for name, values in (*part.regressors, ("time since the start", part.t_s))
         if len(values) == len(own)
@@ -25,7 +25,7 @@ def lead_of(fit: WholeFit) -> str:
     return f"goes with the {name} (explains {100 * share:.0f} % of it)" if share > WORTH else ""
 
 
-def explained(residual: Array, values: Array) -> float:
+def explained_share(residual: Array, values: Array) -> float:
     """Share of a residual's variance (N,) between levels of a signal (N,), less what chance gives.
 
     Source: adjusted R squared.

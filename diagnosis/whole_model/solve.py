@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from diagnosis.search.candidates import Candidate
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import Fit, costs, evaluated_at, weights
-from diagnosis.whole_model.linear import Linearised, Term, linearised, packed
-from diagnosis.whole_model.refine import SETTLED_NATS, bounded, refined
+from diagnosis.search.fit import Fit, evaluated_at, soft_l1_costs, soft_l1_weights
+from diagnosis.whole_model.linear import EffectTerm, LinearModel, linearise_terms, pack_terms
+from diagnosis.whole_model.refine import SETTLED_NATS, bounded, refine_present_terms
 from diagnosis.whole_model.subsets import (
     LinearProblem,
     Members,
@@ -32,12 +32,12 @@ class Fitted:
     of the set [nats, up to a constant of the part].
     """
 
-    lin: Linearised
+    lin: LinearModel
     problem: LinearProblem
     score: float
 
     @property
-    def terms(self) -> tuple[Term, ...]:
+    def terms(self) -> tuple[EffectTerm, ...]:
         """The library's terms as they stand."""
         return self.lin.terms
 
@@ -65,18 +65,18 @@ class WholeFit:
     settled: bool
 
 
-def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = ()) -> WholeFit:
+def fit_and_prune(cell: Cell, library: tuple[Candidate, ...], start: tuple[EffectTerm, ...] = ()) -> WholeFit:
     """Fit a part by all effects of a library together, and prune. `start`: terms to begin with, in place of a library.
 
     Model: rounds of (columns about where the terms stand; best set of the linear model; Gauss-Newton of that set). At
            the end the best set without each term is refitted; where one of these is better, it takes the place.
     """
-    terms = start or tuple(Term(effect, np.zeros(len(effect.slots)), False) for effect in library)
+    terms = start or tuple(EffectTerm(effect, np.zeros(len(effect.slots)), False) for effect in library)
     twins = _twins(cell, terms)
     own = np.ones(len(terms), dtype=bool)
     own[[out for _, out in twins]] = False
     terms = start or _approached(cell, terms, own)
-    trust = trusted(cell, terms)
+    trust = trusted_rows(cell, terms)
     fitted = _fitted(cell, terms, trust)
     if not start:
         fitted, trust = _grown(cell, fitted, trust, own)
@@ -106,7 +106,7 @@ def _grown(cell: Cell, fitted: Fitted, trust: Array, own: Members) -> tuple[Fitt
     then effects enter one at a time, each refitted before the next.
     """
     terms = tuple(replace(term, present=False) for term in fitted.terms)
-    own_trust = trusted(cell, terms)
+    own_trust = trusted_rows(cell, terms)
     grown = _fitted(cell, terms, own_trust)
     if cell.usual is None:
         even = grown.lin.problem(np.ones(cell.rows.count))
@@ -121,16 +121,16 @@ def _grown(cell: Cell, fitted: Fitted, trust: Array, own: Members) -> tuple[Fitt
     return (grown, own_trust) if grown.score > score_at(fitted.lin, own_trust) else (fitted, trust)
 
 
-def _better(cell: Cell, fitted: Fitted, trust: Array, lin: Linearised, members: Members) -> tuple[Fitted, Array, bool]:
+def _better(cell: Cell, fitted: Fitted, trust: Array, lin: LinearModel, members: Members) -> tuple[Fitted, Array, bool]:
     """The fit of another set, from columns `lin`, with its trust, where it is better by that; else the one at hand."""
-    terms = refined(cell, _chosen(lin, lin.problem(trust), members), trust)
-    own_trust = trusted(cell, terms)
+    terms = refine_present_terms(cell, _chosen(lin, lin.problem(trust), members), trust)
+    own_trust = trusted_rows(cell, terms)
     tried = _fitted(cell, terms, own_trust)
     better = tried.score > score_at(fitted.lin, own_trust)
     return (tried, own_trust, True) if better else (fitted, trust, False)
 
 
-def _approached(cell: Cell, terms: tuple[Term, ...], own: Members) -> tuple[Term, ...]:
+def _approached(cell: Cell, terms: tuple[EffectTerm, ...], own: Members) -> tuple[EffectTerm, ...]:
     """The best set of the terms `own` that may enter, found from far away: all smooth effects together, then pruned.
 
     Model: each part's noise is taken for as large as what the terms leave of it, until that falls no more. So the
@@ -142,10 +142,12 @@ def _approached(cell: Cell, terms: tuple[Term, ...], own: Members) -> tuple[Term
     left = _by_part(cell, tuple(replace(term, present=False) for term in terms))
     for k in range(ROUNDS):
         near = replace(cell, whitened=_Inflated(cell.whitened, left))
-        terms = refined(near, terms, even)
-        lin = linearised(near, terms)
+        terms = refine_present_terms(near, terms, even)
+        lin = linearise_terms(near, terms)
         problem = lin.problem(even)
-        terms = refined(near, _chosen(lin, problem, best_set(problem, own if k == 0 else lin.present, own)), even)
+        terms = refine_present_terms(
+            near, _chosen(lin, problem, best_set(problem, own if k == 0 else lin.present, own)), even
+        )
         before, left = left, _by_part(cell, terms)
         if (left > FALLS * before).all():
             break
@@ -163,22 +165,22 @@ class _Inflated:
         return np.asarray(self.whitened(sets) / self.times, dtype=float)
 
 
-def _by_part(cell: Cell, terms: tuple[Term, ...]) -> Array:
+def _by_part(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
     """By how much what terms leave exceeds the noise, of each row's part (N,), at least 1."""
-    residual = evaluated_at(cell, packed(cell, terms))[0]
+    residual = evaluated_at(cell, pack_terms(cell, terms))[0]
     return np.concatenate(
         [np.full(len(own), max(1.0, float(np.sqrt(np.mean(own**2))))) for _, own in cell.by_part(residual)]
     )
 
 
-def _twins(cell: Cell, terms: tuple[Term, ...]) -> tuple[tuple[int, int], ...]:
+def _twins(cell: Cell, terms: tuple[EffectTerm, ...]) -> tuple[tuple[int, int], ...]:
     """Pairs of smooth terms that do the same where both are absent: the one kept, and the one it stands for."""
     smooth = [k for k, term in enumerate(terms) if term.smooth]
     absent = tuple(replace(terms[k], theta=np.zeros_like(terms[k].theta), present=False) for k in smooth)
-    return tuple((smooth[kept], smooth[out]) for kept, out in linearised(cell, absent).twins())
+    return tuple((smooth[kept], smooth[out]) for kept, out in linearise_terms(cell, absent).twins())
 
 
-def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
+def fit_of(terms: Sequence[EffectTerm], lin: LinearModel | None = None) -> Fit:
     """The present terms as a plain fit, for what compares, writes or plans by one. `lin`: about them, for J."""
     some = [term for term in terms if term.present]
     theta = np.concatenate([term.theta for term in some]) if some else np.zeros(0)
@@ -186,42 +188,42 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
     residual = np.zeros(0) if lin is None else lin.residual
     J = np.zeros((0, len(theta))) if lin is None else lin.J[:, cols]
     effects = tuple(term.effect for term in some)
-    return Fit(effects, theta, residual, J, float(costs(residual).sum()))
+    return Fit(effects, theta, residual, J, float(soft_l1_costs(residual).sum()))
 
 
-def only(fit: WholeFit, terms: Sequence[Term]) -> tuple[Term, ...]:
+def refit_terms(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
     """Some present terms of a fit (the same objects), fitted again as if nothing else were there."""
     kept = {id(term) for term in terms}
     whole = all(id(term) in kept for term in fit.best.terms if term.present)
     return tuple(term for term in (fit.best.terms if whole else _with_only(fit, terms)) if term.present)
 
 
-def reduced(fit: WholeFit, terms: Sequence[Term]) -> WholeFit:
+def refit_reduced(fit: WholeFit, terms: Sequence[EffectTerm]) -> WholeFit:
     """A fit with some of its present terms only, fitted again, trusted as far as what they leave allows."""
     some = _with_only(fit, terms)
-    trust = trusted(fit.cell, some)
+    trust = trusted_rows(fit.cell, some)
     return replace(fit, best=_fitted(fit.cell, some, trust), trust=trust, rivals={})
 
 
-def _with_only(fit: WholeFit, terms: Sequence[Term]) -> tuple[Term, ...]:
+def _with_only(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
     kept = {id(term) for term in terms}
     some = tuple(replace(term, present=id(term) in kept) for term in fit.best.terms)
-    return refined(fit.cell, some, fit.trust)
+    return refine_present_terms(fit.cell, some, fit.trust)
 
 
-def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:
-    lin = linearised(cell, terms, absent=absent)
+def _fitted(cell: Cell, terms: tuple[EffectTerm, ...], trust: Array, absent: bool = True) -> Fitted:
+    lin = linearise_terms(cell, terms, absent=absent)
     return Fitted(lin, lin.problem(trust), score_at(lin, trust))
 
 
-def score_at(lin: Linearised, trust: Array) -> float:
+def score_at(lin: LinearModel, trust: Array) -> float:
     """Log posterior of the present set where it stands: Laplace, with the costs as they are [nats]."""
     problem, members = lin.problem(trust), lin.present
     cols = np.repeat(members, np.diff(lin.first))
     x, slab = lin.x[cols], problem.slab[cols]
     A = np.eye(len(x)) + slab[:, None] * problem.H[np.ix_(cols, cols)] * slab
     prior = float(problem.log_odds[members].sum()) - 0.5 * float(((x / slab) ** 2).sum())
-    return prior - float((costs(lin.residual) * trust).sum()) - 0.5 * float(np.linalg.slogdet(A)[1])
+    return prior - float((soft_l1_costs(lin.residual) * trust).sum()) - 0.5 * float(np.linalg.slogdet(A)[1])
 
 
 def _rival(
@@ -241,16 +243,16 @@ def _rival(
     }
     short = [k for k, J in entering.items() if J.shape[1] < len(chosen[k].theta)]  # shapes have no column while absent
     given = None if short else {**columns, **entering}
-    return _fitted(cell, refined(cell, chosen, trust, given), trust, absent=False)
+    return _fitted(cell, refine_present_terms(cell, chosen, trust, given), trust, absent=False)
 
 
 def _tangents(cell: Cell, fitted: Fitted) -> dict[int, Array]:
     some = [k for k, term in enumerate(fitted.terms) if term.present]
-    lin = linearised(cell, tuple(fitted.terms[k] for k in some), to_move=True)
+    lin = linearise_terms(cell, tuple(fitted.terms[k] for k in some), to_move=True)
     return {k: lin.columns(at) for at, k in enumerate(some)}
 
 
-def _chosen(lin: Linearised, problem: LinearProblem, members: Members) -> tuple[Term, ...]:
+def _chosen(lin: LinearModel, problem: LinearProblem, members: Members) -> tuple[EffectTerm, ...]:
     """The terms with the sizes that the linear model gives to a set's members; present thresholds and shapes stay, and
     what is limited or narrow enters as it was scanned.
     """
@@ -261,18 +263,18 @@ def _chosen(lin: Linearised, problem: LinearProblem, members: Members) -> tuple[
         scanned = term.limits or term.effect.narrow
         if members[k] and not scanned and (term.smooth or not term.present):
             theta[: term.sizes] = x[lin.first[k] : lin.first[k] + term.sizes]
-        out.append(Term(term.effect, bounded(term, theta), bool(members[k])))
+        out.append(EffectTerm(term.effect, bounded(term, theta), bool(members[k])))
     return tuple(out)
 
 
-def trusted(cell: Cell, terms: tuple[Term, ...]) -> Array:
+def trusted_rows(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
     """How far each row speaks for itself (N,), from what the present terms leave.
 
     Model:  per part, k / tr(H^-1 K), H = J'J, K the sum over blocks of the blocks' scores squared: the size by which a
             working likelihood of independent rows has to be scaled so that its mean drop is that of the true one.
     Source: Pauli, Racugno, Ventura 2011, eq. 2.4 (magnitude adjustment of a composite likelihood).
     """
-    lin = linearised(cell, tuple(term for term in terms if term.present))
+    lin = linearise_terms(cell, tuple(term for term in terms if term.present))
     out, start = np.ones(len(lin.residual)), 0
     for part in cell.parts or (cell,):
         own = slice(start, start + part.rows.count)
@@ -282,7 +284,7 @@ def trusted(cell: Cell, terms: tuple[Term, ...]) -> Array:
 
 
 def _magnitude(J: Array, residual: Array, block: NDArray[np.int64]) -> float:
-    w = weights(residual)
+    w = soft_l1_weights(residual)
     spread = float((w * residual**2).sum() / max(1, len(residual) - J.shape[1]))
     norm = np.sqrt((J**2).sum(axis=0))
     J = J[:, norm > 0.0] / norm[norm > 0.0]

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.behind.corner_residual import CornerResidual, small_motion
-from diagnosis.behind.link_angles import inside, link_angles, paths_of, without_encoders
+from diagnosis.behind.link_angles import link_angles, path_index, paths_of, without_encoders
 from diagnosis.behind.points import rigid_fit
 from diagnosis.reading.read import Read
 from diagnosis.replay.replayer import closed_loop, replayer_of
-from diagnosis.search.candidates import put
+from diagnosis.search.candidates import parameter_sets_with
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
-from diagnosis.whole_model.linear import Term
+from diagnosis.whole_model.linear import EffectTerm
 from machine.effects.dynamics import DynamicStage, simulate
 from machine.effects.encoders import true_angles
 from machine.effects.entries import pack_under
@@ -43,7 +43,7 @@ class ToolError:
     """
 
     column: str
-    terms: tuple[Term, ...]
+    terms: tuple[EffectTerm, ...]
     by_effect: Array
     measured: Array | None = None
     left: Array | None = None
@@ -65,18 +65,22 @@ class ToolError:
 
 
 def tool_errors(
-    whole: Read, terms: Sequence[Term], cells: Sequence[Cell], kept: Sequence[Term] | None = None
+    whole: Read, terms: Sequence[EffectTerm], cells: Sequence[Cell], kept: Sequence[EffectTerm] | None = None
 ) -> tuple[ToolError, ...]:
     """The columns that the recording and the machine file allow, for the present terms.
 
     `kept`: the terms with which a machine file is left, in place of all.
     """
     some = tuple(term for term in terms if term.present)
-    found = (stands(whole, some), gets_there(whole, some, some if kept is None else kept), sees(cells, some))
+    found = (
+        tool_position_error(whole, some),
+        gets_there(whole, some, some if kept is None else kept),
+        camera_error(cells, some),
+    )
     return tuple(column for column in found if column is not None)
 
 
-def stands(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
+def tool_position_error(whole: Read, terms: tuple[EffectTerm, ...]) -> ToolError | None:
     """Where the tool is for its encoders, over the recorded postures; by the model.
 
     Where nothing outside the machine measured points on it, it is unknown where its base stands: a motion of the whole
@@ -89,7 +93,7 @@ def stands(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
     paths, tables = paths_of(whole.stretches), whole.tables
     times = np.concatenate([path.t_s for path in paths]) if paths else np.zeros(0)
     times = times[np.unique(np.linspace(0, len(times) - 1, min(ROWS, len(times))).astype(int))] if len(times) else times
-    at = inside(paths, times)
+    at = path_index(paths, times)
     table = tables.static if tables is not None else None
     static = np.zeros((0, nominal.n)) if table is None or table.q is None else np.unique(table.q, axis=0)
     if not len(times) and not len(static):
@@ -108,10 +112,10 @@ def stands(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
         there = [tool(sets, k) for k in range(sets.sets)]
         return there if surveyed else [transform_points(rigid_fit(points, here), points) for points in there]
 
-    return ToolError("stands", own, shared_out(base, own, tools))
+    return ToolError("stands", own, split_among_effects(base, own, tools))
 
 
-def gets_there(whole: Read, terms: tuple[Term, ...], kept: Sequence[Term]) -> ToolError | None:
+def gets_there(whole: Read, terms: tuple[EffectTerm, ...], kept: Sequence[EffectTerm]) -> ToolError | None:
     """How the tool follows what was sent, the loop closed: simulated, and against the encoders as recorded."""
     nominal = whole.nominal
     replayer = replayer_of(nominal, whole.stretches) if nominal is not None and whole.stretches else None
@@ -132,10 +136,10 @@ def gets_there(whole: Read, terms: tuple[Term, ...], kept: Sequence[Term]) -> To
     measured = tcp_poses(arm, plain, np.concatenate([encoders[::step] for _, _, encoders in runs]))[:, :3, 3]
     stays = [term for term in kept if term.effect.stage in DRIVEN_STAGES]
     without, with_kept = tool(base)[0], tool(_with(base, stays))[0]
-    return ToolError("gets_there", own, shared_out(base, own, tool), measured - without, measured - with_kept)
+    return ToolError("gets_there", own, split_among_effects(base, own, tool), measured - without, measured - with_kept)
 
 
-def sees(cells: Sequence[Cell], terms: tuple[Term, ...]) -> ToolError | None:
+def camera_error(cells: Sequence[Cell], terms: tuple[EffectTerm, ...]) -> ToolError | None:
     """By how much the camera misplaces what it looks at."""
     own = tuple(term for term in terms if term.effect.stage in CAMERA_STAGES)
     parts = [
@@ -170,16 +174,18 @@ def sees(cells: Sequence[Cell], terms: tuple[Term, ...]) -> ToolError | None:
         moves = [np.nan_to_num(seen(sets, k) - here) for k in range(sets.sets)]
         return [np.einsum("mij,mj->mi", inverse, move)[:, :3] for move in moves]
 
-    return ToolError("sees", own, shared_out(base, own, placed))
+    return ToolError("sees", own, split_among_effects(base, own, placed))
 
 
-def _with(base: ParameterSets, terms: Sequence[Term]) -> ParameterSets:
+def _with(base: ParameterSets, terms: Sequence[EffectTerm]) -> ParameterSets:
     for term in terms:
-        base = put(base, (term.effect,), term.theta)
+        base = parameter_sets_with(base, (term.effect,), term.theta)
     return base
 
 
-def shared_out(base: ParameterSets, terms: tuple[Term, ...], tool: Callable[[ParameterSets], list[Array]]) -> Array:
+def split_among_effects(
+    base: ParameterSets, terms: tuple[EffectTerm, ...], tool: Callable[[ParameterSets], list[Array]]
+) -> Array:
     """Each effect's part (effects, m, 3) of what all do together; `tool` gives positions (m, 3) of every set."""
     alone = [_with(base, (term,)) for term in terms]
     others = [_with(base, terms[:k] + terms[k + 1 :]) for k in range(len(terms))]

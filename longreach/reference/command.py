@@ -15,7 +15,7 @@ import server.api
 from longreach.lazy_commands import LazyCommand, loaded
 from longreach.reference.fields import code, settings, table
 from protocol.codes import FaultBit, RejectCode, reject_text
-from server.access.roles import ANYBODY, Role, needed
+from server.access.roles import ANYBODY, Role, roles_needed
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.api.problems import HTTP_CODES, status_of
 from server.app import build_app
@@ -50,7 +50,7 @@ def endpoints() -> str:
 def _endpoint(method: str, path: str, operation: dict[str, Any]) -> tuple[str, str, str, str]:
     good = [status for status in operation["responses"] if status < "400"]
     what = operation.get("description", operation["summary"]).split("\n\nRoles:")[0]
-    roles = needed(method, path)
+    roles = roles_needed(method, path)
     some = "anyone" if roles == ANYBODY else ", ".join(role.value for role in Role if role in roles)
     return code(f"{method} {path}"), what, ", ".join(good), "all" if len(roles) == len(Role) else some
 

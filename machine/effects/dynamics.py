@@ -109,7 +109,7 @@ class Drive:
 
 
 @dataclass(frozen=True, slots=True)
-class Traces:
+class SimulatedTraces:
     """Logged rows of each set, (sets, rows, n): received reference, valve command, encoder, link side."""
 
     ref: Array
@@ -209,7 +209,9 @@ def drive_joint(plant: Actuators, enc: Array) -> Drive:
     return Drive(DynamicStage.JOINT, len(cycles), none, nothing, none, cycles, none, *loads, start, zero)
 
 
-def simulate(plant: Actuators, sets: ParameterSets, drive: Drive, last: DynamicStage = DynamicStage.JOINT) -> Traces:
+def simulate(
+    plant: Actuators, sets: ParameterSets, drive: Drive, last: DynamicStage = DynamicStage.JOINT
+) -> SimulatedTraces:
     """Every set from the drive's stage to `last`.
 
     Returns: logged rows (sets, rows, n), row r at PLC cycle r * decimate. Stages that did not run repeat their input.
@@ -223,8 +225,8 @@ def simulate(plant: Actuators, sets: ParameterSets, drive: Drive, last: DynamicS
     if drive.first is DynamicStage.LINK and last is DynamicStage.CONTROLLER:
         raise MachineError("a controller behind the link needs the encoders; begin at CONTROLLER, or end at ACTUATOR")
     rows = (drive.cycles - 1) // plant.decimate + 1
-    traces = Traces(*(np.empty((sets.sets, rows, n)) for _ in range(4)))
-    kernel.run(
+    traces = SimulatedTraces(*(np.empty((sets.sets, rows, n)) for _ in range(4)))
+    kernel.run_stages(
         int(drive.first),
         int(last),
         sets.joint,

@@ -60,7 +60,7 @@ def parse_entries(tables: object, n_joints: int) -> tuple[EffectEntry, ...]:
     if not isinstance(tables, list):
         raise MachineFileError(f"effect = {tables!r} is not a list; write each effect as its own [[effect]] table")
     entries = tuple(_entry(table, n_joints, f"effect {number}") for number, table in enumerate(tables, start=1))
-    pack(entries, n_joints)  # a third oscillation of a joint
+    pack_effects(entries, n_joints)  # a third oscillation of a joint
     _require_sums(entries)
     return entries
 
@@ -217,7 +217,7 @@ def _known(entry: EffectEntry) -> Effect:
     return effect
 
 
-def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
+def pack_effects(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
     """One parameter set with these effects; several entries of one effect and joint add up.
 
     Model: sizes with neutral 0 add, limits (neutral 1 or inf) take the smaller one, shapes take the last one given. A
@@ -241,7 +241,7 @@ def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
 
 def pack_under(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
     """The same, to put a hypothesis on: the one oscillation of a joint makes room for a second one."""
-    packed = pack(entries, n_joints)
+    packed = pack_effects(entries, n_joints)
     for joint in range(1, n_joints + 1):
         row = packed.joint[0, joint - 1]
         if row[FLEX_GAIN] != 0.0 and row[KNOWN_GAIN] == 0.0:

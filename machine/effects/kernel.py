@@ -197,7 +197,7 @@ def _follow(behind: Array, q: float, p: Array, free: Array, cycle_s: float) -> N
 
 
 @njit(cache=True, nogil=True)
-def course(p: Array, enc: Array, cycle_s: float, side: float = 0.0) -> Array:
+def link_side_course(p: Array, enc: Array, cycle_s: float, side: float = 0.0) -> Array:
     """Link-side angles (m,) of one joint with parameters p (JOINT_COLUMNS,) behind its encoder's readings (m,), a row a
     cycle: what `run` does in its last stage, for one joint and set. `side`: of its play, where it stands before the
     first row: -1 to 1, 0 in the middle.
@@ -212,7 +212,7 @@ def course(p: Array, enc: Array, cycle_s: float, side: float = 0.0) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def run(
+def run_stages(
     first: int,
     last: int,
     joint: Array,

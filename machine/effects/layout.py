@@ -85,7 +85,7 @@ _MACHINE: dict[tuple[str, str], int] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Slot:
+class ParameterSlot:
     """One number that a fit may move: where it stands, its bounds, neutral, and a step that it feels.
 
     `high`: what good machines have, and the ruler of steps and scans; `highest`: where a fit has to stop.
@@ -125,14 +125,16 @@ class ParameterSets:
         """Number of parameter sets."""
         return self.joint.shape[0]
 
-    def put(self, slot: Slot, values: float | Array, sets: slice | int | NDArray[np.int64] = slice(None)) -> None:
+    def put(
+        self, slot: ParameterSlot, values: float | Array, sets: slice | int | NDArray[np.int64] = slice(None)
+    ) -> None:
         """Write one number into some sets (all without `sets`)."""
         if slot.joint is None:
             self.machine[sets, slot.column] = values
         else:
             self.joint[sets, slot.joint - 1, slot.column] = values
 
-    def get(self, slot: Slot, which: int = 0) -> float:
+    def get(self, slot: ParameterSlot, which: int = 0) -> float:
         """Read one number of one set."""
         if slot.joint is None:
             return float(self.machine[which, slot.column])
@@ -177,7 +179,7 @@ def column_of(effect: Effect, parameter: str, option: str = "") -> int:
     return _JOINT[effect.name, parameter, option or (effect.choice.options[0] if effect.choice else "")]
 
 
-def slots_of(name: str, joint: int | None, option: str = "") -> tuple[Slot, ...]:
+def slots_of(name: str, joint: int | None, option: str = "") -> tuple[ParameterSlot, ...]:
     """What a fit moves for one effect, sizes before shapes; a direction gives one number per fitted component.
 
     Raises: MachineError: no such effect, or a joint where none belongs (or none where one does).
@@ -186,15 +188,19 @@ def slots_of(name: str, joint: int | None, option: str = "") -> tuple[Slot, ...]
     if (joint is None) != (effect.scope == "machine"):
         raise MachineError(f"effect {name}: joint = {joint}; it belongs to {'the machine' if joint else 'one joint'}")
     option = option or (effect.choice.options[0] if effect.choice else "")
-    slots: list[Slot] = []
+    slots: list[ParameterSlot] = []
     for parameter in sorted(effect.parameters, key=lambda one: one.role != "size"):
         column = column_of(effect, parameter.name, option)
         bounds = (parameter.low, parameter.high, parameter.highest, parameter.neutral)
         if effect.direction is None:
-            slots.append(Slot(name, parameter.name, joint, option, effect.scope, column, *bounds, parameter.start))
+            slots.append(
+                ParameterSlot(name, parameter.name, joint, option, effect.scope, column, *bounds, parameter.start)
+            )
             continue
         for index, along in enumerate(effect.direction.default[: effect.direction.fitted]):
             around = (-parameter.high, parameter.high, parameter.high, 0.0)
             start = parameter.start if along else 0.3 * parameter.start
-            slots.append(Slot(name, parameter.name, None, "", "machine", column + index, *around, start, index))
+            slots.append(
+                ParameterSlot(name, parameter.name, None, "", "machine", column + index, *around, start, index)
+            )
     return tuple(slots)

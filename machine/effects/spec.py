@@ -74,7 +74,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class QuantityChoice:
     """A word that says which of two quantities the size belongs to (a or d; about x or y)."""
 
     name: str
@@ -110,7 +110,7 @@ class Effect:
     looks_like: str
     distinguished_by: str
     source: str
-    choice: Choice | None = None
+    choice: QuantityChoice | None = None
     direction: Direction | None = None
     prevalence: float = 0.1
     threshold: bool = False

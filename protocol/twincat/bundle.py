@@ -13,7 +13,7 @@ from protocol.codes import PlcState
 from protocol.errors import LocalProtocolError
 from protocol.layout import AXES, Block, Field
 from protocol.limits import cfg_id
-from protocol.plc_events import Effect
+from protocol.plc_events import PlcAction
 from protocol.plc_states import TRANSITIONS, PlcEvent
 from protocol.twincat import documents, guides
 from protocol.twincat.golden import golden_pcap
@@ -166,7 +166,7 @@ def enums() -> tuple[Dut, ...]:
         *(_enum(name, base, [(member.name, int(member), "") for member in kind]) for name, base, kind in _WIRE),
         _enum("E_HmReject", "UINT", rejects),
         _enum("E_HmEvent", "USINT", _counted(PlcEvent)),
-        _enum("E_HmEffect", "USINT", _counted(Effect)),
+        _enum("E_HmEffect", "USINT", _counted(PlcAction)),
         _enum("E_HmMotion", "USINT", [(name, i, "") for i, name in enumerate(_MOTIONS)]),
     )
 

@@ -68,7 +68,7 @@ def _address(text: str) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Golden:
+class GoldenMessage:
     """One message with what it is for."""
 
     name: str
@@ -84,7 +84,7 @@ class Golden:
         return encode_state(self.message, self.key)
 
 
-def conversation(parameters: PlcParameters) -> tuple[Golden, ...]:
+def conversation(parameters: PlcParameters) -> tuple[GoldenMessage, ...]:
     """The messages in order; numbers, times and the limits' id fit together."""
     common = {"session": SESSION, "axis_mask": axis_mask(parameters.table), "cfg_id": cfg_id(parameters.table)}
     here = axes8(tuple(0.5 * (axis.q_min + axis.q_max) for axis in parameters.table.axes))
@@ -112,24 +112,24 @@ def conversation(parameters: PlcParameters) -> tuple[Golden, ...]:
     refused = {"reject_code": RejectCode.IMPLIED_SPEED, "reject_count": 1, "reject_seq": 28, "reject_offset": 288}
     before = {"ack_seq": 27, "t_pc_echo_ns": (1000 + 20 * 27) * MS, "rx_age_us": 21_000, "rx_ok": 27, "rx_bad": 1}
     return (
-        Golden("hello", "opens the session", command(1, Mode.HEARTBEAT, hello=True)),
-        Golden("state-linked", "it is open; the nonce is for ARM", state(1, PlcState.LINKED, Mode.HEARTBEAT)),
-        Golden("arm", "after 25 good commands", command(26, Mode.ARM, arm_nonce=NONCE)),
-        Golden("state-hold", "armed, at rest", state(26, PlcState.HOLD, Mode.HOLD)),
-        Golden("trajectory", "six knots from rest to rest, START and LAST_IS_END",
+        GoldenMessage("hello", "opens the session", command(1, Mode.HEARTBEAT, hello=True)),
+        GoldenMessage("state-linked", "it is open; the nonce is for ARM", state(1, PlcState.LINKED, Mode.HEARTBEAT)),
+        GoldenMessage("arm", "after 25 good commands", command(26, Mode.ARM, arm_nonce=NONCE)),
+        GoldenMessage("state-hold", "armed, at rest", state(26, PlcState.HOLD, Mode.HOLD)),
+        GoldenMessage("trajectory", "six knots from rest to rest, START and LAST_IS_END",
                command(27, Mode.TRAJECTORY, traj_id=1, knots=rest_to_rest(here), **quintic)),
-        Golden("state-run", "knot 1 is being played",
+        GoldenMessage("state-run", "knot 1 is being played",
                state(27, PlcState.RUN, Mode.TRAJECTORY, traj_id=1, knot_playing=1, knot_last=5, t_play_ns=60 * MS,
                      buffer_us=190_000)),
-        Golden("trajectory-refused", "its second knot implies too much speed: to be refused",
+        GoldenMessage("trajectory-refused", "its second knot implies too much speed: to be refused",
                command(28, Mode.TRAJECTORY, traj_id=2, knots=fast, **quintic)),
-        Golden("state-refusal", "says so: code, number, and byte 288 = knot[1].q[0]",
+        GoldenMessage("state-refusal", "says so: code, number, and byte 288 = knot[1].q[0]",
                state(28, PlcState.HOLD, Mode.HOLD, traj_id=1, **before, **refused)),
-        Golden("servo", "a target 10 mrad away that moves at 10 mrad/s, signed with key 00 01 .. 1f",
+        GoldenMessage("servo", "a target 10 mrad away that moves at 10 mrad/s, signed with key 00 01 .. 1f",
                command(29, Mode.SERVO, traj_id=3, knots=(target,), interp=Interp.LINEAR, cmd_flags=CommandFlag.START),
                KEY),
-        Golden("stop", "ramp down and hold", command(30, Mode.STOP)),
-        Golden("state-dry-run", "flags: DRY_RUN, valves neutral",
+        GoldenMessage("stop", "ramp down and hold", command(30, Mode.STOP)),
+        GoldenMessage("state-dry-run", "flags: DRY_RUN, valves neutral",
                state(30, PlcState.HOLD, Mode.HOLD, flags=HeaderFlag.DRY_RUN)),
     )  # fmt: skip
 
@@ -147,7 +147,7 @@ def rest_to_rest(here: Axes) -> tuple[Knot, ...]:
     return tuple(knots)
 
 
-def framed(golden: Golden, parameters: PlcParameters, eap: bool) -> bytes:
+def framed(golden: GoldenMessage, parameters: PlcParameters, eap: bool) -> bytes:
     """The datagram of a message in one of the framings."""
     ends = parameters.pc_net_id, parameters.plc_net_id
     from_pc = isinstance(golden.message, Command)

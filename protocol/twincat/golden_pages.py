@@ -8,7 +8,7 @@ from enum import IntEnum, IntFlag
 from protocol import layout
 from protocol.layout import Block
 from protocol.messages import Command
-from protocol.twincat.golden import Golden, conversation, framed
+from protocol.twincat.golden import GoldenMessage, conversation, framed
 from protocol.twincat.parameters import PlcParameters
 
 _HEX = {"session", "nonce", "arm_nonce", "cfg_id"}
@@ -65,7 +65,7 @@ def _block(block: Block, payload: bytes, offset: int) -> dict[str, Wire]:
     return values
 
 
-def _section(golden: Golden) -> str:
+def _section(golden: GoldenMessage) -> str:
     kind = "command" if isinstance(golden.message, Command) else "state"
     values = "\n".join(f"- {name}: {_text(name, value)}" for name, value in _described(golden).items())
     payload = golden.payload
@@ -74,7 +74,7 @@ def _section(golden: Golden) -> str:
     return f"## {golden.name} ({kind}): {golden.purpose}\n\n{values}\n\n```\n{dump}\n```\n"
 
 
-def _described(golden: Golden) -> Mapping[str, object]:
+def _described(golden: GoldenMessage) -> Mapping[str, object]:
     return {name: value for name, value in asdict(golden.message).items() if _says_something(value)}
 
 

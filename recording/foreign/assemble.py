@@ -12,7 +12,7 @@ import numpy as np
 from machine.rotations import Array
 from recording.errors import RecordingError
 from recording.files import read_text
-from recording.foreign.found import Found, JointSignal, PointTrack
+from recording.foreign.found import JointSignal, SourceContents, TrackedPointSeries
 from recording.foreign.machine_file import drive_model, machine_toml, with_fitted_gains
 from recording.foreign.mapping import Mapping
 from recording.foreign.urdf_ends import ChosenChain, chain_for
@@ -24,7 +24,7 @@ GAP_STEPS = 5.0  # a value is not carried over a longer gap of its source
 
 
 @dataclass(frozen=True, slots=True)
-class Assembled:
+class AssembledRecording:
     """A recording to be written: joint signals (m, n) on t_s (m,), None where not recorded; points; text files."""
 
     t_s: Array
@@ -33,14 +33,14 @@ class Assembled:
     qd_ref: Array | None
     u: Array | None
     sliding: tuple[bool, ...]
-    points: tuple[PointTrack, ...]
+    points: tuple[TrackedPointSeries, ...]
     run: RunInfo
     machine_toml: str
     urdf: tuple[str, str]
     notes: tuple[str, ...]
 
 
-def assemble(found: Found, mapping: Mapping, name: str, urdf: Path | None) -> Assembled:
+def assemble(found: SourceContents, mapping: Mapping, name: str, urdf: Path | None) -> AssembledRecording:
     """All joints on the encoders' time axis.
 
     Raises: RecordingError: no joint was recorded, too many rows, or a URDF that cannot be read or is of another robot.
@@ -76,7 +76,7 @@ def assemble(found: Found, mapping: Mapping, name: str, urdf: Path | None) -> As
     if command is not None and found.command_kind != "valve":
         command = command / np.array(drive.velocity_max)
     started = datetime.fromtimestamp(found.started_s, UTC).isoformat() if found.started_s > 1e6 else ""
-    return Assembled(
+    return AssembledRecording(
         t_s=t,
         q=signals["position"],
         q_ref=signals["reference"],
@@ -91,7 +91,7 @@ def assemble(found: Found, mapping: Mapping, name: str, urdf: Path | None) -> As
     )
 
 
-def _named_by_chain(found: Found, chain: ChosenChain) -> Found:
+def _named_by_chain(found: SourceContents, chain: ChosenChain) -> SourceContents:
     """Numbered joints get the names of the chain's moving joints, in their order. Raises: RecordingError: too many."""
     names = [joint.name for joint in chain.joints]
     most = max(int(joint.removeprefix("joint")) for signal in found.signals for joint in signal.names)
@@ -117,7 +117,7 @@ def _urdf_text(urdf: Path | None) -> str:
 
 
 def _joints(
-    found: Found, mapping: Mapping, chain: ChosenChain | None, recorded: Sequence[str]
+    found: SourceContents, mapping: Mapping, chain: ChosenChain | None, recorded: Sequence[str]
 ) -> tuple[tuple[str, ...], list[str]]:
     """The joint vector: the mapping's, else the chain's, else as recorded; and what is said of the others."""
     notes = []
@@ -190,7 +190,7 @@ def _at(t_of: Array, values: Array, t: Array, held: bool) -> Array:
     return out
 
 
-def write_assembled(recording: Assembled, folder: Path) -> None:
+def write_assembled(recording: AssembledRecording, folder: Path) -> None:
     """Write the folder form. Raises: RecordingError: it cannot be written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -206,7 +206,7 @@ def write_assembled(recording: Assembled, folder: Path) -> None:
         raise RecordingError(f"folder {folder}: {error.strerror}; choose a folder that can be written") from error
 
 
-def _write_plc(recording: Assembled, path: Path) -> None:
+def _write_plc(recording: AssembledRecording, path: Path) -> None:
     header, parts = ["t_plc_s"], [recording.t_s[:, None]]
     for pattern, values in (
         ("q_ref_{j}_rad", recording.q_ref),
@@ -236,7 +236,7 @@ def _write_rows(path: Path, header: Sequence[str], table: Array) -> None:
             writer.writerows(["" if value != value else repr(value) for value in row] for row in block)
 
 
-def _write_points(points: Sequence[PointTrack], path: Path) -> None:
+def _write_points(points: Sequence[TrackedPointSeries], path: Path) -> None:
     rows = [
         (t, track.name, x, y, z)
         for track in points

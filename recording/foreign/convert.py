@@ -5,23 +5,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from recording.errors import RecordingError
-from recording.foreign.assemble import Assembled, assemble, write_assembled
-from recording.foreign.found import Found
+from recording.foreign.assemble import AssembledRecording, assemble, write_assembled
+from recording.foreign.found import SourceContents
 from recording.foreign.mapping import Mapping, read_mapping
 from recording.foreign.ros_bag import is_ros
 from recording.foreign.ros_signals import ros_found
 from recording.foreign.table_files import is_table
 from recording.foreign.table_signals import table_found
 
-Confirm = Callable[[Found, Assembled], bool]
+Confirm = Callable[[SourceContents, AssembledRecording], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Converted:
+class ConversionResult:
     """What was read, and what was written of it."""
 
-    found: Found
-    assembled: Assembled
+    found: SourceContents
+    assembled: AssembledRecording
 
 
 def is_foreign(path: Path) -> bool:
@@ -31,7 +31,7 @@ def is_foreign(path: Path) -> bool:
 
 def convert_foreign(
     source: Path, target: Path, urdf: Path | None, mapping_file: Path | None, confirm: Confirm
-) -> Converted:
+) -> ConversionResult:
     """Write a folder of what a log holds.
 
     Args:   confirm: shows what each topic or column was taken for, and says whether guesses may be used.
@@ -48,4 +48,4 @@ def convert_foreign(
             f"guessed and not confirmed: {names}; confirm by --yes, or say what each is in a mapping file (--mapping)"
         )
     write_assembled(assembled, target)
-    return Converted(found, assembled)
+    return ConversionResult(found, assembled)

@@ -27,7 +27,7 @@ class JointSignal:
 
 
 @dataclass(frozen=True, slots=True)
-class PointTrack:
+class TrackedPointSeries:
     """Places of one tracked point: t_s (m,) [s], xyz (m, 3) [m] in the tracker's frame."""
 
     name: str
@@ -37,7 +37,7 @@ class PointTrack:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class SourceEntry:
     """One line of the list that the user sees: a topic or a column, and what became of it.
 
     `guess`: it was taken for this by its name or its size; the user has to confirm it.
@@ -52,15 +52,15 @@ class Entry:
 
 
 @dataclass(slots=True)
-class Found:
+class SourceContents:
     """All that was found. `notes`: remarks on the file as a whole. `cut`: not all of the file could be read.
 
     `numbered`: joints are called joint1, joint2 ... by their place; `proposal`: the guesses as a mapping file's text.
     """
 
     signals: list[JointSignal] = field(default_factory=list)
-    points: list[PointTrack] = field(default_factory=list)
-    entries: list[Entry] = field(default_factory=list)
+    points: list[TrackedPointSeries] = field(default_factory=list)
+    entries: list[SourceEntry] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     started_s: float = 0.0
     command_kind: str = ""
@@ -69,7 +69,7 @@ class Found:
     proposal: str = ""
 
     @property
-    def guesses(self) -> list[Entry]:
+    def guesses(self) -> list[SourceEntry]:
         """What the user has to confirm."""
         return [entry for entry in self.entries if entry.guess and entry.use == "used"]
 

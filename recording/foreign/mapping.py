@@ -38,7 +38,7 @@ class RosTopics(_Section):
     tracker: list[RosTracker] = []
 
 
-class Column(_Section):
+class ColumnMapping(_Section):
     """One column of a table: what it is, of which joint (from 1) or point, in which unit."""
 
     name: str
@@ -65,7 +65,7 @@ class UrdfChain(_Section):
     tip_link: str = ""
 
 
-class Window(_Section):
+class TimeWindow(_Section):
     """The stretch to be read [s] since the first stamp."""
 
     from_s: float = 0.0
@@ -78,10 +78,10 @@ class Mapping(_Section):
     joints: list[str] = []
     rate_hz: Positive | None = None
     ros: RosTopics = RosTopics()
-    column: list[Column] = []
+    column: list[ColumnMapping] = []
     actuator: Actuator = Actuator()
     urdf: UrdfChain = UrdfChain()
-    window: Window = Window()
+    window: TimeWindow = TimeWindow()
 
 
 def read_mapping(path: Path) -> Mapping:

@@ -61,7 +61,7 @@ class Trajectory:
 
 
 @dataclass(slots=True)
-class Collected:
+class CollectedTopics:
     """By topic: its type, how many messages, how many were not read and why; series by (topic, field, names)."""
 
     types: dict[str, str] = field(default_factory=dict)
@@ -92,12 +92,12 @@ class Collected:
             )
 
 
-def collect(bag: RosBag, mapping: Mapping) -> Collected:
+def collect(bag: RosBag, mapping: Mapping) -> CollectedTopics:
     """All that may be of use, in one pass.
 
     Raises: RecordingError: the bag cannot be read, is empty, or holds more than memory should take.
     """
-    found, first_ns = Collected(), None
+    found, first_ns = CollectedTopics(), None
     wanted = {entry.topic for entry in mapping.ros.tracker if entry.topic}
     frames = {entry.frame for entry in mapping.ros.tracker if entry.frame}
     from_s, to_s = mapping.window.from_s, mapping.window.to_s
@@ -136,14 +136,14 @@ def _stamp_s(message: Any, first_ns: int) -> float:
     return (ns - first_ns) * 1e-9 if ns else float("nan")
 
 
-def _joint_state(found: Collected, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
+def _joint_state(found: CollectedTopics, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
     fields = message.decode()
     names, at = tuple(fields.name), (t_s, _stamp_s(fields, first_ns))
     for name in ("position", "velocity", "effort"):
         found.add(message.topic, name, names, at, getattr(fields, name))
 
 
-def _dynamic_state(found: Collected, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
+def _dynamic_state(found: CollectedTopics, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
     fields = message.decode()
     at = (t_s, _stamp_s(fields, first_ns))
     values: dict[str, list[tuple[str, float]]] = {}
@@ -156,7 +156,7 @@ def _dynamic_state(found: Collected, message: RosMessage, t_s: float, first_ns: 
             found.add(message.topic, name, tuple(joints), at, numbers)
 
 
-def _controller_state(found: Collected, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
+def _controller_state(found: CollectedTopics, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
     fields = message.decode()
     names, at = tuple(fields.joint_names), (t_s, _stamp_s(fields, first_ns))
     for now, before in (("reference", "desired"), ("feedback", "actual"), ("output", "")):
@@ -169,7 +169,7 @@ def _controller_state(found: Collected, message: RosMessage, t_s: float, first_n
             found.add(message.topic, f"{now}.{name}", names, at, getattr(point, name))
 
 
-def _trajectory(found: Collected, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
+def _trajectory(found: CollectedTopics, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
     fields = message.decode()
     points, names = fields.points, tuple(fields.joint_names)
     if not points or any(len(point.positions) != len(names) for point in points):
@@ -182,7 +182,7 @@ def _trajectory(found: Collected, message: RosMessage, t_s: float, first_ns: int
     found.trajectories.setdefault(message.topic, []).append(one)
 
 
-def _array(found: Collected, message: RosMessage, t_s: float, *_: object) -> None:
+def _array(found: CollectedTopics, message: RosMessage, t_s: float, *_: object) -> None:
     found.add(message.topic, "data", (), (t_s, float("nan")), message.decode().data)
 
 
@@ -190,7 +190,7 @@ def _place(of: Callable[[Any], Any]) -> Callable[..., None]:
     """A taker of messages that hold one point; `of` gives the part with x, y, z."""
 
     def take(
-        found: Collected, message: RosMessage, t_s: float, first_ns: int, wanted: tuple[set[str], set[str]]
+        found: CollectedTopics, message: RosMessage, t_s: float, first_ns: int, wanted: tuple[set[str], set[str]]
     ) -> None:
         if message.topic in wanted[0] or is_tracker(message.topic):
             fields = message.decode()
@@ -202,7 +202,7 @@ def _place(of: Callable[[Any], Any]) -> Callable[..., None]:
 
 
 def _transforms(
-    found: Collected, message: RosMessage, t_s: float, first_ns: int, wanted: tuple[set[str], set[str]]
+    found: CollectedTopics, message: RosMessage, t_s: float, first_ns: int, wanted: tuple[set[str], set[str]]
 ) -> None:
     for transform in message.decode().transforms:
         frame = transform.child_frame_id.lstrip("/")
@@ -233,7 +233,7 @@ _TAKERS: dict[str, Callable[..., None]] = {
 }
 
 
-def clock_of(found: Collected) -> tuple[bool, str]:
+def clock_of(found: CollectedTopics) -> tuple[bool, str]:
     """Whether headers' stamps are the time, and what to say of it: not where they are far from the recorder's clock."""
     apart = [
         np.nanmedian(np.frombuffer(series.t) - np.frombuffer(series.stamp))
@@ -257,7 +257,7 @@ def times(series: Series, by_stamp: bool) -> Array:
     return np.where(np.isfinite(stamp), stamp, t) if by_stamp else t
 
 
-def series_of(found: Collected, topic: str, name: str) -> Iterator[Series]:
+def series_of(found: CollectedTopics, topic: str, name: str) -> Iterator[Series]:
     """The series of one field of a topic; several where its messages name different joints."""
     for (of_topic, of_name, _), series in found.series.items():
         if (of_topic, of_name) == (topic, name):

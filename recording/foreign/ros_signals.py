@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from machine.rotations import Array
 from recording.errors import RecordingError
-from recording.foreign.found import Entry, Found, JointSignal, Kind, PointTrack, in_time_order
+from recording.foreign.found import JointSignal, Kind, SourceContents, SourceEntry, TrackedPointSeries, in_time_order
 from recording.foreign.mapping import CommandKind, Mapping
 from recording.foreign.ros_bag import CONTROLLER_STATE, RosBag
 from recording.foreign.ros_collect import (
@@ -20,7 +20,7 @@ from recording.foreign.ros_collect import (
     JOINT_STATE,
     TF,
     TRAJECTORY,
-    Collected,
+    CollectedTopics,
     Series,
     Trajectory,
     clock_of,
@@ -35,7 +35,7 @@ REFERENCE_WORDS = ("command", "cmd", "desired", "target", "reference", "setpoint
 KINDS: tuple[CommandKind, ...] = ("velocity", "effort", "position")
 
 
-def ros_found(path: Path, mapping: Mapping) -> Found:
+def ros_found(path: Path, mapping: Mapping) -> SourceContents:
     """What a bag holds, and what each topic is taken for.
 
     Raises: RecordingError: no bag, an empty one, a topic of the mapping that is not there, or no encoders.
@@ -46,15 +46,15 @@ def ros_found(path: Path, mapping: Mapping) -> Found:
 
 
 class _Chooser:
-    def __init__(self, collected: Collected, mapping: Mapping) -> None:
+    def __init__(self, collected: CollectedTopics, mapping: Mapping) -> None:
         self._all = collected
         self._mapping = mapping
-        self._out = Found(started_s=collected.first_s)
+        self._out = SourceContents(started_s=collected.first_s)
         self._used: set[str] = set()
         self._by_stamp, clock = clock_of(collected)
         self._out.notes.append(clock)
 
-    def found(self, bag: RosBag) -> Found:
+    def found(self, bag: RosBag) -> SourceContents:
         ros = self._mapping.ros
         for topic in (ros.encoders, ros.reference, ros.command, *(tracker.topic for tracker in ros.tracker)):
             if topic and topic not in self._all.types:
@@ -85,7 +85,7 @@ class _Chooser:
         kind, count = self._all.types.get(topic, ""), self._all.counts[topic]
         if self._all.failed[topic]:
             why += f"; {self._all.failed[topic]} messages are damaged and left out"
-        self._out.entries.append(Entry(topic, kind, count, "used", why, guess))
+        self._out.entries.append(SourceEntry(topic, kind, count, "used", why, guess))
 
     def _proposal(self) -> str:
         """What was chosen as a mapping file, to be corrected."""
@@ -209,7 +209,9 @@ class _Chooser:
         if kind == "effort":
             self._used.add(topic)
             why = "effort commands: a torque-driven joint has no nominal model here; the reference is used"
-            self._out.entries.append(Entry(topic, self._all.types[topic], self._all.counts[topic], "ignored", why))
+            self._out.entries.append(
+                SourceEntry(topic, self._all.types[topic], self._all.counts[topic], "ignored", why)
+            )
             return
         if kind == "position" and self._out.of("reference"):
             return
@@ -234,7 +236,7 @@ class _Chooser:
                 continue
             t, xyz = in_time_order(times(series, self._by_stamp), series.values)
             point = mapped or (frame or topic).strip("/").replace("/", "_")
-            self._out.points.append(PointTrack(point, topic, t, xyz))
+            self._out.points.append(TrackedPointSeries(point, topic, t, xyz))
             self._use(topic, f"tracked point {point!r}" + ("" if mapped else ", by its name"), guess=mapped is None)
 
     def _rest(self) -> None:
@@ -245,7 +247,7 @@ class _Chooser:
             if topic in self._used:
                 continue
             why = self._all.failures.get(topic) or _why_ignored(kind, shown)
-            self._out.entries.append(Entry(topic, kind, self._all.counts[topic], "ignored", why))
+            self._out.entries.append(SourceEntry(topic, kind, self._all.counts[topic], "ignored", why))
 
 
 def _why_ignored(kind: str, frames: str) -> str:

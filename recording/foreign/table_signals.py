@@ -8,22 +8,22 @@ import numpy as np
 
 from machine.rotations import Array
 from recording.errors import RecordingError
-from recording.foreign.found import Entry, Found, JointSignal, Kind, PointTrack, in_time_order
-from recording.foreign.mapping import Column, Mapping
+from recording.foreign.found import JointSignal, Kind, SourceContents, SourceEntry, TrackedPointSeries, in_time_order
+from recording.foreign.mapping import ColumnMapping, Mapping
 from recording.foreign.table_files import TableColumn, read_table
 from recording.foreign.table_names import guess_column, joint_numbers, unit_factor
 
 KINDS: dict[str, Kind] = {"q": "position", "q_ref": "reference", "qd_ref": "velocity_reference", "u": "command"}
 
 
-def table_found(path: Path, mapping: Mapping) -> Found:
+def table_found(path: Path, mapping: Mapping) -> SourceContents:
     """What a table holds, and what each column is taken for.
 
     Raises: RecordingError: unreadable, a column of the mapping that is not there, no time, or no joint.
     """
     columns = read_table(path)
     wanted = _mapped(columns, mapping, path) if mapping.column else _guessed(columns)
-    found = Found(numbered=True)
+    found = SourceContents(numbered=True)
     clock = _clock(columns, wanted, mapping, path)
     found.started_s = clock[1]
     kinds: dict[Kind, list[tuple[int, JointSignal]]] = {}
@@ -31,12 +31,12 @@ def table_found(path: Path, mapping: Mapping) -> Found:
         one, guess = wanted.get(column.name), not mapping.column
         if one is None or one.signal == "ignored":
             why = "not in the mapping file" if mapping.column else _why_ignored(column)
-            found.entries.append(Entry(column.name, "", len(column.values), "ignored", why))
+            found.entries.append(SourceEntry(column.name, "", len(column.values), "ignored", why))
             continue
         joint = f" of joint {one.joint}" if one.joint else f" of point {one.point}" if one.point else ""
         how = "guessed" if guess else "as the mapping says"
         found.entries.append(
-            Entry(
+            SourceEntry(
                 column.name, one.signal, len(column.values), "used", f"{one.signal}{joint} in {one.unit}, {how}", guess
             )
         )
@@ -46,7 +46,7 @@ def table_found(path: Path, mapping: Mapping) -> Found:
         found.signals += _together(kind, several)
     found.points += _points(columns, wanted, clock[0])
     found.command_kind = _command_kind(wanted.values())
-    found.proposal = proposal(wanted.values())
+    found.proposal = propose_mapping(wanted.values())
     if not found.of("position") and not found.points:
         raise RecordingError(
             f"{path}: no column is a joint's position; its columns are {_names(columns)}: name them in a mapping file"
@@ -63,7 +63,7 @@ def _names(columns: Sequence[TableColumn]) -> str:
     return ", ".join(column.name for column in columns[:30])
 
 
-def _mapped(columns: Sequence[TableColumn], mapping: Mapping, path: Path) -> dict[str, Column]:
+def _mapped(columns: Sequence[TableColumn], mapping: Mapping, path: Path) -> dict[str, ColumnMapping]:
     known = {column.name for column in columns}
     for column in mapping.column:
         if column.name not in known:
@@ -75,10 +75,10 @@ def _mapped(columns: Sequence[TableColumn], mapping: Mapping, path: Path) -> dic
     return {column.name: column for column in mapping.column}
 
 
-def _guessed(columns: Sequence[TableColumn]) -> dict[str, Column]:
+def _guessed(columns: Sequence[TableColumn]) -> dict[str, ColumnMapping]:
     guesses = {column.name: guess_column(column.name, column.unit, column.values) for column in columns}
     places = joint_numbers([guess.joint for guess in guesses.values() if guess.signal in KINDS])
-    out: dict[str, Column] = {}
+    out: dict[str, ColumnMapping] = {}
     taken: set[tuple[str, int | str]] = set()
     for name, guess in guesses.items():
         joint = places[guess.joint] if guess.signal in KINDS else None
@@ -89,7 +89,7 @@ def _guessed(columns: Sequence[TableColumn]) -> dict[str, Column]:
         unit = _alike(
             guess.signal, guess.unit, [other.unit for other in guesses.values() if other.signal == guess.signal]
         )
-        out[name] = Column(name=name, signal=guess.signal, joint=joint, point=guess.point, unit=unit)
+        out[name] = ColumnMapping(name=name, signal=guess.signal, joint=joint, point=guess.point, unit=unit)
     return out
 
 
@@ -99,7 +99,7 @@ def _alike(signal: str, unit: str, units: Sequence[str]) -> str:
 
 
 def _clock(
-    columns: Sequence[TableColumn], wanted: dict[str, Column], mapping: Mapping, path: Path
+    columns: Sequence[TableColumn], wanted: dict[str, ColumnMapping], mapping: Mapping, path: Path
 ) -> tuple[Array | None, float]:
     """The table's times (m,) [s] since the first, and the first [s since 1970] if it is; None: columns have theirs."""
     named = [column for column in columns if column.name in wanted and wanted[column.name].signal == "time"]
@@ -116,7 +116,7 @@ def _clock(
     )
 
 
-def _signal(column: TableColumn, one: Column, clock: Array | None) -> JointSignal:
+def _signal(column: TableColumn, one: ColumnMapping, clock: Array | None) -> JointSignal:
     t = column.t_s if clock is None else clock
     assert t is not None  # _clock: every column has times of its own where the table has none
     good = np.isfinite(t)
@@ -142,7 +142,9 @@ def _together(kind: Kind, several: Sequence[tuple[int, JointSignal]]) -> list[Jo
     return out
 
 
-def _points(columns: Sequence[TableColumn], wanted: dict[str, Column], clock: Array | None) -> list[PointTrack]:
+def _points(
+    columns: Sequence[TableColumn], wanted: dict[str, ColumnMapping], clock: Array | None
+) -> list[TrackedPointSeries]:
     axes: dict[str, dict[str, TableColumn]] = {}
     for column in columns:
         one = wanted.get(column.name)
@@ -157,18 +159,18 @@ def _points(columns: Sequence[TableColumn], wanted: dict[str, Column], clock: Ar
             [three[a].values * unit_factor(wanted[three[a].name].unit, "x") for a in ("x", "y", "z")], axis=1
         )
         good = np.isfinite(t)
-        out.append(PointTrack(point, three["x"].name, *in_time_order(t[good], xyz[good])))
+        out.append(TrackedPointSeries(point, three["x"].name, *in_time_order(t[good], xyz[good])))
     return out
 
 
-def _command_kind(columns: Iterable[Column]) -> str:
+def _command_kind(columns: Iterable[ColumnMapping]) -> str:
     units = [column.unit for column in columns if column.signal == "u"]
     if not units:
         return ""
     return "valve" if units[0].lower() in ("frac", "%", "percent", "pct") else "velocity"
 
 
-def proposal(columns: Iterable[Column]) -> str:
+def propose_mapping(columns: Iterable[ColumnMapping]) -> str:
     """The guesses as a mapping file, to be corrected."""
     lines = []
     for column in columns:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from server.access.errors import AccessError, RoleError
 from server.access.hosts import host_allowed, origin_allowed
 from server.access.keys import ApiKey, KeyRing
-from server.access.roles import ANYBODY, SAFE_METHODS, Caller, Role, needed
+from server.access.roles import ANYBODY, SAFE_METHODS, Caller, Role, roles_needed
 from server.access.sessions import Sessions
 
 log = logging.getLogger(__name__)
@@ -188,4 +188,4 @@ class Gatekeeper:
 
 
 def _needed(request: Credentials) -> frozenset[Role]:
-    return needed("GET" if request.method == "WEBSOCKET" else request.method, request.path)
+    return roles_needed("GET" if request.method == "WEBSOCKET" else request.method, request.path)

@@ -48,12 +48,12 @@ def digest_of(key: str) -> str:
     return hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()
 
 
-def found(keys: tuple[ApiKey, ...], presented: str) -> ApiKey | None:
+def key_by_secret(keys: tuple[ApiKey, ...], presented: str) -> ApiKey | None:
     """The key that was presented, unless revoked."""
-    return found_by_digest(keys, digest_of(presented))
+    return key_by_digest(keys, digest_of(presented))
 
 
-def found_by_digest(keys: tuple[ApiKey, ...], sha256: str) -> ApiKey | None:
+def key_by_digest(keys: tuple[ApiKey, ...], sha256: str) -> ApiKey | None:
     """The key of that SHA-256, unless revoked; every kept one is compared, in constant time."""
     match = [key for key in keys if hmac.compare_digest(key.sha256, sha256) and key.revoked_unix_s is None]
     return match[0] if match else None
@@ -180,7 +180,7 @@ class KeyRing:
     def in_force(self, sha256: str, now_s: float) -> ApiKey | None:
         """The key of that SHA-256, if it is in force; another key of the same name is another key."""
         self.refresh(now_s)
-        return found_by_digest(self._keys, sha256)
+        return key_by_digest(self._keys, sha256)
 
     @property
     def empty(self) -> bool:

@@ -39,7 +39,7 @@ METHODS = SAFE_METHODS | {"POST", "PUT", "PATCH", "DELETE"}
 COMMANDS = ("/v1/jobs", "/v1/lease", "/v1/disarm", "/v1/reset", "/v1/target")
 
 
-def needed(method: str, path: str) -> frozenset[Role]:
+def roles_needed(method: str, path: str) -> frozenset[Role]:
     """The roles of which one is needed; empty: the route is open to everyone."""
     if (method.replace("HEAD", "GET"), path) in OPEN:
         return ANYBODY

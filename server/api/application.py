@@ -38,7 +38,7 @@ from server.supervised_tasks import SupervisedTasks
 # HEAD wherever there is GET, as load balancers and monitors ask: the same status and headers, without the body.
 
 
-class Head:
+class HeadRequestMiddleware:
     """ASGI middleware: a HEAD is worked on as the GET would be, until its headers are there."""
 
     def __init__(self, app: ASGIApp) -> None:
@@ -68,7 +68,7 @@ class Head:
 
 
 @dataclass(frozen=True, slots=True)
-class Served:
+class RestServices:
     """What REST serves, and to whom."""
 
     service: JobService
@@ -78,10 +78,10 @@ class Served:
 
 
 @dataclass(frozen=True, slots=True)
-class Running:
+class ServerTasks:
     """What runs alongside the requests."""
 
-    served: Served
+    served: RestServices
     feed: EventFeed
     diagnoses: Diagnoses
 
@@ -101,7 +101,7 @@ class Running:
             await self.diagnoses.close()
 
 
-def application(app: FastAPI, served: Served) -> Running:
+def create_application(app: FastAPI, served: RestServices) -> ServerTasks:
     """Add everything; what it returns runs in the application's lifespan."""
     service, keys = served.service, served.gatekeeper.keys
 
@@ -112,7 +112,7 @@ def application(app: FastAPI, served: Served) -> Running:
     service.inner_faults.watch(KEYS_UNREADABLE, keys_problem)
     folder = Path(service.cell.settings.recording.folder)
     log, cache, diagnoses = EventLog(uuid4().hex[:8]), StateCache(service), service.diagnoses
-    app.add_middleware(Head)
+    app.add_middleware(HeadRequestMiddleware)
     app.add_middleware(Guard, gatekeeper=served.gatekeeper)
     install_problem_handlers(app)
     for router in (
@@ -134,4 +134,4 @@ def application(app: FastAPI, served: Served) -> Running:
         app.include_router(router)
     app.router.routes.insert(0, straight_route(cache))
     install_openapi(app)
-    return Running(served, EventFeed(service, log, cache), diagnoses)
+    return ServerTasks(served, EventFeed(service, log, cache), diagnoses)

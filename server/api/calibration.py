@@ -8,11 +8,16 @@ from fastapi import APIRouter
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
 from recording.clock import mono_ns
-from server.api.problems import problem
+from server.api.problems import problem_response
 from server.api.views import CalibrationView, Problem
 from server.calibration.calibration_export import as_ros, as_yaml
 from server.calibration.calibration_file import SavedCalibration, calibration_text
-from server.calibration.calibration_life import LocalCalibration, Validity, ValidityStatus, observability_text
+from server.calibration.calibration_life import (
+    CalibrationValidity,
+    LocalCalibration,
+    ValidityStatus,
+    observability_text,
+)
 from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
 from server.jobs.service import JobService
@@ -20,7 +25,9 @@ from server.link.contracts import measured_oil_c
 
 # The calibration as it is shown and handed on: its age, how well it is known, where it holds, why it does not.
 
-NOW_UNKNOWN = Validity(ValidityStatus.VALID, "the machine's position is unknown: no state received from the PLC")
+NOW_UNKNOWN = CalibrationValidity(
+    ValidityStatus.VALID, "the machine's position is unknown: no state received from the PLC"
+)
 
 
 def calibration_view(cell: Cell, ctx: PlanContext, t_mono_ns: int) -> CalibrationView | None:
@@ -48,7 +55,7 @@ def calibration_view(cell: Cell, ctx: PlanContext, t_mono_ns: int) -> Calibratio
     )
 
 
-def validity_now(cell: Cell, ctx: PlanContext, life: LocalCalibration, t_mono_ns: int) -> Validity:
+def validity_now(cell: Cell, ctx: PlanContext, life: LocalCalibration, t_mono_ns: int) -> CalibrationValidity:
     """Whether it holds with the machine as the PLC last reported it."""
     latest, t_unix_s = cell.link.latest, cell.knowledge.unix_s(t_mono_ns)
     if latest is None:
@@ -106,6 +113,6 @@ def calibration_router(service: JobService) -> APIRouter:
 
 def _none(service: JobService) -> JSONResponse:
     note = service.cell.knowledge.calibration_note
-    return problem(
+    return problem_response(
         404, "No calibration", note or "there is no calibration yet; run the job 'calibrate'", "no_calibration"
     )

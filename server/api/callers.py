@@ -36,7 +36,7 @@ def same_origin(socket: WebSocket) -> bool:
     return origin_allowed(socket.headers.get("origin"), socket.headers.get("host", ""))
 
 
-async def accepted(socket: WebSocket) -> bool:
+async def accept_socket(socket: WebSocket) -> bool:
     """Open a socket for an allowed origin; it is closed for any other."""
     if not same_origin(socket):
         await socket.close(code=4403, reason="foreign origin")

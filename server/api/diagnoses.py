@@ -9,8 +9,8 @@ from fastapi import Path as InPath
 from fastapi.responses import FileResponse, JSONResponse, Response
 from pydantic import Field
 
-from server.api.problems import problem
-from server.api.runs import RUN_ID, inside, run_path
+from server.api.problems import problem_response
+from server.api.runs import RUN_ID, path_inside, run_path
 from server.api.views import Problem, Strict, View
 from server.jobs.diagnosing import Diagnoses, Diagnosis
 
@@ -63,7 +63,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
         found, missing = await asyncio.to_thread(_recordings, folder, body)
         if missing:
             detail = f"no recording {', '.join(repr(name[:64]) for name in missing)} in the folder"
-            return problem(404, "Unknown recording", detail, "unknown_run", "see GET /v1/runs")
+            return problem_response(404, "Unknown recording", detail, "unknown_run", "see GET /v1/runs")
         one = diagnoses.start(*found)
         headers = {"Location": f"../v1/diagnoses/{one.diagnosis_id}"}
         return JSONResponse(_view(one).model_dump(), status_code=202, headers=headers)
@@ -118,7 +118,7 @@ def _recordings(
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """The recordings to diagnose, and the requested names that are not recordings (such as the server's database)."""
     if isinstance(body, PathDiagnosis):
-        found = inside(folder, body.path)
+        found = path_inside(folder, body.path)
         if found is not None and (found.suffix == ".mcap" or (found / "run.toml").is_file()):
             return (found,), ()
         return (), (body.path,)
@@ -144,9 +144,11 @@ def _view(one: Diagnosis) -> DiagnosisView:
 
 
 def _unknown(diagnosis_id: str) -> JSONResponse:
-    return problem(404, "Unknown diagnosis", f"no diagnosis {diagnosis_id}", "unknown_diagnosis", "POST /v1/diagnoses")
+    return problem_response(
+        404, "Unknown diagnosis", f"no diagnosis {diagnosis_id}", "unknown_diagnosis", "POST /v1/diagnoses"
+    )
 
 
 def _unfinished(one: Diagnosis) -> JSONResponse:
     detail = f"diagnosis is {one.state}{': ' + one.reason if one.reason else ''}"
-    return problem(409, "No answer", detail, "no_answer", "wait until its state is done")
+    return problem_response(409, "No answer", detail, "no_answer", "wait until its state is done")

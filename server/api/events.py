@@ -15,7 +15,7 @@ from fastapi.responses import JSONResponse, StreamingResponse
 
 from server.api.lease import control_view
 from server.api.oversight import fault_views
-from server.api.problems import problem
+from server.api.problems import problem_response
 from server.api.state import StateCache
 from server.api.views import EVENT_STREAM, Problem
 from server.jobs.engine import Job, JobEvent
@@ -111,7 +111,9 @@ def events_router(log: EventLog) -> APIRouter:
     ) -> StreamingResponse | JSONResponse:
         """Events `job`, `control`, `link`, `fault`, and `state`; resumes after Last-Event-ID and reports a `gap`."""
         if log.readers >= READERS_MAX:
-            return problem(503, "Too many readers", f"{READERS_MAX} follow already", "too_many_readers", "try later")
+            return problem_response(
+                503, "Too many readers", f"{READERS_MAX} follow already", "too_many_readers", "try later"
+            )
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         return StreamingResponse(log.follow(last_event_id, state), media_type="text/event-stream", headers=headers)
 

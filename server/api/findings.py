@@ -8,7 +8,7 @@ from fastapi import APIRouter, Path, Query
 from fastapi.responses import JSONResponse
 
 from recording.clock import mono_ns
-from server.api.problems import problem
+from server.api.problems import problem_response
 from server.api.views import ErrorView, Problem, View
 from server.jobs.engine import Job, JobEvent
 from server.jobs.records import LookRecord
@@ -110,7 +110,9 @@ def findings_router(service: JobService, looks: LookLog) -> APIRouter:
             expires_ns = service.keeper.plan_expiries_ns.get(plan_hash, 0)
             row = await service.keeper.database.found(lambda db: read_plan(db, plan_hash))
         if row is None:
-            return problem(404, "Unknown plan", f"no plan {plan_hash}", "unknown_plan", "run the job 'preview'")
+            return problem_response(
+                404, "Unknown plan", f"no plan {plan_hash}", "unknown_plan", "run the job 'preview'"
+            )
         expired = mono_ns() > expires_ns  # as execution has it: the wall clock may be set meanwhile
         return PlanEntry(**row | {"view": json.loads(row["view"]), "expired": expired})
 

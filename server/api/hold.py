@@ -18,7 +18,7 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from recording.clock import mono_ns
-from server.api.callers import accepted, caller_of, request_id_of
+from server.api.callers import accept_socket, caller_of, request_id_of
 from server.api.hold_rule import mode_of, require_commissioned
 from server.api.panel_memory import PanelMemory
 from server.errors import ServerError
@@ -35,7 +35,7 @@ TICK_S = 0.05  # how soon the end of the job is seen
 PRESS_WAIT_S = 5.0
 
 
-class Press(BaseModel):
+class HoldStart(BaseModel):
     """The first message: what is to run while the button is down, and under whose control."""
 
     model_config = ConfigDict(extra="forbid")
@@ -45,7 +45,7 @@ class Press(BaseModel):
     fencing: int = Field(ge=0, le=2**62)
 
 
-class Answer(BaseModel):
+class HoldReply(BaseModel):
     """An answer to a challenge."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -55,7 +55,7 @@ class Answer(BaseModel):
     bond: str
 
 
-class Release(BaseModel):
+class HoldRelease(BaseModel):
     """The button was let go, and what the page says it was."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -63,7 +63,7 @@ class Release(BaseModel):
     release: str = Field(max_length=200)
 
 
-FROM_PAGE: TypeAdapter[Answer | Release] = TypeAdapter(Answer | Release)
+FROM_PAGE: TypeAdapter[HoldReply | HoldRelease] = TypeAdapter(HoldReply | HoldRelease)
 
 
 def hold_router(service: JobService, memory: PanelMemory) -> APIRouter:
@@ -72,7 +72,7 @@ def hold_router(service: JobService, memory: PanelMemory) -> APIRouter:
 
     @router.websocket("/v1/hold")
     async def hold(socket: WebSocket) -> None:
-        if not await accepted(socket):
+        if not await accept_socket(socket):
             return
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await _serve(socket, service, memory)
@@ -86,7 +86,7 @@ async def _serve(socket: WebSocket, service: JobService, memory: PanelMemory) ->
     try:
         async with asyncio.timeout(PRESS_WAIT_S):
             text = await socket.receive_text()
-        press = Press.model_validate_json(text)
+        press = HoldStart.model_validate_json(text)
         lease = service.engine.leases.check(press.lease_id, press.fencing)
         cell = service.cell
         require_commissioned(mode_of(cell.settings.mode, cell.link.latest), press.press, cell.not_commissioned)
@@ -145,10 +145,10 @@ async def _hear(socket: WebSocket, service: JobService, held: HoldToRun, changed
     try:
         while not held.ended:
             match FROM_PAGE.validate_json(await socket.receive_text()):
-                case Answer(seq=seq, reply=reply, bond=bond):
+                case HoldReply(seq=seq, reply=reply, bond=bond):
                     if held.answer(seq, reply, bond):
                         await service.engine.hold_until(held.dead_ns)
-                case Release(release=why):
+                case HoldRelease(release=why):
                     held.release(f"button up ({why})")
     except (WebSocketDisconnect, RuntimeError):
         held.release("the page's socket closed")

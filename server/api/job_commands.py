@@ -18,7 +18,7 @@ from server.jobs.keeper import Command
 from server.jobs.service import JobBody, JobService
 from server.link.errors import LinkError
 from server.store.audit_rows import AuditEntry
-from server.store.idempotency import Answered, KeyMissingError, hash_of, read_answer, replay_of
+from server.store.idempotency import KeyMissingError, StoredAnswer, hash_of, read_answer, replay_of
 
 log = logging.getLogger(__name__)
 ACCEPTED = 202
@@ -60,7 +60,7 @@ class ExpiredError(AccessError):
 
 
 @dataclass(frozen=True, slots=True)
-class Sent:
+class CommandHeaders:
     """What a request carried in addition to its body."""
 
     caller: Caller
@@ -80,7 +80,7 @@ class JobCommands:
         self._stopping: set[asyncio.Future[None]] = set()
         self._stops = FoldedStops()
 
-    async def start(self, body: JobBody, sent: Sent) -> Answered:
+    async def start(self, body: JobBody, sent: CommandHeaders) -> StoredAnswer:
         """The answer to a command, the same one for every retry with its key.
 
         Raises: KeyMissingError, KeyReusedError, KeyInProgressError, refusals of control, of the service, of the store.
@@ -91,7 +91,7 @@ class JobCommands:
             self._refused(body.kind, sent, getattr(error, "code", "link"))
             raise
 
-    async def _once(self, body: JobBody, sent: Sent) -> Answered:
+    async def _once(self, body: JobBody, sent: CommandHeaders) -> StoredAnswer:
         if not sent.key:
             return await self._carried_out(body, sent, "")
         mark, body_hash = (sent.caller.name, sent.key), hash_of(body.model_dump_json().encode())
@@ -104,20 +104,20 @@ class JobCommands:
             if mine:
                 self._in_progress.discard(mark)
 
-    async def _known(self, who: str, key: str) -> Answered | None:
+    async def _known(self, who: str, key: str) -> StoredAnswer | None:
         keeper = self._service.keeper
         return None if keeper is None else await keeper.database.found(lambda db: read_answer(db, who, key))
 
-    async def _carried_out(self, body: JobBody, sent: Sent, body_hash: str) -> Answered:
+    async def _carried_out(self, body: JobBody, sent: CommandHeaders, body_hash: str) -> StoredAnswer:
         if 0.0 < sent.expires_unix_s < time.time():
             raise ExpiredError(f"the command expired {time.time() - sent.expires_unix_s:.1f} s ago")
         lease = self._service.engine.leases.check(sent.lease_id, sent.fencing)
         _require_key(sent, lease)
         cell = self._service.cell
         require_hold(mode_of(cell.settings.mode, cell.link.latest), body, lease, sent.caller)
-        kept: list[Answered] = []
+        kept: list[StoredAnswer] = []
 
-        def answer(job: Job) -> Answered:
+        def answer(job: Job) -> StoredAnswer:
             kept.append(answer_of(job, body_hash))
             return kept[0]
 
@@ -162,7 +162,7 @@ class JobCommands:
             )
             self._service.keeper.audit(entry)
 
-    def _refused(self, kind: str, sent: Sent, code: str) -> None:
+    def _refused(self, kind: str, sent: CommandHeaders, code: str) -> None:
         keeper, held = self._service.keeper, self._service.engine.leases.held
         if keeper is not None:
             who = sent.caller
@@ -171,12 +171,12 @@ class JobCommands:
             keeper.audit(entry)
 
 
-def _require_key(sent: Sent, lease: Lease) -> None:
+def _require_key(sent: CommandHeaders, lease: Lease) -> None:
     if not sent.key and (sent.caller.role == "fleet" or lease.kind is LeaseKind.FLEET):
         raise KeyMissingError("a fleet's command carries an Idempotency-Key, so that a retry cannot move twice")
 
 
-def answer_of(job: Job, body_hash: str) -> Answered:
+def answer_of(job: Job, body_hash: str) -> StoredAnswer:
     """202 with the job as it is now and its Location."""
     text = json.dumps(job_view(job).model_dump(mode="json"))
-    return Answered(body_hash, ACCEPTED, f"../v1/jobs/{job.job_id}", text)  # a proxy may have a path before it
+    return StoredAnswer(body_hash, ACCEPTED, f"../v1/jobs/{job.job_id}", text)  # a proxy may have a path before it

@@ -10,10 +10,10 @@ from fastapi import APIRouter, Body, Depends, Header, Request, WebSocket, WebSoc
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
 from recording.clock import mono_s
-from server.api.callers import accepted, caller_of, request_id_of
-from server.api.job_commands import JobCommands, Sent
-from server.api.lease import FencingHeader, LeaseHeader, leased
-from server.api.problems import problem
+from server.api.callers import accept_socket, caller_of, request_id_of
+from server.api.job_commands import CommandHeaders, JobCommands
+from server.api.lease import FencingHeader, LeaseHeader, require_lease
+from server.api.problems import problem_response
 from server.api.state_view import job_view
 from server.api.views import EVENT_STREAM, JobView, Problem
 from server.errors import ServerError
@@ -32,7 +32,7 @@ def stop_line_router(service: JobService, commands: JobCommands) -> APIRouter:
 
     @router.websocket("/stop")
     async def line(socket: WebSocket) -> None:
-        if not await accepted(socket):
+        if not await accept_socket(socket):
             return
         with contextlib.suppress(WebSocketDisconnect):
             while (await socket.receive())["type"] != "websocket.disconnect":
@@ -70,7 +70,7 @@ def jobs_router(service: JobService) -> APIRouter:
     router = APIRouter(prefix="/v1", tags=["jobs"])
     refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (400, 403, 409, 422, 503)}
     cancelled: dict[int | str, dict[str, Any]] = {404: {"model": Problem}, 409: {"model": Problem}}
-    control, commands = leased(service.engine.leases), JobCommands(service)
+    control, commands = require_lease(service.engine.leases), JobCommands(service)
 
     router.include_router(stop_line_router(service, commands))
 
@@ -84,7 +84,7 @@ def jobs_router(service: JobService) -> APIRouter:
         longreach_expires: ExpiresHeader = 0.0,
     ) -> Response:
         """Start a job; 202 with its Location, 409 when another one runs or a plan is refused."""
-        sent = Sent(
+        sent = CommandHeaders(
             caller=caller_of(request),
             request_id=request_id_of(request),
             key=idempotency_key or "",
@@ -124,7 +124,9 @@ def jobs_router(service: JobService) -> APIRouter:
         if job is None:
             return _unknown(job_id)
         if job.ended:
-            return problem(409, "Job has ended", f"job {job_id} is {job.state.value}", "job_ended", "nothing to do")
+            return problem_response(
+                409, "Job has ended", f"job {job_id} is {job.state.value}", "job_ended", "nothing to do"
+            )
         commands.cancel(job, caller_of(request), request_id_of(request))
         return JSONResponse(job_view(job).model_dump(mode="json"), status_code=202)
 
@@ -165,4 +167,4 @@ async def _story(job: Job, seen: int) -> AsyncIterator[str]:
 
 
 def _unknown(job_id: str) -> JSONResponse:
-    return problem(404, "Unknown job", f"no job {job_id[:32]!r} among the last 200", "unknown_job")
+    return problem_response(404, "Unknown job", f"no job {job_id[:32]!r} among the last 200", "unknown_job")

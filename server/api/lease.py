@@ -219,7 +219,7 @@ def lease_router(desk: LeaseDesk, keeper: Keeper | None = None) -> APIRouter:
     return router
 
 
-def leased(desk: LeaseDesk) -> Callable[..., Lease]:
+def require_lease(desk: LeaseDesk) -> Callable[..., Lease]:
     """Dependency of every route that can move or arm: the lease that the request's headers name.
 
     Raises: NoLeaseError, LeaseLostError, LeaseStaleError.

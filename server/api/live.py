@@ -7,7 +7,7 @@ import logging
 
 from fastapi import APIRouter, WebSocket
 
-from server.api.callers import accepted
+from server.api.callers import accept_socket
 from server.api.panel_memory import PanelMemory
 
 log = logging.getLogger(__name__)
@@ -59,7 +59,7 @@ def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
 
     @router.websocket("/v1/live")
     async def live(socket: WebSocket) -> None:
-        if not await accepted(socket):
+        if not await accept_socket(socket):
             return
         memory.viewers += 1
         room = asyncio.Semaphore(UNDER_WAY_MAX)

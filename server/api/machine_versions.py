@@ -8,8 +8,8 @@ from fastapi import Path as InPath
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 from pydantic import Field
 
-from server.api.lease import leased
-from server.api.problems import problem
+from server.api.lease import require_lease
+from server.api.problems import problem_response
 from server.api.views import Problem, Strict, View
 from server.compensation.compensation import CompensationError
 from server.compensation.versions import FoundEffect, MachineVersion
@@ -83,7 +83,7 @@ class VersionsView(View):
 def machine_router(service: JobService) -> APIRouter:
     """Routes under /v1/machine."""
     router = APIRouter(prefix="/v1/machine", tags=["machine"])
-    control = leased(service.engine.leases)
+    control = require_lease(service.engine.leases)
 
     @router.get("/versions", response_model=VersionsView)
     async def list_versions() -> VersionsView:
@@ -95,12 +95,12 @@ def machine_router(service: JobService) -> APIRouter:
         """Save the effects found by a finished diagnosis, confirmed and likely, as a version, without using it."""
         one = service.diagnoses.find(body.diagnosis_id)
         if one is None:
-            return problem(404, "Unknown diagnosis", f"no diagnosis {body.diagnosis_id}", "unknown_diagnosis")
+            return problem_response(404, "Unknown diagnosis", f"no diagnosis {body.diagnosis_id}", "unknown_diagnosis")
         try:
             answer = await asyncio.to_thread(service.diagnoses.result, one)
             version = await asyncio.to_thread(service.versions.make, answer, one.diagnosis_id)
         except (ServerError, CompensationError) as error:
-            return problem(409, "No version", str(error), "no_version", "see GET /v1/diagnoses")
+            return problem_response(409, "No version", str(error), "no_version", "see GET /v1/diagnoses")
         return JSONResponse(_view(version).model_dump(mode="json"), status_code=201)
 
     @router.put("/in-use", response_model=VersionsView, dependencies=[Depends(control)], responses=REFUSED)
@@ -109,7 +109,9 @@ def machine_router(service: JobService) -> APIRouter:
         try:
             await service.use_version(body.version_id, None if body.on is None else tuple(body.on))
         except CompensationError as error:
-            return problem(409, "Version not used", str(error), "version_refused", "see GET /v1/machine/versions")
+            return problem_response(
+                409, "Version not used", str(error), "version_refused", "see GET /v1/machine/versions"
+            )
         return await asyncio.to_thread(_versions, service)
 
     @router.get(
@@ -122,7 +124,7 @@ def machine_router(service: JobService) -> APIRouter:
         """The machine file with the version's effects, for `longreach sim --machine` and `longreach compare`."""
         version = await asyncio.to_thread(service.versions.find, version_id)
         if version is None:
-            return problem(404, "Unknown version", f"no version {version_id}", "unknown_version")
+            return problem_response(404, "Unknown version", f"no version {version_id}", "unknown_version")
         text = await asyncio.to_thread(service.versions.machine_file, version)
         name = f"{version.machine}-{version.version_id}.toml"
         headers = {"Content-Disposition": f'attachment; filename="{name}"'}

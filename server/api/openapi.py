@@ -6,7 +6,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from server.access.roles import ANYBODY, Role, needed
+from server.access.roles import ANYBODY, Role, roles_needed
 from server.api.examples import with_examples
 
 PROBLEM = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
@@ -30,7 +30,7 @@ def install_openapi(app: FastAPI) -> None:
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
             made = get_openapi(title=app.title, version=app.version, routes=app.routes, description=ABOUT)
-            app.openapi_schema = completed(made)
+            app.openapi_schema = complete_openapi(made)
         return app.openapi_schema
 
     app.openapi = document  # type: ignore[method-assign]
@@ -65,7 +65,7 @@ LINKS: dict[tuple[str, str], tuple[dict[str, str], tuple[str, ...]]] = {
 }
 
 
-def completed(document: dict[str, Any]) -> dict[str, Any]:
+def complete_openapi(document: dict[str, Any]) -> dict[str, Any]:
     """The document with what the guard adds."""
     document["components"]["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer", "description": KEY_HEADER}}
     for name in ("HTTPValidationError", "ValidationError"):
@@ -129,7 +129,7 @@ def _complete(operation: dict[str, Any], method: str, path: str) -> None:
         described = str(response.get("content", ""))
         if status >= "400" and (not described or "schemas/Problem" in described):
             response["content"] = PROBLEM
-    roles = needed(method, path)
+    roles = roles_needed(method, path)
     if roles != ANYBODY:
         operation["security"] = [{"key": []}]
         wanted = ", ".join(role.value for role in Role if role in roles)

@@ -14,14 +14,14 @@ from pydantic import Field
 from machine.field_units import unit_of
 from server.access.lease import Lease
 from server.api.hold import hold_router
-from server.api.lease import leased
+from server.api.lease import require_lease
 from server.api.live import LiveFeed, live_router
 from server.api.panel_alarm_catalogue import CATALOGUE, AlarmKind
 from server.api.panel_memory import PanelMemory
 from server.api.panel_recordings import recordings_router
 from server.api.panel_scene import SceneFeed, scene_router
 from server.api.panel_view import GoalView
-from server.api.problems import problem
+from server.api.problems import problem_response
 from server.api.video import video_router
 from server.api.views import Problem, Strict, View
 from server.errors import BusyError
@@ -76,7 +76,7 @@ class SettingRow(View):
 def panel_router(service: JobService, memory: PanelMemory) -> APIRouter:
     """Routes /v1/goal, /v1/accept, /v1/alarms, /v1/settings and /help."""
     router = APIRouter(tags=["panel"])
-    control = leased(service.engine.leases)
+    control = require_lease(service.engine.leases)
     refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (403, 404, 409, 422)}
 
     @router.put("/v1/goal", response_model=GoalView, responses=refused, dependencies=[Depends(control)])
@@ -90,13 +90,15 @@ def panel_router(service: JobService, memory: PanelMemory) -> APIRouter:
     async def accept_tool(lease: Annotated[Lease, Depends(control)]) -> JSONResponse | None:
         """Accept the last look as the result."""
         reason = memory.accept(lease.owner)
-        return problem(409, "Not accepted", reason, "not_acceptable") if reason else None
+        return problem_response(409, "Not accepted", reason, "not_acceptable") if reason else None
 
     @router.post("/v1/alarms/{code}/acknowledge", status_code=204, response_model=None, responses=refused)
     async def acknowledge(code: str, lease: Annotated[Lease, Depends(control)]) -> JSONResponse | None:
         """Acknowledge an alarm; this never starts a motion."""
         found = memory.book.acknowledge(code, lease.owner)
-        return None if found else problem(404, "No such alarm", f"no alarm {code[:40]!r} is on", "no_such_alarm")
+        return (
+            None if found else problem_response(404, "No such alarm", f"no alarm {code[:40]!r} is on", "no_such_alarm")
+        )
 
     @router.get("/v1/settings", response_model=list[SettingRow])
     async def list_settings() -> list[SettingRow]:
@@ -107,7 +109,7 @@ def panel_router(service: JobService, memory: PanelMemory) -> APIRouter:
     async def help_page(code: str) -> HTMLResponse | JSONResponse:
         kind = CATALOGUE.get(code)
         if kind is None:
-            return problem(404, "No such page", f"there is no alarm {code[:40]!r}", "no_such_alarm")
+            return problem_response(404, "No such page", f"there is no alarm {code[:40]!r}", "no_such_alarm")
         return HTMLResponse(_page(kind), headers={"Content-Security-Policy": HELP_CSP})
 
     return router

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from protocol.codes import FaultBit
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.api.views import StateView
-from server.disk_space import shortage
+from server.disk_space import disk_shortage
 
 LOSS_MAX_PCT = 5.0
 UNFIT_AFTER_S = 0.5
@@ -121,7 +121,7 @@ def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
         | _camera(state, around)
         | ({"link_lossy": f"{around.loss_pct:.1f} % lost"} if around.loss_pct > LOSS_MAX_PCT else {})
         | ({"recording_failed": around.recorder_problem} if around.recorder_problem else {})
-        | ({"disk_low": low} if (low := shortage(around.disk_free_bytes)) else {})
+        | ({"disk_low": low} if (low := disk_shortage(around.disk_free_bytes)) else {})
         | ({"scene_ended": around.scene_problem} if around.scene_problem else {})
         | _calibration(state)
         | _mode(state, around)

@@ -30,7 +30,7 @@ from server.api.views import StateView
 from server.jobs.engine import Job, JobEvent, JobState
 from server.jobs.hold import SILENCE_NS
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.positioning import inside
+from server.jobs.plans.positioning import is_look_inside_tolerance
 from server.jobs.plans.unmoved import MOVED_RAD
 from server.jobs.service import JobService
 
@@ -153,7 +153,7 @@ class PanelMemory:
             status=taken.record.status,
             reason=taken.record.reason,
             error=error_view(taken.error),
-            inside=taken.error is not None and inside(self.service.context, taken),
+            inside=taken.error is not None and is_look_inside_tolerance(self.service.context, taken),
         )
         if again and self.history:  # the same look against another goal
             self.history[-1] = entry.model_copy(update={"after": self.history[-1].after})

@@ -10,7 +10,7 @@ from pathlib import Path
 from fastapi import APIRouter
 from fastapi.responses import FileResponse, JSONResponse, Response
 
-from server.api.problems import problem
+from server.api.problems import problem_response
 from server.api.runs import GrowingFile, run_path
 from server.api.views import View
 from server.jobs.service import JobService
@@ -74,7 +74,9 @@ def recordings_router(service: JobService) -> APIRouter:
             if (opened.name, opened.version) != (name, version):
                 code, out, error = await _read(path)
                 if code != 0:
-                    return problem(409, "Not readable", error or f"reading ended with code {code}", "unreadable")
+                    return problem_response(
+                        409, "Not readable", error or f"reading ended with code {code}", "unreadable"
+                    )
                 (size,) = struct.unpack_from("<I", out)
                 opened.name, opened.version = name, version
                 opened.replay, opened.pictures = out[4 : 4 + size], out[4 + size :]
@@ -84,7 +86,7 @@ def recordings_router(service: JobService) -> APIRouter:
     async def recording_picture(name: str, start: int, end: int) -> Response:
         """An image of the run whose replay was opened last."""
         if opened.name != name or not 0 <= start < end <= len(opened.pictures):
-            return problem(404, "Not opened", "open the replay of the run first", "not_opened")
+            return problem_response(404, "Not opened", "open the replay of the run first", "not_opened")
         return Response(opened.pictures[start:end], media_type="image/jpeg")
 
     return router
@@ -122,4 +124,4 @@ def _path(folder: Path, name: str) -> Path | None:
 
 
 def _unknown(name: str) -> JSONResponse:
-    return problem(404, "Unknown recording", f"there is no recording {name[:80]!r}", "unknown_recording")
+    return problem_response(404, "Unknown recording", f"there is no recording {name[:80]!r}", "unknown_recording")

@@ -208,10 +208,10 @@ async def _proxy_page(client: httpx.AsyncClient, port: int, path: str) -> Respon
     except httpx.TransportError:
         return Response("the 3D view does not answer; everything else works", status_code=503)
     kept = {name: value for name, value in answer.headers.items() if name.lower() in ("content-type", "etag")}
-    return Response(embedded(answer.content), answer.status_code, headers=kept | VIEW_HEADERS)
+    return Response(embedded_scene_page(answer.content), answer.status_code, headers=kept | VIEW_HEADERS)
 
 
-def embedded(page: bytes) -> bytes:
+def embedded_scene_page(page: bytes) -> bytes:
     """Viser's page as it is shown in ours: Esc stops there, too; its notices and its empty panel do not cover it."""
     return page.replace(b"</head>", EMBEDDED + b"</head>", 1)
 

@@ -25,7 +25,7 @@ HINTS = {
 }
 
 
-def problem(
+def problem_response(
     status: int, title: str, detail: str, code: str, hint: str = "", references: dict[str, str] | None = None
 ) -> JSONResponse:
     """One problem+json answer."""
@@ -35,7 +35,7 @@ def problem(
 
 def problem_of(error: ServerError) -> JSONResponse:
     """The answer to one of our own errors."""
-    return problem(status_of(error), title_of(error), str(error), error.code, error.hint, error.references)
+    return problem_response(status_of(error), title_of(error), str(error), error.code, error.hint, error.references)
 
 
 def status_of(error: ServerError) -> int:
@@ -62,13 +62,13 @@ def install_problem_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(LinkError)
     async def link_error(_request: Request, error: LinkError) -> JSONResponse:
-        return problem(503, "PLC link", str(error), "link", "check the PLC, its cable and the [plc] settings")
+        return problem_response(503, "PLC link", str(error), "link", "check the PLC, its cable and the [plc] settings")
 
     @app.exception_handler(HTTPException)
     async def refused(request: Request, error: HTTPException) -> JSONResponse:
         status = error.status_code
         code, hint = HTTP_CODES.get(status, "http_error"), HINTS.get(status, "")
-        answer = problem(status, "Refused", str(error.detail), code, hint)
+        answer = problem_response(status, "Refused", str(error.detail), code, hint)
         for name, value in (error.headers or {}).items():
             answer.headers[name] = value
         if status == 405 and (methods := _methods_of(app, request.scope["path"])):
@@ -80,18 +80,18 @@ def install_problem_handlers(app: FastAPI) -> None:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         if first["type"] == "json_invalid":
-            return problem(400, "Unreadable body", f"{where}: {first['msg']}", HTTP_CODES[400], HINTS[400])
+            return problem_response(400, "Unreadable body", f"{where}: {first['msg']}", HTTP_CODES[400], HINTS[400])
         hint = "see /v1/openapi.json for the request's fields"
         detail = first["msg"]
         if first["type"] == "union_tag_invalid":  # pydantic's words hold what was sent; nothing that was sent is echoed
             detail = f"'kind' must be one of {first['ctx']['expected_tags']}"
         detail += _number_sent(first.get("input"))
-        return problem(422, "Invalid request", f"{where}: {detail}"[:500], "invalid_request", hint)
+        return problem_response(422, "Invalid request", f"{where}: {detail}"[:500], "invalid_request", hint)
 
     @app.exception_handler(Exception)
     async def defect(request: Request, error: Exception) -> JSONResponse:
         log.error("defect at %s %s", request.method, request.scope.get("route", ""), exc_info=error)
-        return problem(500, "Defect", "internal error; see the server's log", "internal", "report it, please")
+        return problem_response(500, "Defect", "internal error; see the server's log", "internal", "report it, please")
 
 
 def _number_sent(value: object) -> str:

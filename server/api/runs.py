@@ -10,7 +10,7 @@ from fastapi import Path as InPath
 from fastapi.responses import FileResponse, JSONResponse
 from starlette.types import Message, Receive, Scope, Send
 
-from server.api.problems import problem
+from server.api.problems import problem_response
 from server.api.views import Problem, View
 
 # Recordings on disk, found by id; an id never leaves the folder.
@@ -48,7 +48,7 @@ def run_path(folder: Path, run_id: str) -> Path | None:
     return path if path.is_file() and not path.is_symlink() else None
 
 
-def inside(folder: Path, relative: str) -> Path | None:
+def path_inside(folder: Path, relative: str) -> Path | None:
     """What lies at a relative path inside the folder, links resolved; None when it is not there or outside."""
     if "\x00" in relative:
         return None
@@ -104,7 +104,9 @@ def runs_router(folder: Path) -> APIRouter:
         """
         path = await asyncio.to_thread(run_path, folder, run_id)
         if path is None:
-            return problem(404, "Unknown run", f"no recording {run_id[:64]!r}", "unknown_run", "see GET /v1/runs")
+            return problem_response(
+                404, "Unknown run", f"no recording {run_id[:64]!r}", "unknown_run", "see GET /v1/runs"
+            )
         return GrowingFile(path, media_type="application/octet-stream", filename=path.name)
 
     return router

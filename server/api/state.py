@@ -9,7 +9,7 @@ from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
 from recording.clock import mono_s
-from server.api.problems import problem
+from server.api.problems import problem_response
 from server.api.state_view import CAMERA_SILENT_MS, state_view
 from server.api.views import Problem, StateView, View
 from server.camera.client import STARTING
@@ -95,7 +95,7 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
         """The newest camera image, left eye."""
         preview = service.cell.vision.latest_preview
         if preview is None:
-            return problem(503, "No picture", "no image yet", "no_picture", "check the camera")
+            return problem_response(503, "No picture", "no image yet", "no_picture", "check the camera")
         return Response(preview[0], media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
     @router.get("/healthz", response_model=HealthView)

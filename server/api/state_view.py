@@ -26,7 +26,7 @@ from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
 from server.jobs.engine import Job, JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
-from server.jobs.plans.assurance import accuracy_text, fits
+from server.jobs.plans.assurance import accuracy_text, is_inside_tolerance
 from server.jobs.plans.looking import error_in_mm
 from server.jobs.plans.returning import why_no_park
 from server.jobs.plans.seeing import common_of, corrected_poses
@@ -90,7 +90,7 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext, store_problem: s
         stand_off_mm=goal.stand_off_mm,
         control=control_view(engine.leases),
         compensation=_compensation(ctx),
-        steps=steps(cell, engine, store_problem),
+        steps=step_refusals(cell, engine, store_problem),
     )
 
 
@@ -99,7 +99,7 @@ def _compensation(ctx: PlanContext) -> CompensationView:
     return CompensationView() if known is None else CompensationView(active=True, effects=list(known.sorted.lines()))
 
 
-def steps(cell: Cell, engine: JobEngine, store_problem: str = "") -> dict[str, str]:
+def step_refusals(cell: Cell, engine: JobEngine, store_problem: str = "") -> dict[str, str]:
     """For each step the reason why it is not possible now; empty when it is."""
     common = _blocked(cell, engine) or (f"the database cannot be written: {store_problem}" if store_problem else "")
     look = cell.knowledge.last_look
@@ -250,7 +250,7 @@ def plan_view(previewed: PreviewedPlan, ctx: PlanContext | None = None) -> PlanV
 
 def _caution(previewed: PreviewedPlan, ctx: PlanContext | None) -> str:
     """What the operator should know before Execute: an error that will not be known well enough."""
-    if ctx is None or fits(ctx, previewed.predicted_sigma_mm):
+    if ctx is None or is_inside_tolerance(ctx, previewed.predicted_sigma_mm):
         return ""
     return f"{accuracy_text(ctx, previewed.predicted_sigma_mm)}; {previewed.largest_source}"
 

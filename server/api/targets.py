@@ -11,8 +11,8 @@ from pydantic import Field
 from machine.camera import project
 from machine.description import StereoCamera
 from machine.poses import transform_points
-from server.api.lease import leased
-from server.api.problems import problem
+from server.api.lease import require_lease
+from server.api.problems import problem_response
 from server.api.views import Problem, Strict, View
 from server.camera.contracts import MarksFound
 from server.jobs.plans.reach import ReachPreview
@@ -66,7 +66,7 @@ def taught_object_router(service: JobService, choice: TargetChoice) -> APIRouter
     cell = service.cell
     folder = FolderPath(cell.settings.recording.folder) / "objects"
     teaching = Teaching(cell.vision, choice, cell.machine.camera, folder)
-    control = Depends(leased(service.engine.leases))
+    control = Depends(require_lease(service.engine.leases))
 
     def view() -> ObjectsView:
         return ObjectsView(
@@ -205,7 +205,7 @@ def target_router(service: JobService) -> APIRouter:
         lambda image, found: reach_in_image(cell, service.context, image, found),
     )
     router.include_router(taught_object_router(service, choice))
-    control = Depends(leased(service.engine.leases))
+    control = Depends(require_lease(service.engine.leases))
     refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (403, 409, 422, 503)}
 
     def view() -> TargetView:
@@ -229,7 +229,7 @@ def target_router(service: JobService) -> APIRouter:
         reports = reversed(cell.vision.reports_since(0))
         shown = next((report for report in reports if report.preview_jpeg is not None), None)
         if shown is None or shown.preview_jpeg is None:
-            return problem(404, "No image", "no image has come yet; check the camera", "no_image")
+            return problem_response(404, "No image", "no image has come yet; check the camera", "no_image")
         scale = shown.preview_width_px / cell.machine.camera.width_px
         headers = {"Longreach-Image": str(shown.sequence), "Longreach-Scale": f"{scale:.6f}"}
         return Response(shown.preview_jpeg, media_type="image/jpeg", headers=headers)

@@ -16,7 +16,7 @@ from machine.camera import project
 from machine.description import StereoCamera
 from machine.rotations import Array
 from recording.clock import mono_ns
-from server.api.callers import accepted
+from server.api.callers import accept_socket
 from server.api.views import View
 from server.camera.contracts import FrameReport
 from server.jobs.cell import Cell
@@ -162,7 +162,7 @@ def video_router(service: JobService) -> APIRouter:
 
     @router.websocket("/v1/video")
     async def video(socket: WebSocket) -> None:
-        if not await accepted(socket):
+        if not await accept_socket(socket):
             return
         hub.viewers += 1
         try:

@@ -104,7 +104,7 @@ class LookView(View):
 
 
 class CalibrationView(View):
-    """The local calibration."""
+    """The calibration made where the machine works now: the camera mount's rotation, its status and quality."""
 
     method: str
     status: str

@@ -6,12 +6,12 @@ import numpy as np
 import yaml
 
 from machine.rotations import quat_wxyz_from_rotation
-from server.calibration.calibration_life import LocalCalibration, Validity, observability_text
+from server.calibration.calibration_life import CalibrationValidity, LocalCalibration, observability_text
 
 PARENT, CHILD = "tcp", "cam_left"
 
 
-def as_yaml(calibration: LocalCalibration, validity: Validity) -> str:
+def as_yaml(calibration: LocalCalibration, validity: CalibrationValidity) -> str:
     """Everything that a person or a program may ask of it, units in the names."""
     made, limits = calibration.made, calibration.expiry
     translation, quat_wxyz = _mount(calibration)
@@ -49,7 +49,7 @@ def as_yaml(calibration: LocalCalibration, validity: Validity) -> str:
     return yaml.safe_dump(body, sort_keys=False, allow_unicode=True)
 
 
-def as_ros(calibration: LocalCalibration, validity: Validity) -> str:
+def as_ros(calibration: LocalCalibration, validity: CalibrationValidity) -> str:
     """The mount as geometry_msgs/TransformStamped in YAML, with the command that publishes it as a comment."""
     (x, y, z), (w, i, j, k) = _mount(calibration)
     t_s = calibration.made.t_unix_s

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from server.calibration.calibration_life import Expiry, LocalCalibration, LocalMap, MadeAt
+from server.calibration.calibration_life import CalibrationExpiry, LocalCalibration, LocalMap, MadeAt
 from server.calibration.checks import CalibrationInputError, require_covariance, require_pose, require_rotation
 from server.calibration.contracts import Array, CameraTrack
 from server.calibration.joint_observations import JointTrack, OdometryRun
@@ -205,7 +205,7 @@ def _read(file: _File) -> SavedCalibration:
         made=MadeAt(made.t_unix_s, np.array(made.q_rad), _pose(made.T_base_tcp, "T_base_tcp"), made.oil_temperature_c),
         tool=None if tool is None else _tool(tool),
         local_map=None if found is None else _map(found),
-        expiry=Expiry(**file.expiry.model_dump()),
+        expiry=CalibrationExpiry(**file.expiry.model_dump()),
     )
     return SavedCalibration(calibration, tuple(_run(run) for run in file.runs))
 

@@ -28,7 +28,7 @@ class ValidityStatus(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Validity:
+class CalibrationValidity:
     """A status and, unless it is VALID, the reason: subject, value, limit, remedy."""
 
     status: ValidityStatus
@@ -41,7 +41,7 @@ class Validity:
 
 
 @dataclass(frozen=True, slots=True)
-class Expiry:
+class CalibrationExpiry:
     """Around what and how long a calibration holds.
 
     The map from joints to tool is a local one: sag, play and joint zeros bend it with the posture. One metre takes in
@@ -105,7 +105,7 @@ class LocalCalibration:
     made: MadeAt
     tool: ToolSeen | None = None
     local_map: LocalMap | None = None
-    expiry: Expiry = field(default_factory=Expiry)
+    expiry: CalibrationExpiry = field(default_factory=CalibrationExpiry)
     slip: str = ""
     shift: str = ""
 
@@ -121,7 +121,7 @@ class LocalCalibration:
 
     def valid_at(
         self, t_unix_s: float, q: Array, T_base_tcp: Array, oil_temperature_c: float | None = None
-    ) -> Validity:
+    ) -> CalibrationValidity:
         """Whether it may be used now, with the machine there.
 
         Args:    q: encoders (n,) [rad]. T_base_tcp: nominal pose there (4, 4). oil_temperature_c: None where not known.
@@ -131,39 +131,43 @@ class LocalCalibration:
             or self._aged(t_unix_s)
             or self._moved(q, T_base_tcp)
             or self._warmed(oil_temperature_c)
-            or Validity(ValidityStatus.VALID)
+            or CalibrationValidity(ValidityStatus.VALID)
         )
 
-    def _slipped(self) -> Validity | None:
+    def _slipped(self) -> CalibrationValidity | None:
         if self.slip:
-            return Validity(ValidityStatus.SLIPPED, self.slip)
-        return Validity(ValidityStatus.SHIFTED, self.shift) if self.shift else None
+            return CalibrationValidity(ValidityStatus.SLIPPED, self.slip)
+        return CalibrationValidity(ValidityStatus.SHIFTED, self.shift) if self.shift else None
 
-    def _aged(self, t_unix_s: float) -> Validity | None:
+    def _aged(self, t_unix_s: float) -> CalibrationValidity | None:
         age_s, limit_s = t_unix_s - self.made.t_unix_s, self.expiry.age_max_s
         if age_s < -CLOCK_BACK_S:
             text = f"the calibration is from {-age_s / 60.0:.0f} min in the future: the clock was set back; calibrate"
-            return Validity(ValidityStatus.CLOCK, text)
+            return CalibrationValidity(ValidityStatus.CLOCK, text)
         if age_s > limit_s:
             text = f"the calibration is {age_s / 3600.0:.1f} h old (limit {limit_s / 3600.0:.1f} h); calibrate"
-            return Validity(ValidityStatus.TOO_OLD, text)
+            return CalibrationValidity(ValidityStatus.TOO_OLD, text)
         return None
 
-    def _moved(self, q: Array, T_base_tcp: Array) -> Validity | None:
+    def _moved(self, q: Array, T_base_tcp: Array) -> CalibrationValidity | None:
         far_m = float(np.linalg.norm(T_base_tcp[:3, 3] - self.made.T_base_tcp[:3, 3]))
         turn_rad = geodesic_angle(self.made.T_base_tcp[:3, :3], T_base_tcp[:3, :3])
         joint_rad = float(np.abs(q - self.made.q).max())
         limits = self.expiry
         if far_m > limits.radius_m:
             text = f"the tool is {far_m:.2f} m from where it was calibrated (limit {limits.radius_m:.2f} m)"
-            return Validity(ValidityStatus.TOO_FAR, f"{text}; calibrate here")
+            return CalibrationValidity(ValidityStatus.TOO_FAR, f"{text}; calibrate here")
         if turn_rad > limits.turn_rad:
-            return Validity(ValidityStatus.TURNED, _angle_text("the tool has turned", turn_rad, limits.turn_rad))
+            return CalibrationValidity(
+                ValidityStatus.TURNED, _angle_text("the tool has turned", turn_rad, limits.turn_rad)
+            )
         if joint_rad > limits.joint_rad:
-            return Validity(ValidityStatus.POSTURE, _angle_text("a joint has turned", joint_rad, limits.joint_rad))
+            return CalibrationValidity(
+                ValidityStatus.POSTURE, _angle_text("a joint has turned", joint_rad, limits.joint_rad)
+            )
         return None
 
-    def _warmed(self, oil_temperature_c: float | None) -> Validity | None:
+    def _warmed(self, oil_temperature_c: float | None) -> CalibrationValidity | None:
         before = self.made.oil_temperature_c
         if before is None or oil_temperature_c is None:
             return None
@@ -173,7 +177,7 @@ class LocalCalibration:
         text = (
             f"the oil is {change_k:+.0f} K from the calibration's (limit {self.expiry.temperature_k:.0f} K); calibrate"
         )
-        return Validity(ValidityStatus.TEMPERATURE, text)
+        return CalibrationValidity(ValidityStatus.TEMPERATURE, text)
 
 
 def _angle_text(what: str, angle_rad: float, limit_rad: float) -> str:

@@ -13,7 +13,7 @@ from server.calibration.hand_eye_fit import (
     HandTrack,
     Indices,
     PoseModel,
-    Refined,
+    RefinedHandEye,
     WeightedModel,
     inverse_poses,
     motions_between,
@@ -66,7 +66,7 @@ class HandEyeEstimate:
     time_offset_sigma_s: float = 0.0
 
 
-def refused(status: CalibrationStatus, reason: str, n: int = 0, spread: float = 0.0) -> HandEyeEstimate:
+def refused_hand_eye(status: CalibrationStatus, reason: str, n: int = 0, spread: float = 0.0) -> HandEyeEstimate:
     """An estimate without a pose."""
     nan = float("nan")
     return HandEyeEstimate(status, reason, None, None, None, nan, nan, n, spread)
@@ -157,11 +157,13 @@ def _pairs(As: Array, Bs: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
 def _refusal(n: int, n_min: int, spread: float, settings: HandEyeSettings) -> HandEyeEstimate | None:
     if n < n_min:
         text = f"{n} usable pairs, at least {n_min} are needed; record more poses"
-        return refused(CalibrationStatus.TOO_FEW, text, n)
+        return refused_hand_eye(CalibrationStatus.TOO_FEW, text, n)
     if not spread >= settings.axis_spread_min_rad:
         found, limit = np.rad2deg([spread, settings.axis_spread_min_rad])
         text = f"all rotations are about one axis (second axis {found:.2f} deg rms, limit {limit:.1f} deg)"
-        return refused(CalibrationStatus.DEGENERATE, f"{text}; turn the hand about two different axes", n, spread)
+        return refused_hand_eye(
+            CalibrationStatus.DEGENERATE, f"{text}; turn the hand about two different axes", n, spread
+        )
     return None
 
 
@@ -170,7 +172,7 @@ def _median_norm(vectors: Array) -> float:
 
 
 def _judged(
-    found: Refined, sizes: tuple[float, float], spread: float, settings: HandEyeSettings, free_offset: bool
+    found: RefinedHandEye, sizes: tuple[float, float], spread: float, settings: HandEyeSettings, free_offset: bool
 ) -> HandEyeEstimate:
     """The result, or why it may not be used."""
     n = int(np.sum(found.weights > 0.25))
@@ -194,7 +196,7 @@ def _judged(
     ):
         if not value <= limit:
             reason = f"{text} {value:.2f}, limit {limit:.2f}; turn more, about two axes, and check both streams"
-            return refused(CalibrationStatus.POOR_FIT, reason, n, spread)
+            return refused_hand_eye(CalibrationStatus.POOR_FIT, reason, n, spread)
     return HandEyeEstimate(
         status=CalibrationStatus.OK,
         reason="",
@@ -234,20 +236,22 @@ def estimate_hand_eye(
     require_track_shape(t_cam_s, Ts_cam_target, "camera track")
     wrong = time_refusal(t_hand_s, "hand track") or time_refusal(t_cam_s, "camera track")
     if wrong is not None:
-        return refused(wrong.status, wrong.reason)
+        return refused_hand_eye(wrong.status, wrong.reason)
     good_hand, good_cam = usable_poses(np.asarray(Ts_base_hand)), usable_poses(np.asarray(Ts_cam_target))
     hand = HandPoses(t_hand_s[good_hand], Ts_base_hand[good_hand], settings.gap_max_s)
     good_cam &= hand.covers(t_cam_s, settings.offset_bound_s + 0.01)
     t_cam, Ts_cam = t_cam_s[good_cam], Ts_cam_target[good_cam]
     if len(t_cam) < _SAMPLES_MIN:
         counts = f"{len(t_cam)} camera poses lie within the hand's track, at least {_SAMPLES_MIN} are needed"
-        return refused(CalibrationStatus.TOO_FEW, f"{counts}; record both streams", len(t_cam))
+        return refused_hand_eye(CalibrationStatus.TOO_FEW, f"{counts}; record both streams", len(t_cam))
     start_s = _coarse_offset(hand, t_cam, Ts_cam, settings)
     track = inverse_poses(Ts_cam)
     found = _solve_poses(lambda offset_s: hand.at(t_cam + offset_s), track, start_s, True, settings)
     if found.X is not None and abs(found.time_offset_s) >= settings.offset_bound_s:
         text = f"time offset {1e3 * found.time_offset_s:.0f} ms, bound {1e3 * settings.offset_bound_s:.0f} ms"
-        return refused(CalibrationStatus.POOR_FIT, f"{text}; check the clocks", found.n_used, found.axis_spread_rad)
+        return refused_hand_eye(
+            CalibrationStatus.POOR_FIT, f"{text}; check the clocks", found.n_used, found.axis_spread_rad
+        )
     text = f"time offset {1e3 * found.time_offset_s:.1f} ms, sigma {1e3 * found.time_offset_sigma_s:.1f} ms"
     return found if found.X is None else replace(found, reason=text)
 

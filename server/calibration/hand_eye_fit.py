@@ -170,7 +170,7 @@ _SHAPE_ROUNDS = 15
 
 
 @dataclass(frozen=True, slots=True)
-class Refined:
+class RefinedHandEye:
     """The refined unknowns, covariance (p, p), residuals (n, 6), weights (n,), and whether it settled."""
 
     unknowns: HandEyeUnknowns
@@ -180,7 +180,9 @@ class Refined:
     settled: bool
 
 
-def refine(model: PoseModel | WeightedModel, start: HandEyeUnknowns, freedom: float, iterations_max: int) -> Refined:
+def refine(
+    model: PoseModel | WeightedModel, start: HandEyeUnknowns, freedom: float, iterations_max: int
+) -> RefinedHandEye:
     """Unknowns of the largest likelihood under Student's t of the residuals, its 6x6 shape estimated from them.
 
     Model:   w = (nu + 6) / (nu + r^T S^-1 r); S = sum w r r^T / n; (sum w J^T S^-1 J) d = -sum w J^T S^-1 r, damped
@@ -211,7 +213,7 @@ def refine(model: PoseModel | WeightedModel, start: HandEyeUnknowns, freedom: fl
             if damping > 1e8:
                 break
     weights = (freedom + 6.0) / (freedom + _squares(residuals, S))
-    return Refined(at, _covariance(residuals, J, S, weights, freedom), residuals, weights, settled)
+    return RefinedHandEye(at, _covariance(residuals, J, S, weights, freedom), residuals, weights, settled)
 
 
 def _first_shape(residuals: Array) -> Array:

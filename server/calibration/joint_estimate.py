@@ -32,10 +32,10 @@ from server.calibration.joint_observations import (
     look_residual,
     run_covariance,
     run_residuals,
-    thinned,
+    thin_samples,
 )
 from server.calibration.joint_state import JointState, state_steps
-from server.calibration.joint_verdict import SEEING_FREEDOMS, Fitted, verdict, widened
+from server.calibration.joint_verdict import SEEING_FREEDOMS, FitResiduals, covariance_widened_by_misfit, fit_verdict
 from server.calibration.kinematic_errors import ErrorModel, ErrorPrior, error_model
 from server.calibration.lens_evidence import LensEvidence, mean_evidence
 
@@ -123,7 +123,7 @@ def estimate_jointly(
     refusal = _broken(runs, looks, model)
     if refusal:
         return _refused(model, *refusal, 0.0)
-    thin = [(run, thinned(run, accuracy)) for run in runs if len(run.camera.t_s) >= 3]
+    thin = [(run, thin_samples(run, accuracy)) for run in runs if len(run.camera.t_s) >= 3]
     usable = [(run, samples) for run, samples in thin if len(samples.t_s) >= 3]  # of a camera that stood one is left
     length = float(sum(samples.length_m[-1] for _, samples in usable))
     if runs and length < PATH_MIN_M:
@@ -317,14 +317,14 @@ def _judged(problem: _Problem, state: JointState, information: Array, length_m: 
     runs, _ = _residuals(problem, state)
     distances = np.concatenate([np.linalg.norm(position, axis=1) for position, _ in runs]) if runs else np.zeros(1)
     left = np.trace(covariance[problem.mount, problem.mount]) / float(np.sum(problem.sigma[problem.mount] ** 2))
-    status, reason = verdict(fitted)
+    status, reason = fit_verdict(fitted)
     good = status is CalibrationStatus.OK
     return JointEstimate(
         status=status,
         reason=reason,
         model=problem.model,
         state=state if good else None,
-        covariance=widened(covariance, fitted.misfit) if good else None,
+        covariance=covariance_widened_by_misfit(covariance, fitted.misfit) if good else None,
         residual_rms_mm=1e3 * float(np.sqrt(np.mean(distances**2))),
         residual_max_mm=1e3 * float(distances.max()),
         misfit=fitted.misfit,
@@ -336,7 +336,7 @@ def _judged(problem: _Problem, state: JointState, information: Array, length_m: 
     )
 
 
-def _fitted(problem: _Problem, state: JointState) -> Fitted:
+def _fitted(problem: _Problem, state: JointState) -> FitResiduals:
     runs, looks = _residuals(problem, state)
     positions, turns, spreads = [], [], []
     largest = problem.noise.sigma_position_range_m[1] ** 2
@@ -347,7 +347,7 @@ def _fitted(problem: _Problem, state: JointState) -> Fitted:
         turns.append(float(np.sum(weights[:, None] * turn**2)) / (turn.size * problem.noise.sigma_turn_rad**2))
     off = state.less(problem.believed)
     mount, seeing = off[problem.mount], (off / problem.sigma)[-SEEING_FREEDOMS:]
-    return Fitted(
+    return FitResiduals(
         look_chi2=[float(residual @ W @ residual) for residual, (_, W, _) in zip(looks, problem.looks, strict=True)],
         run_position=positions,
         run_turn=turns,

@@ -23,7 +23,7 @@ from server.calibration.nuisances import (
     REST,
     SCALE,
     Contribution,
-    contributions,
+    contributions_by_group,
     lens_groups,
 )
 
@@ -130,7 +130,7 @@ def goal_covariance(
     play = np.resize(np.array(noise.sigma_joint_rad), len(q))
     rest, layout = (Jq * play**2) @ Jq.T, _of_layout(estimate, here)
     C = J @ covariance @ J.T + rest + layout
-    found = contributions(J[3:], covariance, _groups(model.n))
+    found = contributions_by_group(J[3:], covariance, _groups(model.n))
     others = [Contribution(name, np.diag(part)[3:]) for name, part in ((REST, rest), (LAYOUT, layout))]
     return 0.5 * (C + C.T), (*found, *others)
 

@@ -81,7 +81,7 @@ class RunSamples:
     length_m: Array
 
 
-def thinned(run: OdometryRun, noise: NoiseModel) -> RunSamples:
+def thin_samples(run: OdometryRun, noise: NoiseModel) -> RunSamples:
     """Samples about evenly spaced along the path, the first one included."""
     positions = run.camera.Ts_vo_cam[:, :3, 3]
     length = arc_lengths(positions)

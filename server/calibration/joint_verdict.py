@@ -23,7 +23,7 @@ OUTLIERS_MAX_FRAC = 0.4
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
+class FitResiduals:
     """What is left of each observation after the fit, whitened.
 
     look_chi2: of each look's 12 numbers. run_position, run_turn: mean square of each run's whitened positions, turns.
@@ -50,13 +50,13 @@ class Fitted:
         return float(max(looks, seeing, *self.run_position, *self.run_turn, *self.run_spread, 0.0))
 
 
-def verdict(fitted: Fitted) -> tuple[CalibrationStatus, str]:
+def fit_verdict(fitted: FitResiduals) -> tuple[CalibrationStatus, str]:
     """OK, or POOR_FIT with what contradicts what."""
     reason = _looks(fitted.look_chi2) or _runs(fitted) or _mount(fitted) or _seeing(fitted)
     return (CalibrationStatus.POOR_FIT, reason) if reason else (CalibrationStatus.OK, "")
 
 
-def widened(covariance: Array, misfit: float) -> Array:
+def covariance_widened_by_misfit(covariance: Array, misfit: float) -> Array:
     """The covariance times the misfit where that is above 1: what was not explained may be anywhere."""
     return 0.5 * max(1.0, misfit) * (covariance + covariance.T)
 
@@ -73,7 +73,7 @@ def _looks(look_chi2: Sequence[float]) -> str:
     return ""
 
 
-def _runs(fitted: Fitted) -> str:
+def _runs(fitted: FitResiduals) -> str:
     for what, values in (("positions", fitted.run_position), ("turns", fitted.run_turn)):
         for i, value in enumerate(values):
             if not value <= RUN_MISFIT_MAX:
@@ -90,7 +90,7 @@ def _runs(fitted: Fitted) -> str:
     return ""
 
 
-def _mount(fitted: Fitted) -> str:
+def _mount(fitted: FitResiduals) -> str:
     limit = float(chdtri(3, 1.0 - MOUNT_SURE))
     if fitted.mount_chi2 <= limit:
         return ""
@@ -100,7 +100,7 @@ def _mount(fitted: Fitted) -> str:
     )
 
 
-def _seeing(fitted: Fitted) -> str:
+def _seeing(fitted: FitResiduals) -> str:
     limit = float(chdtri(SEEING_FREEDOMS, 1.0 - MOUNT_SURE))
     if fitted.seeing_chi2 <= limit:
         return ""

@@ -49,7 +49,7 @@ def lens_groups(first: int = 0) -> dict[str, list[int]]:
     return {**{name: [first + i] for name, i in named.items()}, LENS: others}
 
 
-def contributions(J: Array, covariance: Array, groups: Mapping[str, Sequence[int]]) -> list[Contribution]:
+def contributions_by_group(J: Array, covariance: Array, groups: Mapping[str, Sequence[int]]) -> list[Contribution]:
     """Of each group of unknowns.
 
     Model:   J P_g (P_gg)^-1 P_g^T J^T, the part of J P J^T that is gone once the unknowns g are known exactly.

@@ -8,7 +8,7 @@ import numpy as np
 
 from machine.description import Machine
 from server.camera.check_findings import CheckFinding, Level
-from server.camera.check_markers import check_markers, tally
+from server.camera.check_markers import check_markers, tally_markers
 from server.camera.check_picture import check_exposure, check_sharpness
 from server.camera.check_rig import check_rig, match_eyes
 from server.camera.check_scale import Tape, check_focal, check_scale, side_ratios
@@ -25,7 +25,7 @@ RATE_PAIRS = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gathered:
+class CheckSample:
     """What the check was given: the times of all pairs, and some pairs (left, right, stamp [ns])."""
 
     times: StreamTimes
@@ -33,7 +33,7 @@ class Gathered:
 
 
 def check_camera(
-    gathered: Gathered,
+    gathered: CheckSample,
     machine: Machine,
     observe: Observe,
     rng: np.random.Generator,
@@ -68,10 +68,15 @@ def check_camera(
     if all(finding.level is Level.OK for finding in rig):  # a turned eye looks like another focal length too
         rig.append(check_focal(machine, seen, tape))
     sound = all(finding.level is not Level.FAIL for finding in rig)
-    return [*findings, *rig, *check_markers(tally(machine, eyes, seen), sound), check_own_structure(eyes, masks)]
+    return [
+        *findings,
+        *rig,
+        *check_markers(tally_markers(machine, eyes, seen), sound),
+        check_own_structure(eyes, masks),
+    ]
 
 
-def steps(gathered: Gathered) -> int:
+def progress_steps(gathered: CheckSample) -> int:
     """How often `check_camera` calls `on_step`."""
     return 1 + min(len(gathered.pairs), MATCHED_PAIRS_MAX) + len(gathered.pairs)
 
@@ -81,7 +86,7 @@ def _spread(pairs: Sequence[tuple[Image, Image]], n: int) -> list[tuple[Image, I
     return [pairs[index] for index in indices]
 
 
-def _wrong_size(gathered: Gathered, machine: Machine) -> CheckFinding | None:
+def _wrong_size(gathered: CheckSample, machine: Machine) -> CheckFinding | None:
     wanted = (machine.camera.height_px, machine.camera.width_px)
     shapes = {image.shape for left, right, _ in gathered.pairs for image in (left, right)}
     odd = [shape for shape in shapes if shape != wanted]
@@ -92,7 +97,7 @@ def _wrong_size(gathered: Gathered, machine: Machine) -> CheckFinding | None:
 
 
 @dataclass(slots=True)
-class Gathering:
+class CheckSampler:
     """Takes pairs as they come. Of the pairs themselves only `keep` are copied: at least `every_ns` apart."""
 
     keep: int
@@ -127,10 +132,10 @@ class Gathering:
             self._kept_ns = frame.t_receive_mono_ns
             self.pairs.append((np.array(frame.left), np.array(frame.right), frame.t_exposure_ns))
 
-    def gathered(
+    def sample(
         self, skipped: int, own_clock: bool = False, wanted_hz: float | None = None, stored: bool = False
-    ) -> Gathered:
-        """For `check_camera`."""
+    ) -> CheckSample:
+        """What was taken so far, for `check_camera`."""
         columns = np.array(self.times, dtype=np.int64).reshape(-1, 4).T
         times = StreamTimes(*columns, skipped=skipped, own_clock=own_clock, wanted_hz=wanted_hz, stored=stored)
-        return Gathered(times, tuple(self.pairs))
+        return CheckSample(times, tuple(self.pairs))

@@ -24,12 +24,12 @@ class CheckFinding:
     figures: dict[str, float] = field(default_factory=dict)
 
 
-def level_of(value: float, warn_from: float, fail_from: float) -> Level:
+def level_by_limits(value: float, warn_from: float, fail_from: float) -> Level:
     """FAIL from one limit on, WARN from the other."""
     return Level.FAIL if value >= fail_from else Level.WARN if value >= warn_from else Level.OK
 
 
-def worst(findings: Sequence[CheckFinding]) -> Level:
+def worst_level(findings: Sequence[CheckFinding]) -> Level:
     """FAIL before WARN before OK."""
     levels = {finding.level for finding in findings}
     return Level.FAIL if Level.FAIL in levels else Level.WARN if Level.WARN in levels else Level.OK
@@ -37,4 +37,4 @@ def worst(findings: Sequence[CheckFinding]) -> Level:
 
 def exit_code(findings: Sequence[CheckFinding]) -> int:
     """1 when anything failed, else 0."""
-    return 1 if worst(findings) is Level.FAIL else 0
+    return 1 if worst_level(findings) is Level.FAIL else 0

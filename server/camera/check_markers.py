@@ -9,7 +9,7 @@ import numpy as np
 from machine.camera import undistort_to_rays
 from machine.description import Machine, StereoCamera
 from machine.targets import Marker
-from server.camera.check_findings import CheckFinding, Level, level_of
+from server.camera.check_findings import CheckFinding, Level, level_by_limits
 from server.vision.contracts import Array, Image, MarkerView, PairObservation, PoseStatus
 from server.vision.marker_search import cells_along_side, dictionary_by_name, marker_cells
 from server.vision.object_pose import ObjectName
@@ -131,7 +131,7 @@ def _turn(camera: StereoCamera, corners: Mapping[str, Array], distance_m: float)
     return float(angles[0]), float(angles[1])
 
 
-def tally(
+def tally_markers(
     machine: Machine, pairs: Sequence[tuple[Image, Image]], seen: Sequence[PairObservation]
 ) -> dict[ObjectName, ObjectTally]:
     """Everything that the pairs show of tool and OOI."""
@@ -186,13 +186,13 @@ def _seen(name: ObjectName, one: ObjectTally) -> CheckFinding:
     share = one.n_ok / max(one.n_pairs, 1)
     figures = {"ok_frac": share}
     reason = max(one.reasons, key=lambda text: one.reasons[text], default="")
-    level = level_of(-share, -SEEN_WARN_FRAC, -SEEN_FAIL_FRAC)
+    level = level_by_limits(-share, -SEEN_WARN_FRAC, -SEEN_FAIL_FRAC)
     if level is not Level.OK:
         text = f"measured in {100 * share:.0f} % of the pairs: {reason or 'no marker of it found'}"
         return CheckFinding(name, level, text, _remedy_unseen(name, one), figures)
     sigma_mm, tilt_deg = float(np.median(one.sigmas_mm)), float(np.median(one.tilt_sigmas_deg))
     figures |= {"sigma_mm": sigma_mm, "tilt_sigma_deg": tilt_deg}
-    level = level_of(sigma_mm, SIGMA_WARN_MM, SIGMA_FAIL_MM)
+    level = level_by_limits(sigma_mm, SIGMA_WARN_MM, SIGMA_FAIL_MM)
     text = f"measured in {100 * share:.0f} % of the pairs, each to {sigma_mm:.2f} mm and {tilt_deg:.2f} deg"
     remedy = "" if level is Level.OK else _closer(one, float(np.sqrt(SIGMA_WARN_MM / sigma_mm)))
     return CheckFinding(name, level, text, remedy, figures)
@@ -232,13 +232,13 @@ def _view(name: ObjectName, one: ObjectTally) -> CheckFinding:
         "both_eyes_frac": both,
     }
     judged = (
-        (level_of(-cell, -CELL_WARN_PX, -CELL_FAIL_PX), lambda: _closer(one, cell / CELL_WARN_PX)),
-        (level_of(-contrast, -CONTRAST_WARN_GREY, -CONTRAST_FAIL_GREY), lambda: _lamp(one, contrast)),
+        (level_by_limits(-cell, -CELL_WARN_PX, -CELL_FAIL_PX), lambda: _closer(one, cell / CELL_WARN_PX)),
+        (level_by_limits(-contrast, -CONTRAST_WARN_GREY, -CONTRAST_FAIL_GREY), lambda: _lamp(one, contrast)),
         (
-            level_of(tilt, TILT_WARN_DEG, TILT_FAIL_DEG),
+            level_by_limits(tilt, TILT_WARN_DEG, TILT_FAIL_DEG),
             lambda: f"go {tilt - 45.0:.0f} deg round the {name}, to its front",
         ),
-        (level_of(-both, -SEEN_WARN_FRAC, 0.0), lambda: _aim(one) or "clear the view of both eyes"),
+        (level_by_limits(-both, -SEEN_WARN_FRAC, 0.0), lambda: _aim(one) or "clear the view of both eyes"),
     )
     worst = max((level for level, _ in judged), key=(Level.OK, Level.WARN, Level.FAIL).index)
     remedies = [remedy() for level, remedy in judged if level is not Level.OK]

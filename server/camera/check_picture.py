@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from server.camera.check_findings import CheckFinding, Level, level_of
+from server.camera.check_findings import CheckFinding, Level, level_by_limits
 from server.vision.contracts import Image
 
 EYES = ("left", "right")
@@ -53,7 +53,7 @@ def check_sharpness(pairs: Sequence[tuple[Image, Image]]) -> CheckFinding:
             "sharpness", Level.WARN, "inconclusive: no edge in view", "point it at something with edges, and light it"
         )
     medians = [float(np.median(blur)) for blur in known]
-    level = level_of(max(medians), BLUR_WARN_PX, BLUR_FAIL_PX)
+    level = level_by_limits(max(medians), BLUR_WARN_PX, BLUR_FAIL_PX)
     text = f"blur {medians[0]:.1f} px in the left eye, {medians[1]:.1f} px in the right (limit {BLUR_WARN_PX:g})"
     worse = EYES[int(np.argmax(medians))]
     remedy = "" if level is Level.OK else f"focus or clean the {worse} lens, hold still, shorten the exposure"
@@ -77,10 +77,10 @@ def check_exposure(pairs: Sequence[tuple[Image, Image]]) -> CheckFinding:
     shares = f"of the worse eye {100 * dark:.0f} % dark, {100 * white:.0f} % saturated"
     text = f"mean grey {means[0]:.0f} left, {means[1]:.0f} right; {shares}"
     ranked = (
-        (level_of(dark, DARK_WARN_FRAC, DARK_FAIL_FRAC), "lens cap off? longer exposure or more light"),
-        (level_of(white, WHITE_WARN_FRAC, WHITE_FAIL_FRAC), "shorter exposure, or shade the lamp or the sun"),
+        (level_by_limits(dark, DARK_WARN_FRAC, DARK_FAIL_FRAC), "lens cap off? longer exposure or more light"),
+        (level_by_limits(white, WHITE_WARN_FRAC, WHITE_FAIL_FRAC), "shorter exposure, or shade the lamp or the sun"),
         (
-            level_of(unequal, UNEQUAL_WARN_FRAC, UNEQUAL_FAIL_FRAC),
+            level_by_limits(unequal, UNEQUAL_WARN_FRAC, UNEQUAL_FAIL_FRAC),
             "clean the darker lens; give both eyes one exposure and gain",
         ),
     )

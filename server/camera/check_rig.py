@@ -9,7 +9,7 @@ import numpy as np
 from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from machine.rotations import Array
-from server.camera.check_findings import CheckFinding, Level, level_of
+from server.camera.check_findings import CheckFinding, Level, level_by_limits
 from server.vision.contracts import Image
 from server.vision.odometry_features import clear_matches
 
@@ -246,7 +246,7 @@ def _eyes(disparity_px: Array) -> CheckFinding:
 
 
 def _rows(fit: RigFit) -> CheckFinding:
-    level = level_of(fit.spread_px, SPREAD_WARN_PX, SPREAD_FAIL_PX)
+    level = level_by_limits(fit.spread_px, SPREAD_WARN_PX, SPREAD_FAIL_PX)
     text = f"differ by {fit.row_px:+.2f} px (median), spread {fit.spread_px:.2f} px after the fit, {fit.n_spots} spots"
     remedy = "" if level is Level.OK else "expose both eyes simultaneously; check that the calibration is this camera's"
     figures = {"row_median_px": fit.row_px, "row_spread_px": fit.spread_px}
@@ -266,7 +266,7 @@ def _turns(camera: StereoCamera, fit: RigFit) -> list[CheckFinding]:
     for (name, raw, factor, unit, effect_px, where), raw_sigma in zip(rows, fit.sigma, strict=True):
         value, sigma = factor * raw, factor * float(raw_sigma)
         certain = abs(value) > SIGMAS * sigma
-        level = level_of(abs(effect_px), OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
+        level = level_by_limits(abs(effect_px), OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
         text = f"right eye against left {value:+.3f} +- {sigma:.3f} {unit}: {abs(effect_px):.1f} px {where}"
         remedy = f"the rig was bumped ({name}) or this is another camera's file: calibrate it again"
         key = f"{name}_{'pct' if unit == '%' else unit}"
@@ -277,7 +277,7 @@ def _turns(camera: StereoCamera, fit: RigFit) -> list[CheckFinding]:
 
 def _lens(fit: RigFit) -> CheckFinding:
     certain = abs(fit.lens) > SIGMAS * fit.lens_sigma
-    level = level_of(fit.lens_effect_px, OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
+    level = level_by_limits(fit.lens_effect_px, OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
     text = f"k1 off by {fit.lens:+.3f} +- {fit.lens_sigma:.3f}: {fit.lens_effect_px:.1f} px"
     remedy = "raw pictures are taken as rectified ones or the reverse, or it is another lens: give the right file"
     figures = {"k1": fit.lens, "k1_sigma": fit.lens_sigma}

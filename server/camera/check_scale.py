@@ -11,7 +11,7 @@ from machine.rotations import Array
 from machine.targets import Marker
 from server.calibration.joint_lens import FOCAL, LensPrior, look_sensitivity
 from server.calibration.lens_evidence import LensEvidence, lens_doubts, lens_evidence, mean_evidence
-from server.camera.check_findings import CheckFinding, Level, level_of
+from server.camera.check_findings import CheckFinding, Level, level_by_limits
 from server.vision.contracts import PairObservation
 from server.vision.errors import NoPoseError
 
@@ -77,7 +77,7 @@ def check_scale(ratios: Sequence[SideRatio]) -> CheckFinding:
     figures = {"scale_off_frac": off, "scale_sigma_frac": sigma} | {
         f"marker_{i}_ratio": r for i, r in per_marker.items()
     }
-    level = level_of(abs(off), WARN_FRAC, FAIL_FRAC) if abs(off) > SIGMAS * sigma else Level.OK
+    level = level_by_limits(abs(off), WARN_FRAC, FAIL_FRAC) if abs(off) > SIGMAS * sigma else Level.OK
     text = f"markers measure {100 * off:+.2f} +- {100 * sigma:.2f} % against their printed sides ({len(ids)} markers)"
     if level is not Level.OK:
         remedy = "measure the printed sides; if they are right, baseline or yaw of the eyes is off: calibrate the rig"

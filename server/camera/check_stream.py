@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from server.camera.check_findings import CheckFinding, Level, level_of
+from server.camera.check_findings import CheckFinding, Level, level_by_limits
 
 Integers = NDArray[np.int64]
 
@@ -54,12 +54,12 @@ def check_stream(times: StreamTimes) -> list[CheckFinding]:
 def _rate(times: StreamTimes) -> CheckFinding:
     span_s = float(times.t_receive_ns[-1] - times.t_receive_ns[0]) * 1e-9
     rate_hz = (len(times.t_receive_ns) - 1) / span_s if span_s > 0.0 else 0.0
-    level = level_of(-rate_hz, -RATE_WARN_HZ, -RATE_FAIL_HZ)
+    level = level_by_limits(-rate_hz, -RATE_WARN_HZ, -RATE_FAIL_HZ)
     text = f"{rate_hz:.1f} pairs/s"
     if times.wanted_hz is not None:
         text += f" of {times.wanted_hz:g}"
         share = rate_hz / times.wanted_hz
-        level = level_of(-share, -RATE_SHARE_WARN, -RATE_SHARE_FAIL)
+        level = level_by_limits(-share, -RATE_SHARE_WARN, -RATE_SHARE_FAIL)
     remedy = "" if level is Level.OK else "shorten the exposure, use a faster port, or a smaller picture"
     return CheckFinding("rate", level, text, remedy, {"rate_hz": rate_hz})
 
@@ -69,7 +69,7 @@ def _loss(times: StreamTimes) -> CheckFinding:
     missing = max(_missing_by_sequence(times), _missing_by_stamp(times))
     lost = max(0, missing - times.skipped)
     share = lost / (len(times.sequence) + missing)
-    level = level_of(share, LOSS_WARN_FRAC, LOSS_FAIL_FRAC)
+    level = level_by_limits(share, LOSS_WARN_FRAC, LOSS_FAIL_FRAC)
     text = f"{lost} pairs lost ({100.0 * share:.1f} %), {times.skipped} passed over here"
     connections = len(np.unique(times.connection))
     if connections > 1:
@@ -123,13 +123,13 @@ def _latency(times: StreamTimes) -> CheckFinding:
     rest_s, drift_ppm = _without_drift(t_s[newest], late_s[newest])
     jitter_s = float(np.percentile(rest_s, 95) - rest_s.min())
     figures = {"jitter_p95_ms": 1e3 * jitter_s, "drift_ppm": drift_ppm}
-    level = level_of(jitter_s, JITTER_WARN_S, JITTER_FAIL_S)
+    level = level_by_limits(jitter_s, JITTER_WARN_S, JITTER_FAIL_S)
     text = f"arrival varies by {1e3 * jitter_s:.1f} ms (95 %)"
     if times.own_clock and 0.0 <= late_s.min() < SAME_CLOCK_MAX_S:
         p50, p95 = (float(value) for value in np.percentile(late_s, (50, 95)))
         figures |= {"latency_p50_ms": 1e3 * p50, "latency_p95_ms": 1e3 * p95}
         text = f"latency {1e3 * p50:.1f} ms (95 %: {1e3 * p95:.1f} ms), {text}"
-        level = max(level, level_of(p95, LATENCY_WARN_S, LATENCY_FAIL_S), key=_rank)
+        level = max(level, level_by_limits(p95, LATENCY_WARN_S, LATENCY_FAIL_S), key=_rank)
     else:
         text += "; the camera has a clock of its own, so the absolute latency cannot be measured"
     if abs(drift_ppm) > DRIFT_WARN_PPM:

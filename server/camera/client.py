@@ -288,9 +288,9 @@ class VisionClient:
             return self.stream_text
         if self.latest is None:
             return "no image yet; check the camera, its power and its cable"
-        from server.camera.health.stamps import silence
+        from server.camera.health.stamps import silence_text
 
-        return "; ".join(found.text for found in silence(self.latest.t_receive_mono_ns, mono_ns()))
+        return "; ".join(found.text for found in silence_text(self.latest.t_receive_mono_ns, mono_ns()))
 
     def _send(self, command: VisionCommand) -> None:
         if self._pipe is None:

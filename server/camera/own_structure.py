@@ -96,7 +96,7 @@ def check_own_structure(pairs: Sequence[tuple[Image, Image]], masks: Masks = (()
     return CheckFinding("own structure", Level.WARN, text, remedy, figures)
 
 
-def drawn(shape: tuple[int, ...], polygons: Sequence[Array]) -> Image:
+def draw_mask(shape: tuple[int, ...], polygons: Sequence[Array]) -> Image:
     """A mask (h, w), 255 inside the polygons (k, 2) [px]."""
     mask = np.zeros(shape, np.uint8)
     for polygon in polygons:
@@ -106,7 +106,7 @@ def drawn(shape: tuple[int, ...], polygons: Sequence[Array]) -> Image:
 
 def uncovered_frac(mask: Image, polygons: Sequence[Array]) -> float:
     """Share of the picture that the mask has and the polygons have not."""
-    return float(((mask > 0) & (drawn(mask.shape, polygons) == 0)).mean())
+    return float(((mask > 0) & (draw_mask(mask.shape, polygons) == 0)).mean())
 
 
 class SpreadPairs:
@@ -131,7 +131,7 @@ class SpreadPairs:
 
 def mask_line(eye: str, mask: Image | None) -> str:
     """A line of TOML for [camera]."""
-    polygons = () if mask is None else outlines(mask)
+    polygons = () if mask is None else mask_outlines(mask)
     texts = ", ".join("[" + ", ".join(f"[{u:.0f}, {v:.0f}]" for u, v in polygon) + "]" for polygon in polygons)
     return f"mask_{eye} = [{texts}]"
 
@@ -156,10 +156,10 @@ def mask_polygons(mask: Mask, camera: StereoCamera, name: str) -> tuple[Array, .
             f"[camera] {name} = '{mask}' is {found[0]} x {found[1]} px, an eye's picture {wanted[0]} x {wanted[1]} px; "
             "make the mask in that size"
         )
-    return outlines(np.asarray(picture >= 128, np.uint8))
+    return mask_outlines(np.asarray(picture >= 128, np.uint8))
 
 
-def outlines(mask: Image) -> tuple[Array, ...]:
+def mask_outlines(mask: Image) -> tuple[Array, ...]:
     """Polygons (k, 2) [px] around what is not 0 in a mask (h, w); holes are covered too."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     simple = (np.asarray(cv2.approxPolyDP(contour, OUTLINE_PX, True), float).reshape(-1, 2) for contour in contours)

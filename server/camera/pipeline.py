@@ -21,7 +21,7 @@ from server.camera.contracts import (
 from server.camera.health.blur import sharpness
 from server.camera.health.image_health import ImageHealth
 from server.camera.own_structure import SpreadPairs
-from server.camera.smallest_offset import SmallestOffset, aged
+from server.camera.smallest_offset import SmallestOffset, aged_offset
 from server.camera.target_measuring import TargetMeasuring
 from server.targets.tool_mask import ToolMask
 from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
@@ -82,7 +82,7 @@ class CameraClock:
     def _follow(self) -> None:
         """The clock was set back if every pair since then is later than the map."""
         now_ns = self._t_receive_ns
-        later_ns = min(aged(*seen, now_ns) for seen in self._since) - self.offset_ns
+        later_ns = min(aged_offset(*seen, now_ns) for seen in self._since) - self.offset_ns
         if later_ns > min(STEP_NS, self._short_ns // 2):
             self._smallest.begin(now_ns, self.offset_ns + min(later_ns, self._short_ns))
         self._short_ns = 0
@@ -242,5 +242,5 @@ class VisionPipeline:
         small = cv2.resize(frame.left, size, interpolation=cv2.INTER_AREA)
         good, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, settings.preview_quality])
         if self._targets is not None:
-            self._targets.keep(frame)
+            self._targets.keep_shown_pair(frame)
         return jpeg.tobytes() if good else None

@@ -17,7 +17,7 @@ from server.camera.rectification_rig import (
     RigCalibration,
     checked_rig,
     eye_from_matrix,
-    metres,
+    translation_in_metres,
 )
 from server.camera.rectification_yaml import Fields
 
@@ -52,8 +52,9 @@ def is_opencv(fields: Fields) -> bool:
 def parse_opencv(fields: Fields, size_px: tuple[int, int]) -> RigCalibration:
     """The rig of K1 D1 K2 D2 R T (or M1 ...); without R and T, of R1 P1 R2 P2.
 
-    Model:   OpenCV's stereoCalibrate: p_right = R p_left + T. T in metres or millimetres (`metres`). A field `model`
-             that says fisheye or equidistant, or `fisheye: 1`, makes the lenses fisheye.
+    Model:   OpenCV's stereoCalibrate: p_right = R p_left + T. T in metres or millimetres
+             (`translation_in_metres`). A field `model` that says fisheye or equidistant, or `fisheye: 1`,
+             makes the lenses fisheye.
     Args:    fields: one file, or intrinsics and extrinsics merged. size_px: used where the file holds no size.
     Source:  OpenCV samples/cpp/stereo_calib.cpp (M1 D1 M2 D2 R T R1 R2 P1 P2 Q), OpenCV 5 calib module.
     """
@@ -139,12 +140,12 @@ def _places(fields: Fields) -> tuple[Array, Array]:
     rotation, place = fields.of_any(ROTATION_NAMES), fields.of_any(PLACE_NAMES)
     if rotation is not None and place is not None:
         t = fields.matrix(place, (3, 1)).ravel()
-        return _rotation(fields, rotation), metres(t, fields.file, place)
+        return _rotation(fields, rotation), translation_in_metres(t, fields.file, place)
     if all(name in fields for name in ("R1", "P1", "R2", "P2")):
         R1, R2 = (fields.matrix(name, (3, 3)) for name in ("R1", "R2"))
         P1, P2 = (fields.matrix(name, (3, 4)) for name in ("P1", "P2"))
         R, t = rig_of_rectification(R1, P1, R2, P2, fields)
-        return R, metres(t, fields.file, "P2")
+        return R, translation_in_metres(t, fields.file, "P2")
     raise fields.refused("R and T (or R1, P1, R2, P2) are missing; give the extrinsics file as well")
 
 
@@ -199,7 +200,7 @@ def parse_ros(left: Fields, right: Fields) -> RigCalibration:
             "file first, and files of one stereo calibration"
         )
     R, t = rig_of_rectification(R1, P1, R2, P2, right)
-    rig = RigCalibration(eyes[0], eyes[1], R, metres(t, right.file, "projection_matrix"), *sizes[0])
+    rig = RigCalibration(eyes[0], eyes[1], R, translation_in_metres(t, right.file, "projection_matrix"), *sizes[0])
     return checked_rig(rig, f"{left.file} and {right.file}")
 
 

@@ -87,7 +87,7 @@ def eye_from_matrix(matrix: Array, distortion: Array, model: LensModel, file: st
     )
 
 
-def metres(t: Array, file: str, field: str) -> Array:
+def translation_in_metres(t: Array, file: str, field: str) -> Array:
     """A translation between the eyes in metres, from metres or millimetres: which of the two follows from its length.
 
     Raises: CalibrationFileError: it is neither (chessboard squares or centimetres, most likely).

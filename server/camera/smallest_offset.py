@@ -22,7 +22,7 @@ class SmallestOffset:
         if self._read is None:
             return 0
         t_read_ns, offset_ns = self._read
-        return aged(t_read_ns, offset_ns, t_receive_ns)
+        return aged_offset(t_read_ns, offset_ns, t_receive_ns)
 
     def learn(self, t_receive_ns: int, offset_ns: int) -> None:
         """Take in one pair's."""
@@ -34,6 +34,6 @@ class SmallestOffset:
         self._read = t_receive_ns, offset_ns
 
 
-def aged(t_read_ns: int, offset_ns: int, t_now_ns: int) -> int:
+def aged_offset(t_read_ns: int, offset_ns: int, t_now_ns: int) -> int:
     """An offset read at `t_read_ns`, as it may be by now [ns]."""
     return offset_ns + round(DRIFT_MAX_PPM * 1e-6 * max(t_now_ns - t_read_ns, 0))

@@ -54,7 +54,7 @@ class TargetMeasuring:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="target")
         self._running: deque[Future[TargetAnswer]] = deque()
 
-    def keep(self, frame: StereoFrame) -> None:
+    def keep_shown_pair(self, frame: StereoFrame) -> None:
         """Keep a pair that is shown to the operator, with the own tool's polygons in it."""
         source = self._source
         self._kept.append(

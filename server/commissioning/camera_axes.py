@@ -14,10 +14,18 @@ from machine.poses import inverse_pose, pose
 from machine.rotations import Array
 from recording.files import read_text, write_durably
 from server.camera.errors import CameraError
-from server.camera.own_structure import UNMASKED_MIN_FRAC, Masks, drawn, mask_line, uncovered_frac
-from server.commissioning.contracts import Figure, StepResult, judged
+from server.camera.own_structure import UNMASKED_MIN_FRAC, Masks, draw_mask, mask_line, uncovered_frac
+from server.commissioning.contracts import Figure, StepResult, result_of_figures
 from server.commissioning.looking import camera_of, disparities_px, fresh_pairs, mean_pose
-from server.commissioning.moving import NotReadyError, Reading, arm, play, play_gently, require_leave, rest
+from server.commissioning.moving import (
+    MachineReading,
+    NotReadyError,
+    arm_if_needed,
+    play_gently,
+    require_leave,
+    run_trajectory,
+    wait_for_rest,
+)
 from server.commissioning.site import Site
 from server.motion.contracts import JointTrajectory
 from server.motion.point_to_point import plan_move
@@ -43,7 +51,7 @@ _KNOWN: dict[_Rows, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class CameraDisplacements:
     """Camera displacements of some moves in the nominal camera's axes (k, 3) [m]: by kinematics, and as seen."""
 
     by: str
@@ -51,7 +59,7 @@ class Seen:
     seen: Array
 
 
-def axes_figures(seen: Seen, legs: list[str]) -> list[Figure]:
+def axes_figures(seen: CameraDisplacements, legs: list[str]) -> list[Figure]:
     """Angle and length of every seen displacement against the expected one."""
     figures = []
     for leg, wanted, got in zip(legs, seen.expected, seen.seen, strict=True):
@@ -64,7 +72,7 @@ def axes_figures(seen: Seen, legs: list[str]) -> list[Figure]:
     return figures
 
 
-def depth_figure(seen: Seen) -> list[Figure]:
+def depth_figure(seen: CameraDisplacements) -> list[Figure]:
     """Depth seen against sideways seen, each over the encoders' way: the common focal length over its file's, inverted.
 
     Model:   depth is f b / disparity and sideways is free of f, so their ratio alone shows a focal length that is off
@@ -79,7 +87,7 @@ def depth_figure(seen: Seen) -> list[Figure]:
     return [Figure(f"depth against sideways, by {seen.by} (focal length)", value, "of expected", *limits)]
 
 
-def wrong_mounting(seen: Seen) -> str:
+def wrong_mounting(seen: CameraDisplacements) -> str:
     """What signed permutation of the axes explains what was seen, in words; empty: none, or none is needed.
 
     Model:   the P among the 48 signed permutations that maximises sum (P expected) . seen over the product of lengths.
@@ -159,7 +167,7 @@ def masks_wanted(seen: Sequence[Still], masks: Masks) -> tuple[Image, Image] | N
         masked = [mask for still in seen if (mask := still[eye]) is not None]
         if not masked:
             return None
-        found.append(np.asarray(np.minimum.reduce(masked) | drawn(masked[0].shape, polygons), np.uint8))
+        found.append(np.asarray(np.minimum.reduce(masked) | draw_mask(masked[0].shape, polygons), np.uint8))
     return found[0], found[1]
 
 
@@ -190,7 +198,7 @@ def with_camera_lines(text: str, lines: dict[str, str], kind: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class CameraMove:
     """One move: the camera's displacement in its nominal axes by kinematics, by odometry and by the OOI's markers."""
 
     name: str
@@ -202,7 +210,7 @@ class Leg:
 async def camera_axes(site: Site) -> StepResult:
     """Move the tool a little along the camera's three nominal axes, and compare."""
     await require_leave(site, "the tool will now move by 80 mm to the side, up or down, and back, slowly")
-    await arm(site)
+    await arm_if_needed(site)
     before = await fresh_pairs(site, PAIRS, "looking before the moves")
     legs, unmeasured, still = [], [], []
     for name, axis in _LEGS:
@@ -217,7 +225,7 @@ async def camera_axes(site: Site) -> StepResult:
     return replace(result, notes=(*result.notes, await propose_masks(site, still, camera_of(site).masks)))
 
 
-def judge_axes(legs: Sequence[Leg], unmeasured: Sequence[str], disparities: Sequence[float]) -> StepResult:
+def judge_axes(legs: Sequence[CameraMove], unmeasured: Sequence[str], disparities: Sequence[float]) -> StepResult:
     """The result for the legs driven, those that could not be measured, and the markers' disparities [px]."""
     figures, missing = [], list(unmeasured)
     notes: list[str] = []
@@ -231,27 +239,31 @@ def judge_axes(legs: Sequence[Leg], unmeasured: Sequence[str], disparities: Sequ
         if not measured:
             notes.append(f"{by} measured nothing")
             continue
-        seen = Seen(by, np.array([leg.expected for leg, _ in measured]), np.array([step for _, step in measured]))
+        seen = CameraDisplacements(
+            by, np.array([leg.expected for leg, _ in measured]), np.array([step for _, step in measured])
+        )
         figures += axes_figures(seen, [leg.name for leg, _ in measured]) + depth_figure(seen)
         mounting = wrong_mounting(seen) if len(measured) == len(_LEGS) else ""
         mountings += [f"by {by}: {mounting}"] if mounting else []
     missing += [
         f"{leg.name}: neither odometry nor markers measured it" for leg in legs if leg.odometry is leg.markers is None
     ]
-    result = judged(NAME, figures, "the camera sees the moves as the machine makes them", REMEDY, missing, notes)
+    result = result_of_figures(
+        NAME, figures, "the camera sees the moves as the machine makes them", REMEDY, missing, notes
+    )
     return replace(result, summary="; ".join([*mountings, result.summary])) if mountings else result
 
 
-async def _leg(site: Site, name: str, axis_cam: Array) -> tuple[Leg, Still]:
+async def _leg(site: Site, name: str, axis_cam: Array) -> tuple[CameraMove, Still]:
     """There, look, back; what stood still in the pictures meanwhile."""
     vision = camera_of(site)
-    start = await rest(site)
+    start = await wait_for_rest(site)
     trajectory = _trajectory(site, start, name, axis_cam)
     seen_before = mean_pose([report.observation.ooi for report in await fresh_pairs(site, PAIRS, f"{name}: before")])
     try:
         await vision.start_odometry(masks=True)
-        played = await play(site, trajectory, name)
-        end = await rest(site)
+        played = await run_trajectory(site, trajectory, name)
+        end = await wait_for_rest(site)
         pairs = await fresh_pairs(site, PAIRS, f"{name}: after")
         track = await vision.stop_odometry()
         odometry_map = await vision.odometry_map()
@@ -262,11 +274,11 @@ async def _leg(site: Site, name: str, axis_cam: Array) -> tuple[Leg, Still]:
     if not played.ended.reached:
         raise NotReadyError(f"{name}: motion ended early: {played.ended.reason}")
     step = expected_step(site, start, end)
-    leg = Leg(name, step, _odometry_step(track.Ts_vo_cam), marker_step(seen_before, seen_after))
+    leg = CameraMove(name, step, _odometry_step(track.Ts_vo_cam), marker_step(seen_before, seen_after))
     return leg, (None, None) if odometry_map is None else odometry_map.still
 
 
-def _trajectory(site: Site, start: Reading, name: str, axis_cam: Array) -> JointTrajectory:
+def _trajectory(site: Site, start: MachineReading, name: str, axis_cam: Array) -> JointTrajectory:
     """A straight move along a nominal camera axis, to whichever side is possible."""
     T = tcp_pose(site.chain, start.q_ref)
     axis_base = T[:3, :3] @ site.machine.T_tcp_cam_left[:3, :3] @ axis_cam
@@ -282,7 +294,7 @@ def _trajectory(site: Site, start: Reading, name: str, axis_cam: Array) -> Joint
     raise NotReadyError(f"{name}: no move of {1e3 * LEG_M[-1]:.0f} mm is possible from here: {reason}")
 
 
-def expected_step(site: Site, start: Reading, end: Reading) -> Array:
+def expected_step(site: Site, start: MachineReading, end: MachineReading) -> Array:
     """The camera's displacement by kinematics in the nominal camera's axes at the start (3,) [m]."""
     T_base_start = tcp_pose(site.chain, start.q) @ site.machine.T_tcp_cam_left
     T_base_end = tcp_pose(site.chain, end.q) @ site.machine.T_tcp_cam_left

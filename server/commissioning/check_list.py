@@ -15,15 +15,15 @@ from server.commissioning.contracts import (
     ReportTable,
     StepResult,
     Verdict,
-    inconclusive,
-    judged,
-    skipped,
-    stands,
+    inconclusive_result,
+    result_of_figures,
+    skipped_result,
+    still_counts,
 )
 from server.commissioning.joint_ranges import joint_ranges
 from server.commissioning.joint_signs import joint_signs
 from server.commissioning.link_dry_run import link_dry_run
-from server.commissioning.moving import NoLeaveError, NotReadyError, Reading, reading, wait_for
+from server.commissioning.moving import MachineReading, NoLeaveError, NotReadyError, read_machine, wait_for
 from server.commissioning.site import Site
 from server.commissioning.stop_times import stop_times
 from server.commissioning.tool_marker import tool_marker
@@ -51,7 +51,7 @@ async def encoder_zeros(site: Site) -> StepResult:
         question = f"{joint.name}: angle read at the machine [deg, {bounds}; empty: not read]"
         seen_deg.append(await _angle(site, f"encoder_zeros.{joint.name}", question))
     names = [joint.name for joint in site.machine.joints]
-    return compare_zeros(names, await reading(site), seen_deg, site.options.zero_tolerance_deg)
+    return compare_zeros(names, await read_machine(site), seen_deg, site.options.zero_tolerance_deg)
 
 
 async def _angle(site: Site, key: str, question: str) -> float | None:
@@ -71,7 +71,7 @@ async def _angle(site: Site, key: str, question: str) -> float | None:
 
 
 def compare_zeros(
-    names: list[str], reading_now: Reading, seen_deg: list[float | None], tolerance_deg: float
+    names: list[str], reading_now: MachineReading, seen_deg: list[float | None], tolerance_deg: float
 ) -> StepResult:
     """The result for what was read at the machine; None: not read."""
     q_deg = [math.degrees(value) for value in reading_now.q]
@@ -85,11 +85,11 @@ def compare_zeros(
     rows = tuple((name, f"{q:+.3f}", "" if seen is None else f"{seen:+.3f}") for name, q, seen in pairs)
     table = ReportTable("angles", ("joint", "encoder deg", "read at the machine deg"), rows)
     if not figures:
-        skip = skipped(NAME, "no angle was read at the machine", "read them, or give them in --answers")
+        skip = skipped_result(NAME, "no angle was read at the machine", "read them, or give them in --answers")
         return StepResult(NAME, Verdict.SKIPPED, skip.summary, remedy=skip.remedy, tables=(table,))
     missing = [f"not read at the machine: {', '.join(unread)}"] if unread else []
     summary = f"all encoders within {tolerance_deg:g} deg of their marks"
-    return judged(NAME, figures, summary, REMEDY, missing, tables=(table,))
+    return result_of_figures(NAME, figures, summary, REMEDY, missing, tables=(table,))
 
 
 # Step: both ends hold the same limits, by their hash.
@@ -108,7 +108,7 @@ def compare_limits(table: LimitTable, plc_cfg_id: int) -> StepResult:
     """The result for our table and the PLC's hash; 0: the PLC reported none."""
     ours = cfg_id(table)
     if plc_cfg_id == 0:
-        return inconclusive(
+        return inconclusive_result(
             LIMITS_NAME, "the PLC reported no cfg_id (0)", "let the PLC compute it at start-up (FB_HmSelfCheck)"
         )
     if plc_cfg_id == ours:
@@ -135,7 +135,7 @@ def limits_table(table: LimitTable) -> ReportTable:
     return ReportTable(f"our limits [rad, s]; knots {shared}", ("axis", *(name for name, _ in _COLUMNS)), tuple(rows))
 
 
-class Need(Enum):
+class StepRequirement(Enum):
     """What must be there before a step begins."""
 
     PLC = "states from the PLC"
@@ -151,19 +151,19 @@ class Step:
     number: int
     name: str
     run: Callable[[Site], Awaitable[StepResult]]
-    needs: tuple[Need, ...]
+    needs: tuple[StepRequirement, ...]
     after: tuple[int, ...] = ()
 
 
-_MOVES = (Need.PLC, Need.VALVES, Need.LEAVE)
+_MOVES = (StepRequirement.PLC, StepRequirement.VALVES, StepRequirement.LEAVE)
 STEPS = (
-    Step(1, "link dry run", link_dry_run, (Need.PLC,)),
-    Step(2, "limits equal", limits_equal, (Need.PLC,)),
-    Step(3, "encoder zeros", encoder_zeros, (Need.PLC,)),
-    Step(4, "joint ranges", joint_ranges, (Need.PLC,)),
+    Step(1, "link dry run", link_dry_run, (StepRequirement.PLC,)),
+    Step(2, "limits equal", limits_equal, (StepRequirement.PLC,)),
+    Step(3, "encoder zeros", encoder_zeros, (StepRequirement.PLC,)),
+    Step(4, "joint ranges", joint_ranges, (StepRequirement.PLC,)),
     Step(5, "joint signs", joint_signs, _MOVES, after=(1, 2, 4)),
-    Step(6, "camera axes", camera_axes, (*_MOVES, Need.CAMERA), after=(1, 2, 3, 4, 5)),
-    Step(7, "tool marker", tool_marker, (Need.CAMERA,)),
+    Step(6, "camera axes", camera_axes, (*_MOVES, StepRequirement.CAMERA), after=(1, 2, 3, 4, 5)),
+    Step(7, "tool marker", tool_marker, (StepRequirement.CAMERA,)),
     Step(8, "stop times", stop_times, _MOVES, after=(1, 2, 3, 4, 5)),
 )
 
@@ -183,7 +183,7 @@ async def go_through(
         result = await _one(site, step, results)
         result = replace(result, duration_s=mono_s() - started_s)
         earlier_one = results.get(step.name)
-        results[step.name] = earlier_one if earlier_one is not None and stands(earlier_one, result) else result
+        results[step.name] = earlier_one if earlier_one is not None and still_counts(earlier_one, result) else result
         fresh.append(result)
         done(result)
     return fresh
@@ -197,9 +197,9 @@ async def _one(site: Site, step: Step, results: dict[str, StepResult]) -> StepRe
         result = await step.run(site)
         return replace(result, notes=(*result.notes, *_unproven(step, results)))
     except NoLeaveError as error:
-        return skipped(step.name, str(error), "give permission when the area is clear, and run this step again")
+        return skipped_result(step.name, str(error), "give permission when the area is clear, and run this step again")
     except (LinkError, CameraError, NotReadyError, ValueError) as error:
-        return inconclusive(step.name, str(error), "remove the cause and run this step again")
+        return inconclusive_result(step.name, str(error), "remove the cause and run this step again")
     finally:
         await _leave_at_rest(site)
 
@@ -216,12 +216,12 @@ async def _refusal(site: Site, step: Step, results: dict[str, StepResult]) -> St
     """Why a step cannot begin, or None."""
     failed = [s.name for s in STEPS if s.number in step.after and _has_failed(results.get(s.name))]
     if failed:
-        return inconclusive(step.name, f"not started, because '{failed[0]}' failed", f"fix '{failed[0]}' first")
+        return inconclusive_result(step.name, f"not started, because '{failed[0]}' failed", f"fix '{failed[0]}' first")
     for need in step.needs:
         refusal = await _NEEDS[need](site, step.name)
         if refusal is not None:
             return refusal
-    if Need.LEAVE in step.needs:
+    if StepRequirement.LEAVE in step.needs:
         return _need_proof(site, step.name, results.get(STEPS[0].name))
     return None
 
@@ -247,7 +247,7 @@ async def _need_plc(site: Site, name: str) -> StepResult | None:
     health, plc = site.link.health, site.settings.plc
     problem = health.error or health.last_reject or "check cable, address, port and framing"
     why = f"no state from the PLC at {plc.host}:{plc.port}; {problem}"
-    return inconclusive(name, why, ONE_CONTROLLER)
+    return inconclusive_result(name, why, ONE_CONTROLLER)
 
 
 async def _need_valves(site: Site, name: str) -> StepResult | None:
@@ -258,7 +258,7 @@ async def _need_valves(site: Site, name: str) -> StepResult | None:
     if not site.link.health.dry_run:
         return None
     remedy = "set bDryRun FALSE, then run this step again"
-    return inconclusive(name, "the PLC is in dry run: nothing would move", remedy)
+    return inconclusive_result(name, "the PLC is in dry run: nothing would move", remedy)
 
 
 def _need_proof(site: Site, name: str, dry_run: StepResult | None) -> StepResult | None:
@@ -268,13 +268,13 @@ def _need_proof(site: Site, name: str, dry_run: StepResult | None) -> StepResult
     if simulated or (dry_run is not None and dry_run.verdict is Verdict.PASS):
         return None
     why = "step 1 (link dry run) has not passed: it is not proven that this PLC stops by itself"
-    return inconclusive(name, why, "run step 1 in dry run first; --resume continues its report")
+    return inconclusive_result(name, why, "run step 1 in dry run first; --resume continues its report")
 
 
 async def _need_leave(site: Site, name: str) -> StepResult | None:
     if await site.may_move():
         return None
-    return skipped(
+    return skipped_result(
         name, "no permission to move the machine was given", "type the machine's name when asked, or give --move"
     )
 
@@ -282,10 +282,19 @@ async def _need_leave(site: Site, name: str) -> StepResult | None:
 async def _need_camera(site: Site, name: str) -> StepResult | None:
     vision = site.vision
     if vision is None:
-        return inconclusive(name, "no camera was started", "run the steps that look with a camera in the settings")
+        return inconclusive_result(
+            name, "no camera was started", "run the steps that look with a camera in the settings"
+        )
     if await wait_for(site, lambda: vision.age_s < FRESH_S, CAMERA_WAIT_S, "waiting for images"):
         return None
-    return inconclusive(name, f"no images: {vision.stream_text or 'camera is silent'}", "check the camera's settings")
+    return inconclusive_result(
+        name, f"no images: {vision.stream_text or 'camera is silent'}", "check the camera's settings"
+    )
 
 
-_NEEDS = {Need.PLC: _need_plc, Need.VALVES: _need_valves, Need.LEAVE: _need_leave, Need.CAMERA: _need_camera}
+_NEEDS = {
+    StepRequirement.PLC: _need_plc,
+    StepRequirement.VALVES: _need_valves,
+    StepRequirement.LEAVE: _need_leave,
+    StepRequirement.CAMERA: _need_camera,
+}

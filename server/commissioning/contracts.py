@@ -79,7 +79,7 @@ class StepResult:
     duration_s: float = 0.0
 
 
-def judged(
+def result_of_figures(
     name: str,
     figures: Iterable[Figure],
     summary: str,
@@ -111,17 +111,17 @@ def judged(
     )
 
 
-def inconclusive(name: str, why: str, remedy: str) -> StepResult:
+def inconclusive_result(name: str, why: str, remedy: str) -> StepResult:
     """Something that the step needs is missing."""
     return StepResult(name, Verdict.INCONCLUSIVE, why, remedy=remedy)
 
 
-def skipped(name: str, why: str, remedy: str) -> StepResult:
+def skipped_result(name: str, why: str, remedy: str) -> StepResult:
     """No person answered, or gave permission."""
     return StepResult(name, Verdict.SKIPPED, why, remedy=remedy)
 
 
-def stands(earlier: StepResult, later: StepResult) -> bool:
+def still_counts(earlier: StepResult, later: StepResult) -> bool:
     """Whether an earlier result of a step still counts: a failure does until the step is gone through to its end."""
     return earlier.verdict is Verdict.FAIL and later.verdict not in (Verdict.PASS, Verdict.FAIL)
 

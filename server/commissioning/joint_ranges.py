@@ -7,8 +7,8 @@ import numpy as np
 
 from machine.description import Joint
 from protocol.codes import FaultBit
-from server.commissioning.contracts import Figure, ReportTable, StepResult, inconclusive, judged
-from server.commissioning.moving import reading, wait
+from server.commissioning.contracts import Figure, ReportTable, StepResult, inconclusive_result, result_of_figures
+from server.commissioning.moving import read_machine, wait_shown
 from server.commissioning.site import Site
 from server.link.contracts import PlcSample
 
@@ -23,18 +23,18 @@ FAULTS = FaultBit.SENSOR | FaultBit.JOINT_RANGE
 async def joint_ranges(site: Site) -> StepResult:
     """Watch the encoders at rest, and ask for the ends where the engineer wants that."""
     before = site.link.latest
-    await wait(site, WATCH_S, "watching the encoders at rest")
+    await wait_shown(site, WATCH_S, "watching the encoders at rest")
     samples = site.link.samples_since(0)
     recent = [s for s in samples if before is None or s.t_mono_ns > before.t_mono_ns]
     if len(recent) < 10:
-        return inconclusive(NAME, f"{len(recent)} states in {WATCH_S:.0f} s", "fix the link first (step 1)")
+        return inconclusive_result(NAME, f"{len(recent)} states in {WATCH_S:.0f} s", "fix the link first (step 1)")
     figures = range_figures(recent, site.machine.joints)
     if not site.options.ask_for_ends:
         note = "the mechanical end stops were not checked; --ends includes them"
-        return judged(NAME, figures, "all joints quiet and inside their ranges", REMEDY, notes=(note,))
+        return result_of_figures(NAME, figures, "all joints quiet and inside their ranges", REMEDY, notes=(note,))
     ends, not_driven, table = await _ends(site)
     summary = "all joints quiet, inside their ranges, and the ranges inside the mechanical ends"
-    return judged(NAME, [*figures, *ends], summary, REMEDY, not_driven, tables=(table,))
+    return result_of_figures(NAME, [*figures, *ends], summary, REMEDY, not_driven, tables=(table,))
 
 
 def range_figures(samples: Sequence[PlcSample], joints: Sequence[Joint]) -> list[Figure]:
@@ -77,7 +77,7 @@ async def _angle_deg(answer: str, site: Site, index: int) -> float:
     try:
         return float(answer)
     except ValueError:
-        return math.degrees((await reading(site)).q[index])
+        return math.degrees((await read_machine(site)).q[index])
 
 
 def end_figure(name: str, side: str, q_deg: float, limit_deg: float) -> Figure:

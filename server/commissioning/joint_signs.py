@@ -10,16 +10,16 @@ from machine.chain import Chain
 from machine.kinematics import link_poses, tcp_jacobian, tcp_pose
 from machine.rotations import Array
 from protocol.codes import FaultBit
-from server.commissioning.contracts import Figure, ReportTable, StepResult, Verdict, judged
+from server.commissioning.contracts import Figure, ReportTable, StepResult, Verdict, result_of_figures
 from server.commissioning.moving import (
     NoLeaveError,
     NotReadyError,
-    Played,
-    arm,
+    PlayedMotion,
+    arm_if_needed,
     gentle_plan,
     play_gently,
     require_leave,
-    rest,
+    wait_for_rest,
 )
 from server.commissioning.site import Site
 from server.link.contracts import PlcSample
@@ -52,14 +52,14 @@ _SIDE_SHARE = 0.5  # of the largest component: a person may name this one as wel
 
 
 @dataclass(frozen=True, slots=True)
-class Expected:
+class ExpectedDirection:
     """What a person should see: the words that are right, the largest first, and a sentence for the report."""
 
     words: tuple[str, ...]
     text: str
 
 
-def outward(T_base_tcp: Array) -> Array:
+def person_axes(T_base_tcp: Array) -> Array:
     """Axes of the person behind the machine in base (3, 3): rows: out, left, up; out is x above the column."""
     across = T_base_tcp[:2, 3]
     length = float(np.linalg.norm(across))
@@ -68,7 +68,7 @@ def outward(T_base_tcp: Array) -> Array:
     return np.array([out, np.cross(up, out), up])
 
 
-def expected_motion(chain: Chain, q: Array, joint: int, step_rad: float) -> Expected:
+def expected_motion(chain: Chain, q: Array, joint: int, step_rad: float) -> ExpectedDirection:
     """What the tool does when one joint turns by a step, by the machine's geometry.
 
     Args:    q: joints now (n,) [rad]; joint: index; step_rad: signed [rad].
@@ -76,7 +76,7 @@ def expected_motion(chain: Chain, q: Array, joint: int, step_rad: float) -> Expe
     after = q.copy()
     after[joint] += step_rad
     T_before, T_after = tcp_pose(chain, q), tcp_pose(chain, after)
-    seen = outward(T_before) @ (T_after[:3, 3] - T_before[:3, 3])
+    seen = person_axes(T_before) @ (T_after[:3, 3] - T_before[:3, 3])
     if float(np.abs(seen).max()) < _VISIBLE_M:
         return _turn(chain, q, joint, step_rad, T_before)
     names = (("out", "in"), ("left", "right"), ("up", "down"))
@@ -84,25 +84,25 @@ def expected_motion(chain: Chain, q: Array, joint: int, step_rad: float) -> Expe
     large = [i for i in order if abs(seen[i]) >= _SIDE_SHARE * abs(seen[order[0]])]
     words = tuple(names[i][0 if seen[i] > 0.0 else 1] for i in large)
     millimetres = ", ".join(f"{1e3 * abs(seen[i]):.0f} mm {names[i][0 if seen[i] > 0.0 else 1]}" for i in large)
-    return Expected(words, f"tool tip goes {millimetres}")
+    return ExpectedDirection(words, f"tool tip goes {millimetres}")
 
 
-def _turn(chain: Chain, q: Array, joint: int, step_rad: float, T_base_tcp: Array) -> Expected:
+def _turn(chain: Chain, q: Array, joint: int, step_rad: float, T_base_tcp: Array) -> ExpectedDirection:
     axis = link_poses(chain, q)[joint][:3, 2] * np.sign(step_rad)
     looking = -T_base_tcp[:3, 2]  # the tool looks along -z_tcp
     word = "clockwise" if float(axis @ looking) > 0.0 else "counter-clockwise"
     turn = f"{abs(np.rad2deg(step_rad)):.1f} deg"
-    return Expected((word,), f"tool turns {turn} {word}, seen from behind it, looking the way it looks")
+    return ExpectedDirection((word,), f"tool turns {turn} {word}, seen from behind it, looking the way it looks")
 
 
-def understood(answer: str) -> str | None:
+def parse_direction(answer: str) -> str | None:
     """The word that a person meant, or None."""
     word = answer.strip().lower()
     word = _SHORT.get(word, word)
     return word if word in _OPPOSITE else None
 
 
-def compare(expected: Expected, word: str) -> bool | None:
+def is_expected_direction(expected: ExpectedDirection, word: str) -> bool | None:
     """Whether a seen word fits: True, False (it is the opposite of one), or None: neither."""
     if word in expected.words:
         return True
@@ -110,7 +110,7 @@ def compare(expected: Expected, word: str) -> bool | None:
 
 
 @dataclass(frozen=True, slots=True)
-class Jog:
+class SignTestJog:
     """One joint's small motion, as the states show it."""
 
     joint: str
@@ -152,7 +152,9 @@ async def joint_signs(site: Site) -> StepResult:
     headings = ("joint", "step deg", "expected", "seen", "followed %", "valve %")
     table = ReportTable("jogs", headings, tuple(rows))
     return _with_skip(
-        judged(NAME, figures, "every joint moves in the commanded direction", REMEDY, not_jogged, tables=(table,))
+        result_of_figures(
+            NAME, figures, "every joint moves in the commanded direction", REMEDY, not_jogged, tables=(table,)
+        )
     )
 
 
@@ -171,21 +173,21 @@ def _with_skip(result: StepResult) -> StepResult:
     )
 
 
-async def _one_joint(site: Site, index: int) -> tuple[Jog, Expected, str | None]:
-    await arm(site)
-    start = await rest(site)
+async def _one_joint(site: Site, index: int) -> tuple[SignTestJog, ExpectedDirection, str | None]:
+    await arm_if_needed(site)
+    start = await wait_for_rest(site)
     joint = site.machine.joints[index]
     step = jog_step(site, start.q, index)
     expected = expected_motion(site.chain, start.q, index, step)
     goal = start.q_ref.copy()
     goal[index] += step
     played = await play_gently(
-        site, goal, f"jogging {joint.name}", lambda sample: runaway(sample, start.q, index, step)
+        site, goal, f"jogging {joint.name}", lambda sample: why_end_jog(sample, start.q, index, step)
     )
     jog = jog_of(joint.name, played, start.q, index, step)
     if jog.objection or not jog.reached:
         return jog, expected, None
-    jog = replace(jog, followed=float((await rest(site)).q[index] - start.q[index]) / step)
+    jog = replace(jog, followed=float((await wait_for_rest(site)).q[index] - start.q[index]) / step)
     question = (
         f"{joint.name}: which way did the tool go, seen from behind the machine? "
         "[left, right, up, down, out, in, cw, ccw (looking the way the tool looks); empty: not seen]"
@@ -200,7 +202,7 @@ async def _direction(site: Site, key: str, question: str) -> str | None:
         answer = await site.operator.ask(key, question)
         if answer is None or not answer.strip():
             return None
-        word = understood(answer)
+        word = parse_direction(answer)
         if word is not None:
             return word
         site.operator.show(f"'{answer}' is not one of the directions")
@@ -220,7 +222,7 @@ def jog_step(site: Site, q: Array, index: int) -> float:
     raise NotReadyError(f"{name} has no room for {math.degrees(size):.1f} deg to either side; move it from its end")
 
 
-def runaway(sample: PlcSample, q_start: Array, index: int, step: float) -> str:
+def why_end_jog(sample: PlcSample, q_start: Array, index: int, step: float) -> str:
     """Why the jog must end now: the joint went the wrong way, or another joint moved as well; empty: all is well."""
     moved = np.array(sample.q_rad) - q_start
     backwards = -moved[index] * math.copysign(1.0, step)
@@ -234,7 +236,7 @@ def runaway(sample: PlcSample, q_start: Array, index: int, step: float) -> str:
     return ""
 
 
-def jog_of(name: str, played: Played, q_start: Array, index: int, step: float) -> Jog:
+def jog_of(name: str, played: PlayedMotion, q_start: Array, index: int, step: float) -> SignTestJog:
     """What the states of one jog say."""
     samples = played.samples
     moving = [s for s in samples if abs(s.qd_ref_rad_s[index]) > 1e-3]
@@ -244,7 +246,9 @@ def jog_of(name: str, played: Played, q_start: Array, index: int, step: float) -
     faults = FaultBit(samples[-1].fault_bits) if samples else FaultBit(0)
     if reason and faults:
         reason = f"{reason}; faults {faults!s}"
-    return Jog(name, step, moved / step, valve, pressures_plausible(samples, index), reason, played.ended.reached)
+    return SignTestJog(
+        name, step, moved / step, valve, pressures_plausible(samples, index), reason, played.ended.reached
+    )
 
 
 def pressures_plausible(samples: Sequence[PlcSample], index: int) -> bool:
@@ -253,7 +257,7 @@ def pressures_plausible(samples: Sequence[PlcSample], index: int) -> bool:
     return all(-1e5 <= value <= PRESSURE_MAX_PA for value in values)
 
 
-def jog_figures(jog: Jog) -> list[Figure]:
+def jog_figures(jog: SignTestJog) -> list[Figure]:
     """Encoder, valve and pressures of one jog against what they should be."""
     ended = f"{jog.joint}: jog ended early ({jog.objection})" if jog.objection else f"{jog.joint}: jog ended early"
     return [
@@ -264,11 +268,11 @@ def jog_figures(jog: Jog) -> list[Figure]:
     ]
 
 
-def seen_as(name: str, expected: Expected, word: str | None) -> tuple[str, list[Figure]]:
+def seen_as(name: str, expected: ExpectedDirection, word: str | None) -> tuple[str, list[Figure]]:
     """What was seen in words, and a figure for it; no figure when the answer does not give one."""
     if word is None:
         return _REMARK, []
-    fits = compare(expected, word)
+    fits = is_expected_direction(expected, word)
     if fits is None:
         return f"'{word}' was seen, {' or '.join(expected.words)} was expected: watch again", []
     figure = Figure(f"{name}: tool seen to go the wrong way ({word})", float(not fits), "times", at_most=0.0)

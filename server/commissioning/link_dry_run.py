@@ -10,24 +10,24 @@ from machine.description import Machine
 from machine.rotations import Array
 from protocol.layout import LAYOUT_ID, VERSION_MAJOR
 from recording.clock import mono_ns
-from server.commissioning.contracts import Figure, StepResult, inconclusive, judged
+from server.commissioning.contracts import Figure, StepResult, inconclusive_result, result_of_figures
 from server.commissioning.moving import (
     Guard,
     NotReadyError,
-    Played,
-    arm,
+    PlayedMotion,
+    arm_if_needed,
     gentle_plan,
-    play,
-    reading,
-    rest,
-    wait,
+    read_machine,
+    run_trajectory,
     wait_for,
+    wait_for_rest,
+    wait_shown,
 )
 from server.commissioning.site import Site
 from server.commissioning.stop_figures import stop_figures
 from server.commissioning.stopping import EndedByItselfError, StopKind, by_itself, rest_figures, run_and_stop
 from server.link.contracts import LinkPhase, PlcSample
-from server.motion.contracts import JointTrajectory, evaluate
+from server.motion.contracts import JointTrajectory, evaluate_trajectory
 
 NAME = "link dry run"
 REMEDY = "see docs/plc-link.md for the time limits and reject codes; nothing may be moved before this step passes"
@@ -118,7 +118,7 @@ async def link_dry_run(site: Site) -> StepResult:
     listened = await _listen(site)
     notes = [*_VERSIONS, *(f"refused: {text}" for text in site.link.health.recent_rejects[-3:])]
     if not site.link.health.dry_run:
-        return judged(
+        return result_of_figures(
             NAME,
             listened,
             "",
@@ -127,15 +127,15 @@ async def link_dry_run(site: Site) -> StepResult:
             notes=notes,
         )
     if not await site.operator.confirm("a small trajectory is played with closed valves: the machine must not move"):
-        return inconclusive(NAME, "the engineer did not confirm the dry run", "run step 1 again")
-    await arm(site)
+        return inconclusive_result(NAME, "the engineer did not confirm the dry run", "run step 1 again")
+    await arm_if_needed(site)
     played, wanted = await _play(site)
     figures = [*listened, *playback_figures(played, wanted, site.machine)]
     if not all(figure.ok for figure in figures):
-        return judged(NAME, figures, "", REMEDY, notes=notes)
+        return result_of_figures(NAME, figures, "", REMEDY, notes=notes)
     figures += await _silence(site)
     summary = "states arrive in time, knots are played with closed valves, and the PLC stops by itself in silence"
-    return judged(NAME, figures, summary, REMEDY, notes=notes)
+    return result_of_figures(NAME, figures, summary, REMEDY, notes=notes)
 
 
 # --- at rest --------------------------------------------------------------------------------------------------------
@@ -143,7 +143,7 @@ async def link_dry_run(site: Site) -> StepResult:
 
 async def _listen(site: Site) -> list[Figure]:
     before, t_start_ns = site.link.health, mono_ns()
-    await wait(site, site.options.listen_s, "listening to the PLC")
+    await wait_shown(site, site.options.listen_s, "listening to the PLC")
     after, samples = site.link.health, site.link.samples_since(t_start_ns)
     return [
         *state_figures(samples, site.machine.plc_log_cycle_s),
@@ -167,26 +167,26 @@ def dry_guard(q_start: Array) -> Guard:
     return look
 
 
-def dry_goal(machine: Machine, q_ref: Array) -> Array:
+def dry_run_goal(machine: Machine, q_ref: Array) -> Array:
     """Every joint 2 deg towards the middle of its range (n,) [rad]."""
     middle = np.array([(joint.q_min_rad + joint.q_max_rad) / 2.0 for joint in machine.joints])
     return q_ref + np.where(middle >= q_ref, STEP_RAD, -STEP_RAD)
 
 
 async def _trajectory(site: Site, q_goal: Array, duration_s: float) -> JointTrajectory:
-    plan = gentle_plan(site, (await reading(site)).q_ref, q_goal, duration_s)
+    plan = gentle_plan(site, (await read_machine(site)).q_ref, q_goal, duration_s)
     if plan.trajectory is None:
         raise NotReadyError(f"no small trajectory is possible from here: {plan.reason}")
     return plan.trajectory
 
 
-async def _play(site: Site) -> tuple[Played, JointTrajectory]:
-    start = await rest(site)
-    trajectory = await _trajectory(site, dry_goal(site.machine, start.q_ref), PLAY_S)
-    return await play(site, trajectory, "playing in dry run", dry_guard(start.q)), trajectory
+async def _play(site: Site) -> tuple[PlayedMotion, JointTrajectory]:
+    start = await wait_for_rest(site)
+    trajectory = await _trajectory(site, dry_run_goal(site.machine, start.q_ref), PLAY_S)
+    return await run_trajectory(site, trajectory, "playing in dry run", dry_guard(start.q)), trajectory
 
 
-def playback_figures(played: Played, wanted: JointTrajectory, machine: Machine) -> list[Figure]:
+def playback_figures(played: PlayedMotion, wanted: JointTrajectory, machine: Machine) -> list[Figure]:
     """Whether the reference was played as sent while nothing moved."""
     own = [sample for sample in played.samples if sample.plc_state == "RUN"]
     if not own:
@@ -196,7 +196,7 @@ def playback_figures(played: Played, wanted: JointTrajectory, machine: Machine) 
     q_ref = np.array([sample.q_ref_rad for sample in own])
     qs = np.array([sample.q_rad for sample in own])
     last = np.array(played.samples[-1].q_ref_rad)
-    off_path = math.degrees(float(np.abs(q_ref - evaluate(wanted, t_s).q).max()))
+    off_path = math.degrees(float(np.abs(q_ref - evaluate_trajectory(wanted, t_s).q).max()))
     off_goal = math.degrees(float(np.abs(last - wanted.q[-1]).max()))
     ended = f"trajectory ended early ({played.objection or played.ended.reason})"
     return [
@@ -214,8 +214,8 @@ def playback_figures(played: Played, wanted: JointTrajectory, machine: Machine) 
 
 async def _silence(site: Site) -> list[Figure]:
     """Fall silent in the middle of a trajectory and watch."""
-    start = await rest(site)
-    trajectory = await _trajectory(site, dry_goal(site.machine, start.q_ref), SILENT_PLAY_S)
+    start = await wait_for_rest(site)
+    trajectory = await _trajectory(site, dry_run_goal(site.machine, start.q_ref), SILENT_PLAY_S)
     text = "playing in dry run, then silence"
     try:
         stopped = await run_and_stop(site, trajectory, StopKind.SILENCE, text, guard=dry_guard(start.q))

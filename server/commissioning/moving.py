@@ -37,7 +37,7 @@ class NotReadyError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class MachineReading:
     """Where the machine is: encoders (a mean over 0.1 s) and reference, (n,) [rad]."""
 
     q: Array
@@ -45,7 +45,7 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True)
-class Played:
+class PlayedMotion:
     """One motion: its end, the states from its start on, and what the guard objected to (empty: nothing)."""
 
     ended: MotionEnded
@@ -61,7 +61,7 @@ async def require_leave(site: Site, what: str) -> None:
         raise NoLeaveError("the engineer did not confirm the motion")
 
 
-async def arm(site: Site) -> None:
+async def arm_if_needed(site: Site) -> None:
     """Arm, unless it is armed; a person may have to press the enable meanwhile."""
     if site.link.health.phase in _ARMED:
         return
@@ -69,7 +69,7 @@ async def arm(site: Site) -> None:
     await site.link.arm(site.options.arm_timeout_s)
 
 
-async def reading(site: Site) -> Reading:
+async def read_machine(site: Site) -> MachineReading:
     """Encoders and reference now. Raises: NotReadyError: no fresh state within a second."""
 
     def fresh() -> list[PlcSample]:
@@ -78,15 +78,15 @@ async def reading(site: Site) -> Reading:
     if not await wait_for(site, lambda: bool(fresh()), _FRESH_S, "waiting for a state"):
         raise NotReadyError("no fresh state from the PLC; check the link, then run this step again")
     samples = fresh()
-    return Reading(np.mean([sample.q_rad for sample in samples], axis=0), np.array(samples[-1].q_ref_rad))
+    return MachineReading(np.mean([sample.q_rad for sample in samples], axis=0), np.array(samples[-1].q_ref_rad))
 
 
-async def rest(site: Site, timeout_s: float = REST_TIMEOUT_S) -> Reading:
+async def wait_for_rest(site: Site, timeout_s: float = REST_TIMEOUT_S) -> MachineReading:
     """Wait until encoders and reference stand still. Raises: NotReadyError: they do not in time."""
     deadline_s = mono_s() + timeout_s
     while mono_s() < deadline_s:
         if at_rest(site.link.samples_since(mono_ns() - int(_REST_WINDOW_S * 1e9))):
-            return await reading(site)
+            return await read_machine(site)
         await asyncio.sleep(_TICK_S / 2.0)
     raise NotReadyError(f"encoders did not come to rest within {timeout_s:.0f} s; look for a limit cycle or a leak")
 
@@ -101,7 +101,9 @@ def gentle_plan(site: Site, q_ref: Array, q_goal: Array, duration_s: float = 3.0
     return plan_joint_move(site.machine, q_ref, q_goal, replace(GENTLE, duration_min_s=duration_s))
 
 
-async def play(site: Site, trajectory: JointTrajectory, text: str, guard: Guard | None = None) -> Played:
+async def run_trajectory(
+    site: Site, trajectory: JointTrajectory, text: str, guard: Guard | None = None
+) -> PlayedMotion:
     """Run one trajectory and wait for its end. An objection of the guard disarms immediately: valves to neutral.
 
     Raises: LinkError: refused, or the link is gone. Cancelled: the machine is ramped down first.
@@ -127,18 +129,18 @@ async def play(site: Site, trajectory: JointTrajectory, text: str, guard: Guard 
             await asyncio.wait({running})
         if disarming:
             await asyncio.wait(disarming)
-    return Played(running.result(), site.link.samples_since(t_start_ns), objections[0] if objections else "")
+    return PlayedMotion(running.result(), site.link.samples_since(t_start_ns), objections[0] if objections else "")
 
 
-async def play_gently(site: Site, q_goal: Array, text: str, guard: Guard | None = None) -> Played:
+async def play_gently(site: Site, q_goal: Array, text: str, guard: Guard | None = None) -> PlayedMotion:
     """A slow joint move of the reference from where it is.
 
     Raises: NotReadyError: the move is not possible from here.
     """
-    plan = gentle_plan(site, (await reading(site)).q_ref, q_goal)
+    plan = gentle_plan(site, (await read_machine(site)).q_ref, q_goal)
     if plan.trajectory is None:
         raise NotReadyError(f"{text}: {plan.reason}")
-    return await play(site, plan.trajectory, text, guard)
+    return await run_trajectory(site, plan.trajectory, text, guard)
 
 
 async def _disarm(site: Site) -> None:
@@ -155,7 +157,7 @@ async def _shown(site: Site, running: "asyncio.Future[MotionEnded]", text: str, 
         await asyncio.wait({running}, timeout=_TICK_S)
 
 
-async def wait(site: Site, duration_s: float, text: str) -> None:
+async def wait_shown(site: Site, duration_s: float, text: str) -> None:
     """Let time pass, shown."""
     started_s = mono_s()
     while (elapsed_s := mono_s() - started_s) < duration_s:

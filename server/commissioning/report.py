@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from server.commissioning.contracts import Figure, ReportTable, StepResult, Verdict, stands
+from server.commissioning.contracts import Figure, ReportTable, StepResult, Verdict, still_counts
 from server.errors import SettingsError
 
 EXIT_PASS, EXIT_FAIL, EXIT_OPEN = 0, 1, 3
@@ -36,7 +36,7 @@ class Report:
     def all_results(self) -> tuple[StepResult, ...]:
         """Those of this run, and the earlier ones that it did not repeat, or failures that it left open."""
         fresh = {result.name: result for result in self.results}
-        open_ones = (old for old in self.earlier if old.name not in fresh or stands(old, fresh[old.name]))
+        open_ones = (old for old in self.earlier if old.name not in fresh or still_counts(old, fresh[old.name]))
         return (*self.results, *open_ones)
 
 

@@ -12,7 +12,7 @@ from server.settings import ServerSettings
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class CommissioningOptions:
     """What the engineer chose."""
 
     listen_s: float = 10.0  # how long the link is watched at rest
@@ -33,7 +33,7 @@ class Site:
     link: LinkClient
     vision: VisionClient | None
     operator: Operator
-    options: Options
+    options: CommissioningOptions
     leave: bool | None = None  # to move; None: not asked yet
 
     async def may_move(self) -> bool:

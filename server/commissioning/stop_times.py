@@ -8,8 +8,15 @@ import numpy as np
 from machine.kinematics import tcp_pose
 from machine.poses import pose
 from machine.rotations import Array
-from server.commissioning.contracts import Figure, ReportTable, StepResult, judged
-from server.commissioning.moving import NotReadyError, arm, play_gently, reading, require_leave, rest
+from server.commissioning.contracts import Figure, ReportTable, StepResult, result_of_figures
+from server.commissioning.moving import (
+    NotReadyError,
+    arm_if_needed,
+    play_gently,
+    read_machine,
+    require_leave,
+    wait_for_rest,
+)
 from server.commissioning.site import Site
 from server.commissioning.stop_figures import StopFigures, stop_figures
 from server.commissioning.stopping import (
@@ -59,8 +66,8 @@ async def stop_times(site: Site) -> StepResult:
     """Every case from the same place; the machine is taken back slowly after each."""
     text = "the tool will now move up to 0.3 m away from what it looks at, and is stopped on the way, several times"
     await require_leave(site, text)
-    await arm(site)
-    home = (await rest(site)).q_ref
+    await arm_if_needed(site)
+    home = (await wait_for_rest(site)).q_ref
     figures: list[Figure] = []
     rows: list[tuple[str, ...]] = []
     not_measured: list[str] = []
@@ -82,7 +89,7 @@ async def stop_times(site: Site) -> StepResult:
             break
     table = ReportTable(f"stops; ramp at most bound + {RAMP_SLACK_MS:.0f} ms", _HEADINGS, tuple(rows))
     summary = f"every ramp within |qd|/qdd_max, every travel below {TRAVEL_MAX_MM:.0f} mm, nothing resumed"
-    return judged(NAME, figures, summary, REMEDY, not_measured, tables=(table,))
+    return result_of_figures(NAME, figures, summary, REMEDY, not_measured, tables=(table,))
 
 
 async def _one(site: Site, case: StopCase, name: str) -> StopFigures:
@@ -92,17 +99,17 @@ async def _one(site: Site, case: StopCase, name: str) -> StopFigures:
 
 
 async def _take_home(site: Site, home: Array) -> None:
-    await arm(site)
-    await rest(site)
-    if float(np.abs((await reading(site)).q_ref - home).max()) > 1e-6:
+    await arm_if_needed(site)
+    await wait_for_rest(site)
+    if float(np.abs((await read_machine(site)).q_ref - home).max()) > 1e-6:
         played = await play_gently(site, home, "slowly back")
         if not played.ended.reached:
             raise NotReadyError(f"the way back ended early: {played.ended.reason}")
-    await rest(site)
+    await wait_for_rest(site)
 
 
 async def _trajectory(site: Site, case: StopCase) -> JointTrajectory:
-    q_ref = (await reading(site)).q_ref
+    q_ref = (await read_machine(site)).q_ref
     settings = replace(FAST, speed_scale=case.speed)
     plans = (
         _joint_plans(site, q_ref, case.joint, settings)

@@ -7,7 +7,7 @@ from enum import Enum
 from protocol.timeouts import COMMAND_LOST, COMMAND_PERIOD, SESSION_VOID, STATE_PERIOD
 from recording.clock import mono_ns
 from server.commissioning.contracts import Figure
-from server.commissioning.moving import Guard, NotReadyError, play, wait, wait_for
+from server.commissioning.moving import Guard, NotReadyError, run_trajectory, wait_for, wait_shown
 from server.commissioning.site import Site
 from server.commissioning.stop_figures import StopFigures
 from server.link.contracts import PlcSample
@@ -41,7 +41,7 @@ class EndedByItselfError(NotReadyError):
 
 
 @dataclass(frozen=True, slots=True)
-class Stopped:
+class StopRun:
     """The states from the motion's start to standstill, when the stop was requested, and a guard's objection."""
 
     samples: list[PlcSample]
@@ -51,7 +51,7 @@ class Stopped:
 
 async def run_and_stop(
     site: Site, trajectory: JointTrajectory, kind: StopKind, text: str, share: float = 0.5, guard: Guard | None = None
-) -> Stopped:
+) -> StopRun:
     """Play, stop at a share of the duration, and wait for standstill (and in silence for the session's end).
 
     Raises: EndedByItselfError: it never came to that share.
@@ -59,7 +59,7 @@ async def run_and_stop(
     t_start_ns = mono_ns()
     trigger = asyncio.ensure_future(_trigger(site, trajectory.duration_s * share, kind, text))
     try:
-        played = await play(site, trajectory, text, guard)
+        played = await run_trajectory(site, trajectory, text, guard)
         try:
             async with asyncio.timeout(SILENCE_S):
                 t_trigger_ns = await trigger
@@ -67,8 +67,10 @@ async def run_and_stop(
             raise EndedByItselfError(played.objection or played.ended.reason or "it had reached its end") from None
     finally:
         trigger.cancel()
-    await wait(site, SILENCE_S if kind is StopKind.SILENCE else _AFTER_STOP_S, f"{text}: watching it come to rest")
-    return Stopped(site.link.samples_since(t_start_ns), t_trigger_ns, played.objection)
+    await wait_shown(
+        site, SILENCE_S if kind is StopKind.SILENCE else _AFTER_STOP_S, f"{text}: watching it come to rest"
+    )
+    return StopRun(site.link.samples_since(t_start_ns), t_trigger_ns, played.objection)
 
 
 async def _trigger(site: Site, t_play_s: float, kind: StopKind, text: str) -> int:

@@ -9,7 +9,7 @@ from machine.description import Machine
 from machine.poses import inverse_pose
 from machine.rotations import Array, geodesic_angle
 from server.camera.contracts import FrameReport
-from server.commissioning.contracts import Figure, StepResult, Verdict, judged
+from server.commissioning.contracts import Figure, StepResult, Verdict, result_of_figures
 from server.commissioning.looking import corners_by_stereo, disparities_px, fresh_pairs, mean_pose, mean_side_m
 from server.commissioning.site import Site
 
@@ -57,7 +57,9 @@ def judge_marker(looks: Sequence[Sequence[FrameReport]], machine: Machine) -> St
         *repeat_figures(poses),
         *place_figures(poses, machine),
     ]
-    return judged(NAME, figures, f"marker {_names(ids)} seen at its expected place, repeatably", REMEDY, notes=notes)
+    return result_of_figures(
+        NAME, figures, f"marker {_names(ids)} seen at its expected place, repeatably", REMEDY, notes=notes
+    )
 
 
 def _names(ids: Sequence[int]) -> str:

@@ -8,7 +8,7 @@ from machine.chain import Chain
 from machine.description import Machine
 from machine.effects.arm import Arm, arm_of
 from machine.effects.encoders import angles_at_rest
-from machine.effects.entries import EffectEntry, pack
+from machine.effects.entries import EffectEntry, pack_effects
 from machine.effects.kernel import BACKLASH, BIAS, DEADBAND, DEADBAND_LOST
 from machine.effects.layout import LENGTH_A, LENGTH_D, SAG, ParameterSets
 from machine.effects.seen import camera_mount
@@ -19,7 +19,7 @@ from machine.poses import pose
 from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation
 from server.calibration.joint_estimate import JointPrior
 from server.calibration.kinematic_errors import ErrorPrior
-from server.compensation.effects import Sorted, sort_effects
+from server.compensation.effects import EffectsByUse, sort_effects
 from server.errors import SettingsError
 
 # What can be wrong with a compensation.
@@ -57,7 +57,7 @@ class DiagnosedArm:
 
 def diagnosed_arm(machine: Machine, entries: tuple[EffectEntry, ...]) -> DiagnosedArm:
     """The arm of a machine with these effects."""
-    return DiagnosedArm(arm_of(machine), pack(entries, len(machine.joints)))
+    return DiagnosedArm(arm_of(machine), pack_effects(entries, len(machine.joints)))
 
 
 def nominal_goal(diagnosed: DiagnosedArm, chain: Chain, q_now: Array, T_goal: Array, sides: Array) -> Array:
@@ -94,7 +94,7 @@ class Compensation:
 
     machine: Machine
     diagnosed: DiagnosedArm
-    sorted: Sorted
+    sorted: EffectsByUse
 
     def tcp_poses(self, qs: Array, sides: Array) -> Array:
         """True Ts_base_tcp (m, 4, 4) for encoders (m, n), as diagnosed; `sides` in the play, -1 to 1."""

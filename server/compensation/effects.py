@@ -20,7 +20,7 @@ COMPENSATED = {
 
 
 @dataclass(frozen=True, slots=True)
-class Sorted:
+class EffectsByUse:
     """Effects that are compensated, and those that are not."""
 
     used: tuple[EffectEntry, ...]
@@ -36,10 +36,10 @@ def _place(one: EffectEntry) -> str:
     return one.name if one.joint is None else f"{one.name}, joint {one.joint}"
 
 
-def sort_effects(entries: tuple[EffectEntry, ...]) -> Sorted:
+def sort_effects(entries: tuple[EffectEntry, ...]) -> EffectsByUse:
     """Effects by whether the server can compensate them."""
     used = tuple(entry for entry in entries if _compensable(entry))
-    return Sorted(used, tuple(entry for entry in entries if not _compensable(entry)))
+    return EffectsByUse(used, tuple(entry for entry in entries if not _compensable(entry)))
 
 
 def _compensable(one: EffectEntry) -> bool:

@@ -31,7 +31,7 @@ from recording.foxglove import (
 )
 from recording.writer import IMAGE_TOPIC, JOINT_TOPIC, LOG_TOPIC, ROBOT_TOPIC, TRANSFORM_TOPIC
 from server.errors import SettingsError
-from server.faces.shell import extra, give_way, require_own_computer, running, set_aside
+from server.faces.shell import give_way, import_extra, require_own_computer, running_face, set_aside
 from server.jobs.engine import Job, JobEvent
 from server.jobs.service import JobService
 from server.recorder_rows import frame_poses
@@ -158,7 +158,7 @@ def check_foxglove(settings: FoxgloveSettings) -> None:
 
 def load_library() -> Any:
     """Foxglove's SDK. Raises: SettingsError: it is not installed."""
-    return extra("foxglove", "foxglove", "foxglove-sdk")
+    return import_extra("foxglove", "foxglove", "foxglove-sdk")
 
 
 @asynccontextmanager
@@ -170,7 +170,7 @@ async def foxglove_face(service: JobService, settings: FoxgloveSettings) -> Asyn
     face = FoxgloveFace(service, settings.host, settings.port)
     face.start()
     try:
-        async with running(
+        async with running_face(
             "foxglove", face.run(), "the Foxglove stream has ended: restart the server to have it again"
         ):
             yield face

@@ -14,7 +14,7 @@ import numpy as np
 from protocol.codes import FaultBit
 from recording.clock import mono_ns
 from server.errors import SettingsError
-from server.faces.shell import CONNECTIONS_MAX, extra, require_own_computer, running
+from server.faces.shell import CONNECTIONS_MAX, import_extra, require_own_computer, running_face
 from server.jobs.cell import Cell
 from server.jobs.service import JobService
 from server.settings import OpcUaSettings
@@ -38,7 +38,7 @@ class OperationalMode(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class OpcUaValue:
     """One variable. `fresh` False: the PLC has not reported it for too long. `unit` is UNECE's code, or empty."""
 
     path: tuple[str, ...]
@@ -47,7 +47,7 @@ class Shown:
     fresh: bool = True
 
 
-def shown(service: JobService, now_ns: int | None = None) -> list[Shown]:
+def opcua_values(service: JobService, now_ns: int | None = None) -> list[OpcUaValue]:
     """All variables at this moment; always the same paths in the same order."""
     cell = service.cell
     latest = cell.link.latest
@@ -56,53 +56,53 @@ def shown(service: JobService, now_ns: int | None = None) -> list[Shown]:
     return [*_identity(cell), *_axes(cell, fresh), *_device(service, fresh), *_safety(cell, fresh)]
 
 
-def _identity(cell: Cell) -> list[Shown]:
+def _identity(cell: Cell) -> list[OpcUaValue]:
     device, controller = (SYSTEM, "MotionDevices", DEVICE), (SYSTEM, "Controllers", CONTROLLER)
     return [
-        Shown((*device, "Manufacturer"), "longreach"),
-        Shown((*device, "Model"), cell.machine.name),
-        Shown((*device, "SerialNumber"), cell.machine.serial),
-        Shown((*controller, "Software", "SoftwareRevision"), __version__),
+        OpcUaValue((*device, "Manufacturer"), "longreach"),
+        OpcUaValue((*device, "Model"), cell.machine.name),
+        OpcUaValue((*device, "SerialNumber"), cell.machine.serial),
+        OpcUaValue((*controller, "Software", "SoftwareRevision"), __version__),
     ]
 
 
-def _axes(cell: Cell, fresh: bool) -> list[Shown]:
+def _axes(cell: Cell, fresh: bool) -> list[OpcUaValue]:
     latest, found = cell.link.latest, []
     for i, joint in enumerate(cell.machine.joints):
         axis = (SYSTEM, "MotionDevices", DEVICE, "Axes", f"Axis_{i + 1}")
         position, speed = (latest.q_rad[i], latest.qd_rad_s[i]) if latest is not None else (0.0, 0.0)
         found += [
-            Shown((*axis, "AssetId"), joint.name),
-            Shown((*axis, "MotionProfile"), 1),  # ROTARY
-            Shown((*axis, "ParameterSet", "ActualPosition"), _degrees(position), "DD", fresh),
-            Shown((*axis, "ParameterSet", "ActualSpeed"), _degrees(speed), "E96", fresh),
+            OpcUaValue((*axis, "AssetId"), joint.name),
+            OpcUaValue((*axis, "MotionProfile"), 1),  # ROTARY
+            OpcUaValue((*axis, "ParameterSet", "ActualPosition"), _degrees(position), "DD", fresh),
+            OpcUaValue((*axis, "ParameterSet", "ActualSpeed"), _degrees(speed), "E96", fresh),
         ]
     return found
 
 
-def _device(service: JobService, fresh: bool) -> list[Shown]:
+def _device(service: JobService, fresh: bool) -> list[OpcUaValue]:
     latest, job = service.cell.link.latest, service.engine.current
     running = job is not None and not job.ended
     parameters = (SYSTEM, "MotionDevices", DEVICE, "ParameterSet")
     tasks = (SYSTEM, "Controllers", CONTROLLER, "TaskControls", "TaskControl_1", "ParameterSet")
     return [
-        Shown((*parameters, "InControl"), latest is not None and latest.plc_state == "RUN", "", fresh),
-        Shown((*parameters, "OnPath"), latest is not None and latest.plc_state == "RUN", "", fresh),
-        Shown((*tasks, "TaskProgramLoaded"), running),
-        Shown((*tasks, "TaskProgramName"), job.kind if job is not None and running else ""),
+        OpcUaValue((*parameters, "InControl"), latest is not None and latest.plc_state == "RUN", "", fresh),
+        OpcUaValue((*parameters, "OnPath"), latest is not None and latest.plc_state == "RUN", "", fresh),
+        OpcUaValue((*tasks, "TaskProgramLoaded"), running),
+        OpcUaValue((*tasks, "TaskProgramName"), job.kind if job is not None and running else ""),
     ]
 
 
-def _safety(cell: Cell, fresh: bool) -> list[Shown]:
+def _safety(cell: Cell, fresh: bool) -> list[OpcUaValue]:
     """Shown for information: no safety function reads it (the emergency stop is hardware)."""
     latest, phase = cell.link.latest, cell.link.health.phase.value
     bits = FaultBit(latest.fault_bits) if latest is not None else FaultBit(0)
     parameters = (SYSTEM, "SafetyStates", SAFETY, "ParameterSet")
     mode = OperationalMode.OTHER if phase == "local" else OperationalMode.AUTOMATIC_EXTERNAL
     return [
-        Shown((*parameters, "EmergencyStop"), FaultBit.ESTOP in bits, "", fresh),
-        Shown((*parameters, "OperationalMode"), int(mode)),
-        Shown((*parameters, "ProtectiveStop"), bool(bits & ~FaultBit.ESTOP), "", fresh),
+        OpcUaValue((*parameters, "EmergencyStop"), FaultBit.ESTOP in bits, "", fresh),
+        OpcUaValue((*parameters, "OperationalMode"), int(mode)),
+        OpcUaValue((*parameters, "ProtectiveStop"), bool(bits & ~FaultBit.ESTOP), "", fresh),
     ]
 
 
@@ -135,7 +135,7 @@ class OpcUaFace:
         server.set_server_name("longreach")
         server.set_security_policy([self._ua.SecurityPolicyType.NoSecurity])
         index = await server.register_namespace(NAMESPACE)
-        for variable in shown(self._service):
+        for variable in opcua_values(self._service):
             await self._add(index, variable)
         try:
             await server.start()
@@ -145,7 +145,7 @@ class OpcUaFace:
     async def run(self) -> None:
         """Write values until cancelled."""
         while True:
-            for variable in shown(self._service):
+            for variable in opcua_values(self._service):
                 await self._nodes[variable.path].write_value(self._data(variable))
             await asyncio.sleep(PERIOD_S)
 
@@ -155,7 +155,7 @@ class OpcUaFace:
             async with asyncio.timeout(STOP_S):
                 await self._server.stop()
 
-    async def _add(self, index: int, one: Shown) -> None:
+    async def _add(self, index: int, one: OpcUaValue) -> None:
         parent = self._server.nodes.objects
         for depth in range(1, len(one.path)):
             known = self._nodes.get(one.path[:depth])
@@ -168,12 +168,12 @@ class OpcUaFace:
             await node.add_property(index, "EngineeringUnits", one.unit)
         self._nodes[one.path] = node
 
-    def _kind(self, one: Shown) -> Any:
+    def _kind(self, one: OpcUaValue) -> Any:
         kinds = self._ua.VariantType
         by_type = {str: kinds.String, bool: kinds.Boolean, int: kinds.Int32, float: kinds.Double}
         return by_type[type(one.value)]
 
-    def _data(self, one: Shown) -> Any:
+    def _data(self, one: OpcUaValue) -> Any:
         """With the status that says whether it is to be believed."""
         status = self._ua.StatusCodes.Good if one.fresh else self._ua.StatusCodes.BadNoCommunication
         variant = self._ua.Variant(one.value, self._kind(one))
@@ -196,7 +196,7 @@ def load_library() -> Any:
 
     Raises: SettingsError: it is not installed.
     """
-    library = extra("opcua", "asyncua", "asyncua")
+    library = import_extra("opcua", "asyncua", "asyncua")
     with suppress(ImportError):  # a version that keeps it elsewhere is only slower to start
         importlib.import_module(SPACE)
     return library
@@ -212,7 +212,9 @@ async def opcua_face(service: JobService, settings: OpcUaSettings) -> AsyncItera
     face = OpcUaFace(service, settings.host, settings.port)
     await face.start()
     try:
-        async with running("opcua", face.run(), "opcua: values are no longer updated"):  # clients see old time stamps
+        async with running_face(
+            "opcua", face.run(), "opcua: values are no longer updated"
+        ):  # clients see old time stamps
             yield face
     finally:
         await face.stop()

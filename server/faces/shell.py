@@ -28,7 +28,7 @@ def require_own_computer(table: str, settings: FoxgloveSettings | OpcUaSettings,
         )
 
 
-def extra(table: str, module: str, package: str) -> Any:
+def import_extra(table: str, module: str, package: str) -> Any:
     """The library of an extra. Raises: SettingsError: it is not installed."""
     try:
         return importlib.import_module(module)
@@ -74,7 +74,7 @@ async def give_way(name: str, stop: Callable[[], None], start: Callable[[], None
 
 
 @asynccontextmanager
-async def running(name: str, run: Coroutine[Any, Any, None], at_its_end: str) -> AsyncIterator[None]:
+async def running_face(name: str, run: Coroutine[Any, Any, None], at_its_end: str) -> AsyncIterator[None]:
     """Inside it the face runs. One that ends by itself is a defect: it is logged, and the server goes on without it."""
 
     def report(task: "asyncio.Task[None]") -> None:

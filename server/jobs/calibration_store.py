@@ -15,7 +15,7 @@ from server.calibration.calibration_file import (
     calibration_text,
     parse_calibration,
 )
-from server.calibration.calibration_life import Expiry, LocalCalibration, observability_text
+from server.calibration.calibration_life import CalibrationExpiry, LocalCalibration, observability_text
 from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate
 from server.jobs.knowledge import Knowledge
 from server.jobs.records import CalibrationRecord
@@ -52,7 +52,12 @@ class CalibrationStore:
             log.error(knowledge.calibration_note)
 
     def restore(
-        self, knowledge: Knowledge, machine_id: str, n_joints: int, t_unix_s: float, expiry: Expiry | None = None
+        self,
+        knowledge: Knowledge,
+        machine_id: str,
+        n_joints: int,
+        t_unix_s: float,
+        expiry: CalibrationExpiry | None = None,
     ) -> None:
         """Take up the kept calibration, or note why not. Where it holds is asked when it is used.
 

@@ -53,7 +53,7 @@ class Identification:
         ended = f" after '{session.ended}'" if session.ended else ""
         return f"paused{ended}: {left}; plan the rest with resume, or diagnose what is recorded"
 
-    def unfinished(self, body: PlanIdentifyRequest) -> Drive | None:
+    def drive_to_resume(self, body: PlanIdentifyRequest) -> Drive | None:
         """The drive of which the rest is to be planned; None where the request is for a new one.
 
         Raises: JobFailedError: there is none to resume.
@@ -84,7 +84,7 @@ class Identification:
             raise JobFailedError("no identification was planned; send plan_identify first", "plan_refused")
         return planned, session.drive
 
-    def follow(self, job: Job, recording: Path | None) -> None:
+    def after_drive(self, job: Job, recording: Path | None) -> None:
         """After a drive, whole or cut short: keep its recording, and diagnose all of them once nothing is left."""
         session = self.session
         if job.kind != "identify" or session is None:

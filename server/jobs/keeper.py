@@ -29,7 +29,7 @@ from server.store.audit_rows import (
     save_operating_time,
 )
 from server.store.database import Database, StoreError, Work
-from server.store.idempotency import Answered, forget_answer, save_answer
+from server.store.idempotency import StoredAnswer, forget_answer, save_answer
 
 # A command as the store keeps it: who sent it, with which key, and what they were answered.
 
@@ -43,24 +43,24 @@ class Command:
     caller: Caller = INSIDE
     request_id: str = ""
     key: str = ""
-    answer: Callable[[Job], Answered] | None = None
+    answer: Callable[[Job], StoredAnswer] | None = None
 
 
 INSIDE_COMMAND = Command()  # of the server itself
 
 
 @dataclass(frozen=True, slots=True)
-class Began:
+class JobStartRows:
     """What one transaction writes before a job begins."""
 
     job: Job
     body: str
     audit: AuditEntry
     key: str
-    answered: Answered | None
+    answered: StoredAnswer | None
 
 
-def began(job: Job, body: str, plan_hash: str, lease: Lease | None, command: Command) -> Began:
+def job_start_rows(job: Job, body: str, plan_hash: str, lease: Lease | None, command: Command) -> JobStartRows:
     """The rows of a job that is about to begin."""
     entry = AuditEntry(
         t_unix_s=time.time(),
@@ -76,7 +76,7 @@ def began(job: Job, body: str, plan_hash: str, lease: Lease | None, command: Com
         job_id=job.job_id,
     )
     answered = command.answer(job) if command.answer is not None and command.key else None
-    return Began(job, body, entry, command.key, answered)
+    return JobStartRows(job, body, entry, command.key, answered)
 
 
 log = logging.getLogger(__name__)
@@ -186,7 +186,7 @@ class Keeper:
 
     # --- commands: written before they are carried out or answered --------------------------------------------------
 
-    async def begin(self, began: Began) -> None:
+    async def begin(self, began: JobStartRows) -> None:
         """Job, audit and answer in one transaction. Raises: StoreError: nothing was written, nothing may begin."""
         self.check()
 

@@ -115,7 +115,7 @@ class Performer:
         """Hand a finding to the recorder."""
         self._cell.recorder.record(request.item, request.text)
 
-    def heard(self, sample: PlcSample) -> None:
+    def observe_plc_sample(self, sample: PlcSample) -> None:
         """Every PLC sample, also between jobs: every motion counts for where the joints rest in their play."""
         self._play.see(sample.t_plc_ns * 1e-9, np.array(sample.q_rad))
 

@@ -159,7 +159,7 @@ class ServoResult:
 
 
 @dataclass(frozen=True, slots=True)
-class IdentificationPart:
+class DriveSegment:
     """One part of the drive. `shows`: what it is for; `cannot`: what it leaves open here, and why; empty: nothing."""
 
     name: str
@@ -175,7 +175,7 @@ class IdentificationPlan:
     plan_hash: str
     expires_in_s: float
     duration_s: float
-    parts: tuple[IdentificationPart, ...]
+    parts: tuple[DriveSegment, ...]
     cannot: tuple[str, ...]
     looks: int
     tcp_speed_max_mm_s: float

@@ -13,7 +13,7 @@ from recording.run import SegmentKind
 from server.calibration.contracts import Array, CameraRotationEstimate
 from server.jobs.records import ComparedMove, MoveRecord
 from server.motion.contracts import JointTrajectory, PathPlan
-from server.motion.identification_courses import Mark
+from server.motion.identification_courses import SegmentMark
 from server.targets.contracts import AnchoredTarget
 from server.vision.contracts import ObjectPose, PairObservation, PoseStatus
 
@@ -35,7 +35,7 @@ class StopWatching:
 
 
 @dataclass(frozen=True, slots=True)
-class Sighted:
+class SeenPairs:
     """Pairs that showed both: times (n,) [s, camera clock mapped], OOI minus tool (n, 3) [m], Rs_cam_ooi (n, 3, 3)."""
 
     t_s: Array
@@ -43,7 +43,7 @@ class Sighted:
     Rs_cam_ooi: Array
 
 
-def sighted_of(pairs: Iterable[tuple[float, PairObservation]]) -> Sighted:
+def sighted_of(pairs: Iterable[tuple[float, PairObservation]]) -> SeenPairs:
     """From (time [s], pair); pairs without both objects are left out."""
     t, vectors, turns = [], [], []
     for t_s, pair in pairs:
@@ -52,7 +52,7 @@ def sighted_of(pairs: Iterable[tuple[float, PairObservation]]) -> Sighted:
             t.append(t_s)
             vectors.append(ooi[:3, 3] - tool[:3, 3])
             turns.append(ooi[:3, :3])
-    return Sighted(np.array(t), np.array(vectors).reshape(-1, 3), np.array(turns).reshape(-1, 3, 3))
+    return SeenPairs(np.array(t), np.array(vectors).reshape(-1, 3), np.array(turns).reshape(-1, 3, 3))
 
 
 # What a plan may ask for while the machine moves: pairs as they come, corrections, a stop.
@@ -151,7 +151,7 @@ class Move:
 
     trajectory: JointTrajectory
     purpose: str
-    marks: tuple[Mark, ...] = ()
+    marks: tuple[SegmentMark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +256,7 @@ Plan = Generator[Request, object, object]
 Reply = TypeVar("Reply")
 
 
-def expect(reply: object, expected: type[Reply]) -> Reply:
+def expect_reply(reply: object, expected: type[Reply]) -> Reply:
     """The engine's reply, which must be of the type that the request promises; anything else is a defect."""
     if not isinstance(reply, expected):
         raise TypeError(f"reply is {type(reply).__name__}, expected {expected.__name__}")

@@ -20,7 +20,7 @@ from server.jobs.context import PlanContext
 from server.jobs.diagnosing import Diagnoses
 from server.jobs.engine import Job, JobEngine, JobEvent
 from server.jobs.identification import Identification
-from server.jobs.keeper import INSIDE_COMMAND, Command, FindingLog, Keeper, began
+from server.jobs.keeper import INSIDE_COMMAND, Command, FindingLog, Keeper, job_start_rows
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
 from server.jobs.plans.identifying import drive_identification, plan_identification
@@ -29,7 +29,7 @@ from server.jobs.plans.line import line_run
 from server.jobs.plans.looking import take_look
 from server.jobs.plans.moving import check_executable, execute, preview
 from server.jobs.plans.orienting import orient
-from server.jobs.plans.pattern import marks_of, visit
+from server.jobs.plans.pattern import marks_of, visit_marks
 from server.jobs.plans.positioning import position
 from server.jobs.plans.returning import park, retract, return_to_start
 from server.jobs.plans.servoing import servo
@@ -172,7 +172,7 @@ class JobService:
 
         async def keep(job: Job) -> None:
             if self.keeper is not None:
-                await self.keeper.begin(began(job, body.model_dump_json(), plan_hash, lease, command))
+                await self.keeper.begin(job_start_rows(job, body.model_dump_json(), plan_hash, lease, command))
 
         return await self.engine.submit_kept(body.kind, plan, owner, lease, keep)
 
@@ -223,14 +223,14 @@ class JobService:
             case PositionRequest():
                 return position(ctx.with_method(body.method), body.recalibrate)
             case PatternRequest():
-                return visit(ctx, marks_of(ctx, body.target_ids))
+                return visit_marks(ctx, marks_of(ctx, body.target_ids))
             case LineRequest():
                 return line_run(ctx.with_method("paper"), body.variant)
             case ServoRequest():
                 return servo(ctx)
             case PlanIdentifyRequest():
                 desk = self.identification
-                return plan_identification(ctx, body.minutes, body.wall_free, desk.unfinished(body), desk.keep)
+                return plan_identification(ctx, body.minutes, body.wall_free, desk.drive_to_resume(body), desk.keep)
             case IdentifyRequest():
                 return drive_identification(ctx, *self.identification.executable(body, mono_ns()))
             case RetractRequest():
@@ -273,7 +273,7 @@ class JobService:
             self._store.keep(self.cell.knowledge)
             recorder.result(job.result if job.result is not None else job.reason)
             recording = recorder.stop()
-            self.identification.follow(job, recording)
+            self.identification.after_drive(job, recording)
 
 
 def _previewing(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, PreviewedPlan]:

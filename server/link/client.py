@@ -13,6 +13,7 @@ from protocol.messages import axes8
 from recording.clock import mono_ns, mono_s
 from server.link.contracts import (
     ArmRequest,
+    BindFailed,
     CorrectRequest,
     DisarmRequest,
     HealthReport,
@@ -31,7 +32,6 @@ from server.link.contracts import (
     SteerRequest,
     StopRequest,
     TailReport,
-    Unbound,
 )
 from server.link.errors import LinkError, LinkRefusedError, LinkSilentError
 from server.link.samples import KnotTuple, SampleCallback, SampleRing, knots_from, knots_of, refusals_text
@@ -342,7 +342,7 @@ class LinkClient:
             case MotionEnded(traj_id=traj_id):
                 if self._motion and not self._motion.done() and traj_id == self._traj_id:
                     self._motion.set_result(report)
-            case Unbound(text=text):
+            case BindFailed(text=text):
                 self._unbound = text
             case TailReport(traj_id=traj_id):
                 if self._tail and not self._tail.done() and traj_id == self._traj_id:

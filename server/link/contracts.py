@@ -173,7 +173,7 @@ class SamplesReport:
 
 
 @dataclass(frozen=True, slots=True)
-class Unbound:
+class BindFailed:
     """The link process cannot listen where it should, and ends: why."""
 
     text: str
@@ -215,4 +215,4 @@ LinkRequest = (
     | ResetRequest
     | DisarmRequest
 )
-LinkReport = SamplesReport | HealthReport | MotionEnded | RunRefused | TailReport | Unbound
+LinkReport = SamplesReport | HealthReport | MotionEnded | RunRefused | TailReport | BindFailed

@@ -16,9 +16,9 @@ from types import FrameType
 from protocol.client_events import (
     ClientEvent,
     ClientPhase,
-    Closed,
-    Dropped,
+    DatagramDropped,
     GateRefused,
+    LinkClosed,
     RejectSeen,
     StateReceived,
     TailAnswered,
@@ -34,6 +34,7 @@ from protocol.timeouts import SESSION_VOID, STOP_ON_EXIT
 from recording.clock import SUSPENDED, SuspendWatch, mono_ns
 from server.link.contracts import (
     ArmRequest,
+    BindFailed,
     CorrectRequest,
     DisarmRequest,
     HealthReport,
@@ -49,7 +50,6 @@ from server.link.contracts import (
     SteerRequest,
     StopRequest,
     TailReport,
-    Unbound,
 )
 from server.link.lateness import Deadline, Lateness, LatenessFigures, Outbox, raise_priority
 from server.link.samples import knots_from, refusals_text, sample_of
@@ -279,9 +279,9 @@ class LinkProcess:
                 case GateRefused(text=text):
                     self._rejected += 1
                     self._rejects.append(f"motion gate: {text}")
-                case Closed():
+                case LinkClosed():
                     self._renew()
-                case Dropped(code=code, text=text):
+                case DatagramDropped(code=code, text=text):
                     self._unread_ns = t_mono_ns
                     self._unread = f"the PLC answers, but rejects this PC: {reject_text(code)} [{text}]"
 
@@ -356,7 +356,7 @@ def link_process_main(pipe: Connection, settings: LinkSettings, table: LimitTabl
         process = LinkProcess(pipe, settings, table, parent_pid)
     except OSError as error:
         where = f"udp {settings.local_host}:{settings.local_port}"
-        pipe.send(Unbound(f"[plc] local_host, local_port: {where}: {error.strerror or error}"))
+        pipe.send(BindFailed(f"[plc] local_host, local_port: {where}: {error.strerror or error}"))
         return
 
     def on_signal(number: int, frame: FrameType | None) -> None:

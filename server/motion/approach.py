@@ -9,7 +9,7 @@ from machine.description import Machine
 from machine.kinematics import tcp_pose
 from machine.poses import pose
 from server.motion.contracts import Array, PathPlan, Wall
-from server.motion.joint_path import straight_poses, trace
+from server.motion.joint_path import joint_path_along, straight_poses
 from server.motion.point_to_point import cartesian_leg, joint_leg, path_end, plan_of
 from server.motion.refusal import Refusal, refused_plan, require_goal, require_joints
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
@@ -59,7 +59,7 @@ def plan_approach(
     if q_goal is not None:
         q_end = require_joints(q_goal, chain.n, "q_goal")
     else:
-        direct = trace(machine, chain, q, straight_poses(tcp_pose(chain, q), goal, settings), settings)
+        direct = joint_path_along(machine, chain, q, straight_poses(tcp_pose(chain, q), goal, settings), settings)
         if isinstance(direct, Refusal):
             return refused_plan(direct, q, np.array([tcp_pose(chain, q), goal]))
         q_end = direct.qs[-1]

@@ -7,7 +7,7 @@ import numpy as np
 from machine.chain import chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_poses
-from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus, evaluate, sample
+from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus, evaluate_trajectory, sample_trajectory
 from server.motion.refusal import Refusal, refused_plan
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
 
@@ -57,16 +57,16 @@ def camera_paced(
             f"{min(followed_s, counted_s):.2f} s on); relieve the computer, or raise the camera's rate"
         )
         return refused_plan(Refusal(PlanStatus.TOO_FAST, text), plan.q_end, plan.Ts_base_tcp)
-    slower = stretched(plan.trajectory, longer, settings.knot_s)
+    slower = slowed_trajectory(plan.trajectory, longer, settings.knot_s)
     speed_m_s = plan.tcp_speed_max_m_s * plan.trajectory.duration_s / slower.duration_s
     return replace(plan, trajectory=slower, duration_s=slower.duration_s, tcp_speed_max_m_s=speed_m_s)
 
 
-def stretched(trajectory: JointTrajectory, longer: float, knot_s: float) -> JointTrajectory:
+def slowed_trajectory(trajectory: JointTrajectory, longer: float, knot_s: float) -> JointTrajectory:
     """The same way in at least `longer` times the time; knots `knot_s` apart."""
     t_s = knot_s * np.arange(int(np.ceil(longer * trajectory.duration_s / knot_s)) + 1, dtype=np.float64)
     longer = t_s[-1] / trajectory.duration_s
-    motion = evaluate(trajectory, t_s / longer)
+    motion = evaluate_trajectory(trajectory, t_s / longer)
     for ours, theirs in ((motion.q, trajectory.q), (motion.qd, trajectory.qd), (motion.qdd, trajectory.qdd)):
         ours[[0, -1]] = theirs[[0, -1]]  # at rest to the last bit, as the PLC wants both ends
     return JointTrajectory(t_s, motion.q, motion.qd / longer, motion.qdd / longer**2)
@@ -74,7 +74,7 @@ def stretched(trajectory: JointTrajectory, longer: float, knot_s: float) -> Join
 
 def _acceleration_max(machine: Machine, trajectory: JointTrajectory) -> float:
     """Largest acceleration of the TCP along it [m/s^2]."""
-    t_s, motion = sample(trajectory, SAMPLE_S)
+    t_s, motion = sample_trajectory(trajectory, SAMPLE_S)
     if len(t_s) < 3:
         return 0.0
     places = tcp_poses(chain_of(machine), motion.q)[:, :3, 3]

@@ -7,10 +7,10 @@ import numpy as np
 from machine.chain import Chain
 from machine.description import Machine
 from machine.kinematics import tcp_poses
-from server.motion.contracts import Array, JointTrajectory, PlanStatus, Wall, sample
+from server.motion.contracts import Array, JointTrajectory, PlanStatus, Wall, sample_trajectory
 from server.motion.refusal import Refusal, range_refusal, singular_refusal
 from server.motion.settings import DEFAULT_PLAN_SETTINGS
-from server.motion.timing import excess
+from server.motion.timing import limit_excess
 from server.motion.wall_clearance import wall_refusal
 
 KNOT_S = 0.05
@@ -22,7 +22,7 @@ SPEED_SHARE = 0.9  # of the speed limit: the reference is what is planned, the t
 
 
 @dataclass(frozen=True, slots=True)
-class Join:
+class TailStart:
     """Where a new tail begins: knot `first` is its first one; the motion at the knot before it, at `t_s`."""
 
     first: int
@@ -32,24 +32,24 @@ class Join:
     qdd: Array
 
 
-def join_after(trajectory: JointTrajectory, t_play_s: float) -> Join | None:
+def join_after(trajectory: JointTrajectory, t_play_s: float) -> TailStart | None:
     """The first knot that may still be replaced, None where the end is too near."""
     first = int(np.searchsorted(trajectory.t_s, t_play_s + JOIN_AHEAD_S))
     if first < 1 or first >= len(trajectory.t_s):
         return None
     k = first - 1
-    return Join(first, float(trajectory.t_s[k]), trajectory.q[k], trajectory.qd[k], trajectory.qdd[k])
+    return TailStart(first, float(trajectory.t_s[k]), trajectory.q[k], trajectory.qd[k], trajectory.qdd[k])
 
 
-def at_rest(q: Array) -> Join:
+def at_rest(q: Array) -> TailStart:
     """The beginning of a motion from rest at q (n,)."""
-    return Join(1, 0.0, q, np.zeros_like(q), np.zeros_like(q))
+    return TailStart(1, 0.0, q, np.zeros_like(q), np.zeros_like(q))
 
 
 def path_to_rest(
     machine: Machine,
     chain: Chain,
-    start: Join,
+    start: TailStart,
     q_goal: Array,
     speed_max_m_s: float,
     duration_min_s: float,
@@ -70,7 +70,7 @@ def path_to_rest(
     for _ in range(ROUNDS):
         n = int(np.ceil(duration_s / KNOT_S - 1e-9))
         whole = _quintic(start, q_goal, KNOT_S * np.arange(n + 1, dtype=np.float64))
-        found = excess(machine, chain, whole, DEFAULT_PLAN_SETTINGS, tcp_share)
+        found = limit_excess(machine, chain, whole, DEFAULT_PLAN_SETTINGS, tcp_share)
         if found.factor <= 1.0:
             return _checked(machine, chain, whole, start, wall)
         worst, duration_s = found.worst, KNOT_S * n * min(1.02 * found.factor, 2.0)
@@ -81,9 +81,9 @@ def path_to_rest(
 
 
 def _checked(
-    machine: Machine, chain: Chain, whole: JointTrajectory, start: Join, wall: Wall | None
+    machine: Machine, chain: Chain, whole: JointTrajectory, start: TailStart, wall: Wall | None
 ) -> JointTrajectory | Refusal:
-    _, motion = sample(whole, 0.02)
+    _, motion = sample_trajectory(whole, 0.02)
     beyond = range_refusal(machine, motion.q, DEFAULT_PLAN_SETTINGS.joint_margin_rad)
     if beyond is not None:
         return beyond
@@ -96,7 +96,7 @@ def _checked(
     return JointTrajectory(whole.t_s[1:] + start.t_s, whole.q[1:], whole.qd[1:], whole.qdd[1:])
 
 
-def _quintic(start: Join, q_goal: Array, t_s: Array) -> JointTrajectory:
+def _quintic(start: TailStart, q_goal: Array, t_s: Array) -> JointTrajectory:
     """Knots of the quintic from the start's motion to rest at the goal, the start included, times from 0."""
     T, t = float(t_s[-1]), t_s[:, None]
     u = t / T
@@ -111,7 +111,7 @@ def _quintic(start: Join, q_goal: Array, t_s: Array) -> JointTrajectory:
     return JointTrajectory(t_s, q, qd, qdd)
 
 
-def with_start(tail: JointTrajectory, start: Join) -> JointTrajectory:
+def with_start(tail: JointTrajectory, start: TailStart) -> JointTrajectory:
     """A whole trajectory: the start knot in front of the tail."""
     return JointTrajectory(
         np.concatenate([[start.t_s], tail.t_s]),

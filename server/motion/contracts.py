@@ -78,7 +78,7 @@ class Motion:
     qdd: Array
 
 
-def evaluate(trajectory: JointTrajectory, t_s: Array) -> Motion:
+def evaluate_trajectory(trajectory: JointTrajectory, t_s: Array) -> Motion:
     """The reference between the knots, as the PLC interpolates it.
 
     Model:   on each interval the quintic that meets position, velocity and acceleration at both knots.
@@ -104,13 +104,13 @@ def evaluate(trajectory: JointTrajectory, t_s: Array) -> Motion:
     )
 
 
-def sample(trajectory: JointTrajectory, step_s: float) -> tuple[Array, Motion]:
+def sample_trajectory(trajectory: JointTrajectory, step_s: float) -> tuple[Array, Motion]:
     """Times (n,) [s] no further apart than `step_s`, both ends included, and the reference there."""
     t = np.linspace(0.0, trajectory.duration_s, max(2, int(np.ceil(trajectory.duration_s / step_s)) + 1))
-    return t, evaluate(trajectory, t)
+    return t, evaluate_trajectory(trajectory, t)
 
 
-def join(parts: list[JointTrajectory]) -> JointTrajectory:
+def join_trajectories(parts: list[JointTrajectory]) -> JointTrajectory:
     """One trajectory out of parts that each start where the one before ended, at rest."""
     t, q, qd, qdd = [parts[0].t_s], [parts[0].q], [parts[0].qd], [parts[0].qdd]
     end_s = parts[0].duration_s
@@ -123,7 +123,7 @@ def join(parts: list[JointTrajectory]) -> JointTrajectory:
     return JointTrajectory(np.concatenate(t), np.concatenate(q), np.concatenate(qd), np.concatenate(qdd))
 
 
-def hold(q: Array, duration_s: float, knot_s: float) -> JointTrajectory:
+def hold_trajectory(q: Array, duration_s: float, knot_s: float) -> JointTrajectory:
     """Standing still at q (joints,) for a while."""
     n = max(2, round(duration_s / knot_s) + 1)
     still = np.zeros((n, len(q)))

@@ -13,7 +13,7 @@ from machine.kinematics import tcp_jacobian
 from server.motion.contracts import Array, JointTrajectory, PlanStatus
 from server.motion.refusal import Refusal
 from server.motion.settings import PlanSettings
-from server.motion.timing import excess
+from server.motion.timing import limit_excess
 
 Kind = Literal["repeat", "multisine", "steps", "sweep", "staircase", "workcycle", "hold"]
 Shape = Callable[[np.random.Generator, float, int], Array]
@@ -31,7 +31,7 @@ TCP_SHARE = 0.55  # of the TCP's speed for each joint alone; the joints are not 
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class SegmentMark:
     """A stretch of a trajectory that is a segment of the recording; `start_s`, `end_s` from the trajectory's start."""
 
     name: str
@@ -88,7 +88,7 @@ def fitted_course(machine: Machine, chain: Chain, course: Course, settings: Plan
     size_frac, worst = 1.0, ""
     for _ in range(ROUNDS):
         trajectory = course_trajectory(course, size_frac)
-        found = excess(machine, chain, trajectory, settings, settings.limit_share)
+        found = limit_excess(machine, chain, trajectory, settings, settings.limit_share)
         if found.factor <= 1.0:
             return trajectory
         worst = found.worst
@@ -101,7 +101,7 @@ def fitted_course(machine: Machine, chain: Chain, course: Course, settings: Plan
     )
 
 
-def multisine(rng: np.random.Generator, seconds: float, n: int) -> Array:
+def multisine_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """Six sines of 0.07 to 0.8 Hz in every joint, the faster the smaller."""
     t = _times(seconds)
     out = np.zeros((len(t), n))
@@ -112,14 +112,14 @@ def multisine(rng: np.random.Generator, seconds: float, n: int) -> Array:
     return out * _fade(t, seconds)
 
 
-def slow_passes(rng: np.random.Generator, seconds: float, n: int) -> Array:
+def slow_passes_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """One slow sine in every joint, each with a period of its own: the speed passes zero both ways again and again."""
     t = _times(seconds)
     period = seconds / rng.permutation(np.linspace(1.6, 3.6, n))
     return np.sin(2.0 * np.pi * t[:, None] / period) * rng.choice((-1.0, 1.0), n) * _fade(t, seconds)
 
 
-def steps(rng: np.random.Generator, seconds: float, n: int) -> Array:
+def steps_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """Quick moves of 0.8 s to other places and a rest at each, every joint by its own clock."""
     t = _times(seconds)
     out = np.zeros((len(t), n))
@@ -133,7 +133,7 @@ def steps(rng: np.random.Generator, seconds: float, n: int) -> Array:
     return out
 
 
-def staircase(rng: np.random.Generator, seconds: float, n: int) -> Array:
+def staircase_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """Small stairs up and down again with rests: what a command must be before anything moves."""
     t = _times(seconds)
     stairs = max(2, int(seconds / 1.6 / 2.0))
@@ -144,7 +144,7 @@ def staircase(rng: np.random.Generator, seconds: float, n: int) -> Array:
     return height[:, None] * rng.uniform(0.15, 0.35, n) * rng.choice((-1.0, 1.0), n)
 
 
-def workcycle(rng: np.random.Generator, seconds: float, n: int) -> Array:
+def work_cycle_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """All joints together from place to place, and a rest at each."""
     t = _times(seconds)
     count = max(2, round(seconds / 5.0))
@@ -157,24 +157,26 @@ def workcycle(rng: np.random.Generator, seconds: float, n: int) -> Array:
     return out
 
 
-def rest(rng: np.random.Generator, seconds: float, n: int) -> Array:
+def hold_still_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """Standing still: what creeps under load, and the noise of encoders and camera."""
     del rng
     return np.zeros((len(_times(seconds)), n))
 
 
 PARTS: tuple[MotionPart, ...] = (
-    MotionPart("repeats", "repeat", 8.0, multisine, ("how much the machine repeats to: the noise",), REPEATS),
-    MotionPart("slow passes", "sweep", 32.0, slow_passes, ("dead band", "hysteresis", "friction", "flow gain")),
-    MotionPart("multisine", "multisine", 22.0, multisine, ("delay", "lag", "controller", "camera's clock")),
-    MotionPart("work cycle", "workcycle", 28.0, workcycle, ("flow shared by joints", "load", "flow by direction")),
-    MotionPart("steps", "steps", 15.0, steps, ("lag", "limits of speed", "oscillation")),
-    MotionPart("stairs", "staircase", 16.0, staircase, ("dead band", "breakaway", "resolution")),
-    MotionPart("rest", "hold", 6.0, rest, ("creep under load",)),
+    MotionPart("repeats", "repeat", 8.0, multisine_course, ("how much the machine repeats to: the noise",), REPEATS),
+    MotionPart("slow passes", "sweep", 32.0, slow_passes_course, ("dead band", "hysteresis", "friction", "flow gain")),
+    MotionPart("multisine", "multisine", 22.0, multisine_course, ("delay", "lag", "controller", "camera's clock")),
+    MotionPart(
+        "work cycle", "workcycle", 28.0, work_cycle_course, ("flow shared by joints", "load", "flow by direction")
+    ),
+    MotionPart("steps", "steps", 15.0, steps_course, ("lag", "limits of speed", "oscillation")),
+    MotionPart("stairs", "staircase", 16.0, staircase_course, ("dead band", "breakaway", "resolution")),
+    MotionPart("rest", "hold", 6.0, hold_still_course, ("creep under load",)),
 )
 
 
-def levers(chain: Chain, q: Array) -> Array:
+def tcp_lever_arms(chain: Chain, q: Array) -> Array:
     """How far the TCP goes for each joint (n,) [m/rad], at least 0.1."""
     return np.maximum(np.linalg.norm(tcp_jacobian(chain, q)[:3], axis=0), 0.1)
 
@@ -194,18 +196,19 @@ def part_course(machine: Machine, chain: Chain, part: MotionPart, q_home: Array,
     return Course(q_home + np.concatenate([once, *([once[1:]] * (part.repeats - 1))]), KNOT_S)
 
 
-def part_marks(part: MotionPart) -> tuple[Mark, ...]:
+def part_marks(part: MotionPart) -> tuple[SegmentMark, ...]:
     """The segments of a part."""
     each_s = 2.0 * REST_S + part.seconds - KNOT_S
     if part.repeats == 1:
-        return (Mark(part.name, part.kind, 0.0, each_s),)
+        return (SegmentMark(part.name, part.kind, 0.0, each_s),)
     return tuple(
-        Mark(f"{part.name} {k + 1}", part.kind, k * each_s, (k + 1) * each_s, part.name) for k in range(part.repeats)
+        SegmentMark(f"{part.name} {k + 1}", part.kind, k * each_s, (k + 1) * each_s, part.name)
+        for k in range(part.repeats)
     )
 
 
 def _sizes(machine: Machine, chain: Chain, unit: Array, q_home: Array, settings: PlanSettings) -> Array:
-    lever = levers(chain, q_home)
+    lever = tcp_lever_arms(chain, q_home)
     rate = np.abs(np.gradient(unit, KNOT_S, axis=0)).max(axis=0)
     bend = np.abs(np.gradient(np.gradient(unit, KNOT_S, axis=0), KNOT_S, axis=0)).max(axis=0)
     v_max = np.array([joint.qd_max_rad_s for joint in machine.joints]) * settings.limit_share

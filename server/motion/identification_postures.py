@@ -14,7 +14,7 @@ from machine.chain import Chain
 from machine.description import Machine, Marker
 from machine.effects.arm import arm_of
 from machine.effects.encoders import angles_at_rest
-from machine.effects.entries import EffectEntry, pack
+from machine.effects.entries import EffectEntry, pack_effects
 from machine.effects.registry import effect_of
 from machine.effects.seen import seen_corners
 from machine.effects.structure import gravity_torques, tcp_poses
@@ -63,13 +63,13 @@ def choose_postures(
     pool = _pool(chain, q_now, margin_rad)
     pool = pool[_in_view(machine, pool, seen)]
     if wall is not None and len(pool):
-        tool = tcp_poses(arm_of(machine), pack((), chain.n), pool)
+        tool = tcp_poses(arm_of(machine), pack_effects((), chain.n), pool)
         pool = pool[clearances(tool, machine.T_tcp_tool, wall) >= wall.clearance_min_m + 0.03]
     if not len(pool):
         return Postures(np.zeros((0, chain.n)), (), 0)
     pool = pool[:CANDIDATES]
     names, J = _information(machine, pool, seen)
-    places = tcp_poses(arm_of(machine), pack((), chain.n), pool)[:, :3, 3] / (0.8 * machine.tcp_speed_max_m_s)
+    places = tcp_poses(arm_of(machine), pack_effects((), chain.n), pool)[:, :3, 3] / (0.8 * machine.tcp_speed_max_m_s)
     chosen = _greedy(J, places, min(count, len(pool)))
     left = np.sqrt(np.diag(np.linalg.inv(np.eye(len(names)) + sum(J[k].T @ J[k] for k in chosen))))
     known = tuple((*name, float(ratio)) for name, ratio in zip(names, left, strict=True) if name[0] != "object")
@@ -86,14 +86,14 @@ def _pool(chain: Chain, q_now: Array, margin_rad: float) -> Array:
 
 
 def _object_poses(machine: Machine, qs: Array, seen: SeenObject, entries: tuple[EffectEntry, ...] = ()) -> Array:
-    sets = pack(entries, qs.shape[1])
+    sets = pack_effects(entries, qs.shape[1])
     Ts = tcp_poses(arm_of(machine), sets, angles_at_rest(sets, qs, None)) @ seen.T_tcp_cam
     return np.linalg.inv(Ts) @ seen.T_base_ooi
 
 
 def _corners(machine: Machine, Ts_cam_ooi: Array, seen: SeenObject, n: int) -> Array:
     """Both eyes' corners (m, 2, markers, 4, 2) [px]."""
-    found = seen_corners(pack((), n), machine.camera, seen.markers, Ts_cam_ooi)
+    found = seen_corners(pack_effects((), n), machine.camera, seen.markers, Ts_cam_ooi)
     return np.stack([found.left, found.right], axis=1)
 
 
@@ -151,7 +151,7 @@ def _turned(k: int, size: float) -> Array:
 
 
 def _entries(machine: Machine, qs: Array) -> list[EffectEntry]:
-    loads = np.abs(gravity_torques(arm_of(machine), pack((), qs.shape[1]), qs)).max(axis=0)
+    loads = np.abs(gravity_torques(arm_of(machine), pack_effects((), qs.shape[1]), qs)).max(axis=0)
     out = []
     for joint, (row, load) in enumerate(zip(machine.joints, loads, strict=True), start=1):
         out.append(_entry("encoder_bias", joint))

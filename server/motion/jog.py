@@ -11,7 +11,7 @@ from machine.kinematics import tcp_jacobian, tcp_pose
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
 from server.motion.contracts import Array, PathPlan, PlanStatus, Wall
-from server.motion.point_to_point import Leg, cartesian_leg, joint_leg, plan_of
+from server.motion.point_to_point import PathLeg, cartesian_leg, joint_leg, plan_of
 from server.motion.refusal import Refusal, refused_plan, require_joints
 from server.motion.settings import PlanSettings
 
@@ -74,7 +74,7 @@ def plan_jog(
     slow, slowly = _slow(machine, speed, settings)
     travel, resolution = _travel(chain, q, axis, speed)
 
-    def leg(length: float) -> Leg | Refusal:
+    def leg(length: float) -> PathLeg | Refusal:
         if axis.startswith("joint_"):
             q_end = q.copy()
             q_end[_joint(axis)] += direction * length
@@ -85,7 +85,7 @@ def plan_jog(
     if not isinstance(longest, Refusal):
         return JogPlan(plan_of([longest]), "")
     refusal, low, high = longest, 0.0, travel
-    found: Leg | None = None
+    found: PathLeg | None = None
     while high - low > resolution:
         middle = 0.5 * (low + high)
         tried = leg(middle)

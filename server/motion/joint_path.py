@@ -75,7 +75,9 @@ def joint_line(chain: Chain, q_start: Array, q_end: Array) -> JointPath:
     return _of_samples(chain, q_start + np.linspace(0.0, 1.0, m)[:, None] * (q_end - q_start))
 
 
-def trace(machine: Machine, chain: Chain, q_start: Array, Ts: Array, settings: PlanSettings) -> JointPath | Refusal:
+def joint_path_along(
+    machine: Machine, chain: Chain, q_start: Array, Ts: Array, settings: PlanSettings
+) -> JointPath | Refusal:
     """Joint path along TCP poses, on the branch where the machine stands.
 
     Args:    q_start: joints at the first pose (joints,) [rad]; Ts: (m, 4, 4).

@@ -14,7 +14,7 @@ from machine.chain import chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_jacobian
 from machine.rotations import Array
-from server.motion.contracts import JointTrajectory, PathPlan, Wall, join
+from server.motion.contracts import JointTrajectory, PathPlan, Wall, join_trajectories
 from server.motion.joint_path import joint_line
 from server.motion.point_to_point import plan_joint_move
 from server.motion.refusal import refused_plan, require_joints
@@ -151,7 +151,7 @@ def _through(machine: Machine, q_ref: Array, targets: list[Array], settings: Pla
     return PathPlan(
         status=last.status,
         reason="",
-        trajectory=join([first.trajectory, last.trajectory]),
+        trajectory=join_trajectories([first.trajectory, last.trajectory]),
         Ts_base_tcp=np.concatenate([first.Ts_base_tcp, last.Ts_base_tcp]),
         q_end=last.q_end,
         length_m=first.length_m + last.length_m,

@@ -7,22 +7,22 @@ import numpy as np
 from machine.chain import Chain, chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_pose, tcp_poses
-from server.motion.contracts import Array, PathPlan, PlanStatus, Wall, join, sample
-from server.motion.joint_path import JointPath, joint_line, straight_poses, trace
+from server.motion.contracts import Array, PathPlan, PlanStatus, Wall, join_trajectories, sample_trajectory
+from server.motion.joint_path import JointPath, joint_line, joint_path_along, straight_poses
 from server.motion.refusal import Refusal, range_refusal, refused_plan, require_goal, require_joints, singular_refusal
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
-from server.motion.timing import Timed, time_path
+from server.motion.timing import TimedPath, time_path
 from server.motion.wall_clearance import wall_refusal
 
 FAR_M = 100.0  # the samples of a longer way would fill the memory before anything is refused
 
 
 @dataclass(frozen=True, slots=True)
-class Leg:
+class PathLeg:
     """One rest-to-rest piece: its shape, its timed reference, and its smallest clearance [m] and sigma-min."""
 
     path: JointPath
-    timed: Timed
+    timed: TimedPath
     clearance_m: float
     sigma_min: float
 
@@ -56,7 +56,7 @@ def plan_through(
     """Straight legs through poses (4, 4), resting at each. Arguments, result and errors as `plan_move`."""
     chain = chain_of(machine)
     q = require_joints(q_start, chain.n, "q_start")
-    legs: list[Leg] = []
+    legs: list[PathLeg] = []
     tried = [tcp_pose(chain, q), *Ts_base_tcp]
     start_refusal = range_refusal(machine, np.array([q]), settings.joint_margin_rad)
     if start_refusal is not None:
@@ -91,25 +91,25 @@ def plan_joint_move(
 
 def cartesian_leg(
     machine: Machine, chain: Chain, q_start: Array, T_end: Array, settings: PlanSettings, wall: Wall | None
-) -> Leg | Refusal:
+) -> PathLeg | Refusal:
     """One straight leg of the TCP from where the joints are to a pose (4, 4)."""
     T_start = tcp_pose(chain, q_start)
     far_m = float(np.linalg.norm(T_end[:3, 3] - T_start[:3, 3]))
     if far_m > FAR_M:
         text = f"the goal is {far_m:.3g} m away (limit {FAR_M:g} m): no arm of this kind reaches so far; look again"
         return Refusal(PlanStatus.OUT_OF_REACH, text)
-    path = trace(machine, chain, q_start, straight_poses(T_start, T_end, settings), settings)
+    path = joint_path_along(machine, chain, q_start, straight_poses(T_start, T_end, settings), settings)
     return path if isinstance(path, Refusal) else _leg(machine, chain, path, settings, wall)
 
 
 def joint_leg(
     machine: Machine, chain: Chain, q_start: Array, q_end: Array, settings: PlanSettings, wall: Wall | None
-) -> Leg | Refusal:
+) -> PathLeg | Refusal:
     """One leg in joint space, which may pass through the wrist singularity."""
     return _leg(machine, chain, joint_line(chain, q_start, q_end), settings, wall, singular_ok=True)
 
 
-def path_end(leg: Leg) -> Array:
+def path_end(leg: PathLeg) -> Array:
     """Joints at the end of a leg (joints,) [rad]."""
     return leg.path.qs[-1]
 
@@ -121,7 +121,7 @@ def _leg(
     settings: PlanSettings,
     wall: Wall | None,
     singular_ok: bool = False,
-) -> Leg | Refusal:
+) -> PathLeg | Refusal:
     smallest, singular = singular_refusal(machine, chain, path.qs, settings)
     if singular is not None and not singular_ok:
         return singular
@@ -132,23 +132,23 @@ def _leg(
     if beyond is not None:
         return beyond
     timed = _timed_inside(machine, chain, path, settings)
-    return timed if isinstance(timed, Refusal) else Leg(path, timed, clearance, smallest)
+    return timed if isinstance(timed, Refusal) else PathLeg(path, timed, clearance, smallest)
 
 
-def _timed_inside(machine: Machine, chain: Chain, path: JointPath, settings: PlanSettings) -> Timed | Refusal:
+def _timed_inside(machine: Machine, chain: Chain, path: JointPath, settings: PlanSettings) -> TimedPath | Refusal:
     """Timed reference inside the joint ranges: where a leading one would leave them, the plain one is taken."""
     timed = time_path(machine, chain, path, settings)
     if isinstance(timed, Refusal) or not settings.shape_reference:
         return timed
-    _, reference = sample(timed.reference, 0.02)
+    _, reference = sample_trajectory(timed.reference, 0.02)
     if range_refusal(machine, np.vstack((path.qs[:1], reference.q)), 0.0) is None:
         return timed
     return time_path(machine, chain, path, replace(settings, shape_reference=False))
 
 
-def plan_of(legs: list[Leg]) -> PathPlan:
+def plan_of(legs: list[PathLeg]) -> PathPlan:
     """The plan made of legs that follow one another."""
-    trajectory = join([leg.timed.reference for leg in legs])
+    trajectory = join_trajectories([leg.timed.reference for leg in legs])
     Ts = np.concatenate([leg.path.Ts_base_tcp for leg in legs])
     qs = np.concatenate([leg.path.qs for leg in legs])
     return PathPlan(

@@ -9,7 +9,7 @@ from numpy.polynomial import Polynomial
 from machine.chain import Chain
 from machine.description import Machine
 from machine.kinematics import tcp_poses
-from server.motion.contracts import Array, JointTrajectory, PlanStatus, sample
+from server.motion.contracts import Array, JointTrajectory, PlanStatus, sample_trajectory
 from server.motion.joint_path import JointPath
 from server.motion.refusal import Refusal
 from server.motion.settings import PlanSettings
@@ -95,7 +95,7 @@ def servo_lag_of(machine: Machine) -> ServoLag:
     return ServoLag(gain=gain, tau_s=np.array([joint.pt1_tau_s for joint in machine.joints]))
 
 
-def shaped(derivatives: list[Array], lag: ServoLag) -> list[Array]:
+def lag_compensated(derivatives: list[Array], lag: ServoLag) -> list[Array]:
     """Reference whose lagging response is the planned path.
 
     Model:   u = kp (q_ref - q) / (tau s + 1), qd = velocity_gain u  =>  q_ref = q + (qd + tau qdd) / (kp
@@ -159,7 +159,7 @@ def _knots(
     t = settings.knot_s * np.arange(round(duration_s / settings.knot_s) + 1, dtype=np.float64)
     planned = time_derivatives(path, law, t, float(t[-1]))
     motion = JointTrajectory(t, *planned[:3])
-    q, qd, qdd = shaped(planned, servo_lag_of(machine)) if settings.shape_reference else planned[:3]
+    q, qd, qdd = lag_compensated(planned, servo_lag_of(machine)) if settings.shape_reference else planned[:3]
     reference = JointTrajectory(t, q.copy(), qd.copy(), qdd.copy())
     for rates in (reference.qd, reference.qdd):
         rates[0], rates[-1] = 0.0, 0.0
@@ -169,7 +169,7 @@ def _knots(
 
 def tcp_speed(chain: Chain, trajectory: JointTrajectory, step_s: float = 0.025) -> float:
     """Largest speed of the TCP along a trajectory [m/s]."""
-    t, motion = sample(trajectory, step_s)
+    t, motion = sample_trajectory(trajectory, step_s)
     points = tcp_poses(chain, motion.q)[:, :3, 3]
     return float((np.linalg.norm(np.diff(points, axis=0), axis=1) / np.diff(t)).max())
 
@@ -182,14 +182,14 @@ class Excess:
     worst: str
 
 
-def excess(
+def limit_excess(
     machine: Machine, chain: Chain, trajectory: JointTrajectory, settings: PlanSettings, tcp_share: float
 ) -> Excess:
     """How a trajectory compares with the limits of joints and TCP, between the knots too.
 
     Args:    tcp_share: of the machine's TCP speed limit.
     """
-    _, motion = sample(trajectory, 0.01)
+    _, motion = sample_trajectory(trajectory, 0.01)
     share, scale = settings.limit_share, settings.speed_scale
     v_max = np.array([joint.qd_max_rad_s for joint in machine.joints]) * share * scale
     a_max = np.array([joint.qdd_max_rad_s2 for joint in machine.joints]) * share
@@ -203,14 +203,14 @@ def excess(
 
 
 @dataclass(frozen=True, slots=True)
-class Timed:
+class TimedPath:
     """The reference to send, and the fastest that the TCP is planned to move with it [m/s]."""
 
     reference: JointTrajectory
     tcp_speed_m_s: float
 
 
-def time_path(machine: Machine, chain: Chain, path: JointPath, settings: PlanSettings) -> Timed | Refusal:
+def time_path(machine: Machine, chain: Chain, path: JointPath, settings: PlanSettings) -> TimedPath | Refusal:
     """Shortest rest-to-rest trajectory along the path that obeys all limits between the knots too.
 
     Model:   the pace slows by the excess of |qd|, sqrt |qdd| and TCP speed of the (shaped) reference until there is
@@ -232,10 +232,10 @@ def time_path(machine: Machine, chain: Chain, path: JointPath, settings: PlanSet
         if duration > settings.duration_max_s:
             break
         motion, reference = _knots(machine, path, pace.law(duration), duration, settings)
-        planned = excess(machine, chain, motion, settings, settings.limit_share)
-        sent = excess(machine, chain, reference, settings, settings.reference_tcp_share)
+        planned = limit_excess(machine, chain, motion, settings, settings.limit_share)
+        sent = limit_excess(machine, chain, reference, settings, settings.reference_tcp_share)
         if max(planned.factor, sent.factor) <= 1.0:
-            return Timed(reference, tcp_speed(chain, motion))
+            return TimedPath(reference, tcp_speed(chain, motion))
         pace = pace.slower(1.02 * planned.factor, 1.02 * sent.factor)
         worst = max(planned, sent, key=lambda each: each.factor).worst
     text = (

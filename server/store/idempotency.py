@@ -35,7 +35,7 @@ class KeyMissingError(AccessError):
 
 
 @dataclass(frozen=True, slots=True)
-class Answered:
+class StoredAnswer:
     """What was answered to a key."""
 
     body_hash: str
@@ -49,7 +49,7 @@ def hash_of(body: bytes) -> str:
     return hashlib.sha256(body).hexdigest()
 
 
-def replay_of(known: Answered | None, in_progress: bool, body_hash: str) -> Answered | None:
+def replay_of(known: StoredAnswer | None, in_progress: bool, body_hash: str) -> StoredAnswer | None:
     """The answer to give again; None when the command is new and may be carried out.
 
     Raises: KeyReusedError: other body. KeyInProgressError: the first one is still on its way.
@@ -63,11 +63,11 @@ def replay_of(known: Answered | None, in_progress: bool, body_hash: str) -> Answ
     return None
 
 
-def read_answer(db: sqlite3.Connection, who: str, key: str) -> Answered | None:
+def read_answer(db: sqlite3.Connection, who: str, key: str) -> StoredAnswer | None:
     """What was answered to that caller's key within KEPT_S."""
     kept = f"operating_s > {NOW_S} - ?"
     row = db.execute(f"SELECT * FROM idempotency WHERE who = ? AND key = ? AND {kept}", (who, key, KEPT_S)).fetchone()
-    return None if row is None else Answered(row["body_hash"], row["status"], row["location"], row["answer"])
+    return None if row is None else StoredAnswer(row["body_hash"], row["status"], row["location"], row["answer"])
 
 
 def forget_answer(db: sqlite3.Connection, who: str, key: str) -> None:
@@ -75,7 +75,7 @@ def forget_answer(db: sqlite3.Connection, who: str, key: str) -> None:
     db.execute("DELETE FROM idempotency WHERE who = ? AND key = ?", (who, key))
 
 
-def save_answer(db: sqlite3.Connection, who: str, key: str, answered: Answered) -> None:
+def save_answer(db: sqlite3.Connection, who: str, key: str, answered: StoredAnswer) -> None:
     """Keep an answer; forget those of yesterday."""
     db.execute(f"DELETE FROM idempotency WHERE operating_s <= {NOW_S} - ?", (KEPT_S,))
     db.execute(

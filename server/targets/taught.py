@@ -18,7 +18,7 @@ from server.vision.contracts import Image
 from server.vision.odometry_align import align
 from server.vision.odometry_features import allowed_masks, inside_mask
 from server.vision.odometry_keyframe import triangulated
-from server.vision.odometry_sight import StereoMatches, flow, plausible
+from server.vision.odometry_sight import StereoMatches, optical_flow, plausible
 
 CONTRAST_MIN = 0.02  # half of OpenCV's default: worn paint has less contrast than the rock around it
 RIM_PX = 32  # about the features' region: the support of a descriptor
@@ -85,7 +85,7 @@ class TaughtObject:
     agree_frac: float
 
 
-def features(image: Image, mask: Image) -> tuple[Array, Descriptors]:
+def image_features(image: Image, mask: Image) -> tuple[Array, Descriptors]:
     """Places (n, 2) [px], strongest first, and descriptors (n, 128), spread evenly: rock must not outnumber all else.
 
     Source:  Lowe 2004 (SIFT).
@@ -125,7 +125,7 @@ def teach_view(
     size = (camera.height_px, camera.width_px)
     both = allowed_masks(size, polygons)
     inside = _box_mask(camera, T_cam_object, box, size)
-    places, descriptors = features(left, np.asarray(np.minimum(both[0], inside)))
+    places, descriptors = image_features(left, np.asarray(np.minimum(both[0], inside)))
     first = _strongest_by_cell(places, CELL_PX, 1)
     left_px, descriptors = places[first], descriptors[first]
     right_px, good = _in_right(left, right, camera, left_px, float(T_cam_object[2, 3]))
@@ -170,7 +170,7 @@ def _in_right(
     if not len(left_px):
         return left_px, np.zeros(0, dtype=bool)
     guess = left_px - [camera.fx_px * camera.baseline_m / depth_m, 0.0]
-    coarse = flow(left, right, left_px, guess)
+    coarse = optical_flow(left, right, left_px, guess)
     fine = align(left, left_px, np.tile(np.eye(2), (len(left_px), 1, 1)), right, coarse.points_px)
     good = coarse.good & fine.good
     return fine.points_px, plausible(camera, undistort_to_rays(camera, left_px), fine.points_px, good)

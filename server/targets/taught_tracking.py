@@ -14,7 +14,7 @@ from machine.rotations import Array, geodesic_angle
 from server.targets.contracts import TargetFix, TargetSettings, no_fix
 from server.targets.stereo_match import coarse_disparity
 from server.targets.surface import SAMPLE_HALF_PX
-from server.targets.taught import Descriptors, TaughtObject, TaughtView, features
+from server.targets.taught import Descriptors, TaughtObject, TaughtView, image_features
 from server.targets.tracking import AGREE_MIN_FRAC, FIX_MIN, MarksPose, SearchedPair, fitted_marks, moved_on
 from server.vision.contracts import Image
 from server.vision.odometry_align import CORRELATION_MIN
@@ -89,7 +89,7 @@ class TaughtTracker:
 
     def _recognised(self, pair: SearchedPair) -> TargetFix:
         """The fix from features alone, wherever the camera is."""
-        places, descriptors = features(pair.images[0], pair.masks[0])
+        places, descriptors = image_features(pair.images[0], pair.masks[0])
         found = [self._candidate(view, places, descriptors) for view in self._taught.views]
         known = [candidate for candidate in found if candidate is not None]
         if not known:

@@ -28,7 +28,7 @@ def plate_and_shaft(corners_px: Array, scale: float) -> Array:
     return np.array([top_left, top_right, bottom_right + reach, bottom_left + reach])
 
 
-def around(corners_px: Array) -> Array:
+def smallest_rectangle(corners_px: Array) -> Array:
     """The smallest rectangle (4, 2) [px] around what is seen of a board (n, 2), some NaN: top left first, clockwise.
 
     The corners do not show a board's own top: the picture's is taken.
@@ -65,7 +65,7 @@ class ToolMask:
                 if self._sizes[view.marker_id] > 1.0:  # a board: many corners, row by row
                     if np.isfinite(square).all(axis=1).sum() < BOARD_CORNERS_MIN:
                         continue  # where it was seen better still holds
-                    square = around(square)
+                    square = smallest_rectangle(square)
                 polygons[view.marker_id] = plate_and_shaft(square, scale)
 
     @property

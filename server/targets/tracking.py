@@ -16,7 +16,7 @@ from server.vision.object_pose import fitted_variance
 from server.vision.odometry_align import align
 from server.vision.odometry_features import allowed_masks, inside_mask, recognise
 from server.vision.odometry_pose import ransac_pose
-from server.vision.odometry_sight import flow
+from server.vision.odometry_sight import optical_flow
 
 FIX_MIN = 12  # landmarks in both eyes: half of them may be wrong, and six still overdetermine the pose
 FOUND_MIN_FRAC = 0.3  # of the visible landmarks: fewer, and the surroundings are not those of the reference
@@ -178,7 +178,7 @@ def moved_on(
     before = project_stereo(camera, transform_points(T, points_target))[0]
     inside = (before >= 0.0).all(axis=1) & (before < [left.shape[1], left.shape[0]]).all(axis=1)
     indices = np.flatnonzero(np.isfinite(before).all(axis=1) & inside)
-    found = flow(image, left, before[indices])
+    found = optical_flow(image, left, before[indices])
     good = found.good & inside_mask(mask, found.points_px)
     return points_target[indices[good]], found.points_px[good]
 

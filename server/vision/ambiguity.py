@@ -8,7 +8,7 @@ from numba import njit
 
 from machine.poses import pose_difference
 from server.vision.contracts import Array, ObjectPose, PoseStatus
-from server.vision.pose_refinement import Given, PointObservations, kernel_arrays, sum_squares
+from server.vision.pose_refinement import KernelArrays, PointObservations, kernel_arrays, sum_squares
 from server.vision.small_algebra import apply, rotated, solve_positive
 
 PROFILE_STEPS = 6
@@ -63,7 +63,7 @@ def covariance_of_both(T_best: Array, T_rival: Array, margin_chi2: float, covari
 
 
 @njit(cache=True, nogil=True)
-def _profile(rotation: Array, position: Array, given: Given) -> float:
+def _profile(rotation: Array, position: Array, given: KernelArrays) -> float:
     """Smallest sum of squares [px^2] over all positions for one rotation, Gauss-Newton; inf behind the glass."""
     points, seen, eye_x, focal, weights = given
     place = position.copy()
@@ -112,7 +112,7 @@ def profile_sum_squares(T_cam_object: Array, observations: PointObservations) ->
 
 
 @njit(cache=True, nogil=True)
-def _reach(rotation: Array, position: Array, step: Array, rise: float, best: float, given: Given) -> float:
+def _reach(rotation: Array, position: Array, step: Array, rise: float, best: float, given: KernelArrays) -> float:
     """How many times `step` (6,) must be taken until the profile has risen by `rise` [px^2]; 0.25 to 6."""
     low, high, at, found = 0.0, np.inf, 1.0, 1.0
     for _ in range(REACH_STEPS):
@@ -135,7 +135,7 @@ def _reach(rotation: Array, position: Array, step: Array, rise: float, best: flo
 
 
 @njit(cache=True, nogil=True)
-def _widen(T: Array, covariance: Array, variance: float, best: float, given: Given) -> Array:
+def _widen(T: Array, covariance: Array, variance: float, best: float, given: KernelArrays) -> Array:
     rotation, position = T[:3, :3].copy(), T[:3, 3].copy()
     axes = np.linalg.eigh(covariance[:3, :3])[1]
     wide = covariance.copy()

@@ -21,7 +21,7 @@ from server.vision.bundle_contracts import (
 from server.vision.bundle_covariance import (
     CONVERGED,
     NOT_FINITE,
-    Fit,
+    BundleFit,
     Spread,
     fit_of,
     frames_spread,
@@ -84,7 +84,7 @@ OWN_MIN = 1e-10  # share of an unknown's information that must be its own; round
 
 
 def why_not_believed(
-    layout: BundleLayout, work: BundleWork, spread: Spread, fit: Fit, seen: Indices, settings: BundleSettings
+    layout: BundleLayout, work: BundleWork, spread: Spread, fit: BundleFit, seen: Indices, settings: BundleSettings
 ) -> str:
     """A reason why the optimum says nothing about the poses, or an empty string."""
     if fit.redundancy <= 0:
@@ -103,7 +103,7 @@ def why_not_believed(
     return _too_wide(layout, work, spread, fit, settings)
 
 
-def _too_wide(layout: BundleLayout, work: BundleWork, spread: Spread, fit: Fit, settings: BundleSettings) -> str:
+def _too_wide(layout: BundleLayout, work: BundleWork, spread: Spread, fit: BundleFit, settings: BundleSettings) -> str:
     sigmas = np.sqrt(fit.variance_factor * np.diag(spread.covariance)).reshape(-1, 2, 3).max(axis=2)
     depths = _median_depths(layout, work)
     for frame in np.flatnonzero(layout.column >= 0):
@@ -251,7 +251,7 @@ def adjust_bundle(problem: BundleProblem, settings: BundleSettings | None = None
     )
 
 
-def _expanded(layout: BundleLayout, spread: Spread, fit: Fit) -> Array:
+def _expanded(layout: BundleLayout, spread: Spread, fit: BundleFit) -> Array:
     """Joint covariance of all frames, zeros for the fixed ones."""
     places = np.flatnonzero(np.repeat(layout.column >= 0, 6))
     joint = np.zeros((6 * len(layout.column), 6 * len(layout.column)))

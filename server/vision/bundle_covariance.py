@@ -100,7 +100,7 @@ class Spread(NamedTuple):
     own_frac: Array
 
 
-class Fit(NamedTuple):
+class BundleFit(NamedTuple):
     """Which eyes (n, 2) see and agree, rms [sigma] of their coordinates, variance factor, redundancy."""
 
     agree: Mask
@@ -168,7 +168,7 @@ def noise_of(layout: BundleLayout, squares: Array) -> float:
     return math.sqrt(max(typical * taken, 1.0))
 
 
-def fit_of(layout: BundleLayout, work: BundleWork, limit_sigma: float) -> Fit:
+def fit_of(layout: BundleLayout, work: BundleWork, limit_sigma: float) -> BundleFit:
     """Inliers and variance factor from the squares in `work`.
 
     Model:   covariance of an M-estimate = E psi^2 / (E psi')^2 (J^T J)^-1 (Huber 1981, 7.6): the loss's own factor on
@@ -184,7 +184,7 @@ def fit_of(layout: BundleLayout, work: BundleWork, limit_sigma: float) -> Fit:
     measured = influence / max(redundancy, 1) / max(slope, 0.05) ** 2
     expected = gaussian_factor(layout.loss, round(layout.loss_scale, 1), 3 if layout.joint else 2)
     rms = math.sqrt(float(squares.sum()) / max(redundancy, 1))
-    return Fit(agree, rms, max(measured, expected), redundancy)
+    return BundleFit(agree, rms, max(measured, expected), redundancy)
 
 
 def _redundancy(layout: BundleLayout, counts: Indices) -> int:

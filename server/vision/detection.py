@@ -22,7 +22,7 @@ from server.vision.marker_search import (
     find_inverted,
     find_markers,
     marker_cells,
-    refined,
+    refined_marker,
     require_ids,
     same_place,
     wrong_cells,
@@ -207,7 +207,7 @@ class EyeDetector:
 
     def _refined(self, marker: FoundMarker, image: Image) -> FoundMarker:
         fitted = self._settings.refine and marker.marker_id in self._wanted
-        return refined(marker, image, self._dictionary, self._camera) if fitted else marker
+        return refined_marker(marker, image, self._dictionary, self._camera) if fitted else marker
 
     def _tracked(self, image: Image) -> dict[int, FoundMarker]:
         """The last pair's markers that are still there, each followed or found near its last place."""

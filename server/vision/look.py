@@ -29,7 +29,7 @@ class PoseMean:
     kept: NDArray[np.bool_]
 
 
-def deviations(Ts: Array, T_mean: Array) -> Array:
+def pose_deviations(Ts: Array, T_mean: Array) -> Array:
     """Deviations (n, 6) of poses (n, 4, 4) from a mean: rotvec of R R_mean^T [rad], then position difference [m]."""
     rotations = np.array([rotvec_from_rotation(T[:3, :3] @ T_mean[:3, :3].T) for T in Ts])
     return np.concatenate([rotations, Ts[:, :3, 3] - T_mean[:3, 3]], axis=1)
@@ -68,7 +68,7 @@ def pose_mean(Ts: Array, covariances: Array) -> PoseMean:
              Bartlett 1946 (effective number).
     """
     start = pose(_medoid_rotation(Ts), np.median(Ts[:, :3, 3], axis=0))
-    from_start = deviations(Ts, start)
+    from_start = pose_deviations(Ts, start)
     kept = np.ones(len(Ts), dtype=bool)
     for block in (slice(0, 3), slice(3, 6)):
         part = from_start[:, block]
@@ -77,7 +77,7 @@ def pose_mean(Ts: Array, covariances: Array) -> PoseMean:
     if not kept.any():
         kept[:] = True
     T_mean = _mean(Ts[kept], start[:3, :3])
-    return PoseMean(T_mean, _covariance(deviations(Ts[kept], T_mean), covariances[kept]), kept)
+    return PoseMean(T_mean, _covariance(pose_deviations(Ts[kept], T_mean), covariances[kept]), kept)
 
 
 def _covariance(residuals: Array, covariances: Array) -> Array:

@@ -133,7 +133,7 @@ def search_parameters(image_size_px: int, perimeter_min_px: float) -> "cv2.aruco
     return parameters
 
 
-def detect(
+def detect_markers(
     image: Image, dictionary: "cv2.aruco.Dictionary", parameters: "cv2.aruco.DetectorParameters"
 ) -> tuple[FoundMarker, ...]:
     """OpenCV's search with these parameters."""
@@ -155,7 +155,7 @@ def find_markers(
     """
     if min(image.shape) < SIDE_MIN_PX:  # a place that a smaller picture no longer has
         return ()
-    return detect(image, dictionary, search_parameters(max(image.shape), perimeter_min_px))
+    return detect_markers(image, dictionary, search_parameters(max(image.shape), perimeter_min_px))
 
 
 def find_inverted(
@@ -174,7 +174,7 @@ def same_place(one: FoundMarker, other: FoundMarker) -> bool:
     return apart < SAME_PLACE_FRAC * size
 
 
-def refined(
+def refined_marker(
     marker: FoundMarker, image: Image, dictionary: "cv2.aruco.Dictionary", camera: StereoCamera | None
 ) -> FoundMarker:
     """The marker with sub-pixel corners; coarse ones where something lies over its border, or it has no margin."""

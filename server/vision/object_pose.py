@@ -38,14 +38,14 @@ EYES = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)
-class Cleared:
+class ConsistentSightings:
     """The sightings without the view that contradicts all others, and what to say of it."""
 
     sightings: tuple[Sighting | PointSighting, ...]
     reason: str
 
 
-def without_covered_view(problem: PoseProblem, best: RefinedPose, apart_rad: float) -> Cleared | None:
+def without_covered_view(problem: PoseProblem, best: RefinedPose, apart_rad: float) -> ConsistentSightings | None:
     """The view whose absence, and no other's, makes the rest fit; None where there is no such view.
 
     Args: best: the pose by all views; apart_rad: minima nearer than this are one.
@@ -62,7 +62,7 @@ def without_covered_view(problem: PoseProblem, best: RefinedPose, apart_rad: flo
     sightings = list(problem.sightings)
     one, eye = sightings[chosen.sighting], EYES[chosen.eye]
     sightings[chosen.sighting] = replace(one, left_px=None) if chosen.eye == 0 else replace(one, right_px=None)
-    return Cleared(
+    return ConsistentSightings(
         tuple(sightings), f"marker {one.target_id} is covered in the {eye} eye by something bright: not used there"
     )
 

@@ -20,16 +20,16 @@ from server.vision.odometry_motion import (
     covariance_in_vo,
     moved_by_twist,
     row_fractions,
-    standing,
+    standing_motion,
     with_scale_error,
 )
-from server.vision.odometry_motions import Located, Scene, motions, parted, world_motion
-from server.vision.odometry_observation import Observed, OwnStructure, expected_right, observe_map, vote
-from server.vision.odometry_place import best_place, by_flow, by_recognition, travelled
-from server.vision.odometry_pose import PoseFit, pose_problem, rough, settled
+from server.vision.odometry_motions import LocatedPose, Scene, motions, part_motions, world_motion
+from server.vision.odometry_observation import ObservedPoints, OwnStructure, expected_right, observe_map, vote_by_pair
+from server.vision.odometry_place import best_place, by_flow, by_recognition, travel_limit_m
+from server.vision.odometry_pose import PoseFit, pose_problem, rough_pose, settled_pose
 from server.vision.odometry_sensitivity import Sensitivity, Shutter, sensitivity
 from server.vision.odometry_sight import ImageSight, Sight
-from server.vision.odometry_verdict import Evidence, OdometrySettings, verdict
+from server.vision.odometry_verdict import Evidence, OdometrySettings, odometry_verdict
 from server.vision.odometry_warm_up import warm_up
 
 UNKNOWN_COVARIANCE = np.diag([np.pi**2] * 3 + [1e6] * 3)
@@ -38,7 +38,7 @@ INLIERS_MIN_FRAC = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Last:
+class LastLocatedPair:
     """The last pair whose pose is known, and its inliers: the start for the next one."""
 
     sight: Sight
@@ -77,7 +77,7 @@ class StereoOdometry:
         self._keyframes: list[Keyframe] = []
         self._known = KeyframeCovariances()
         self._readout = readout_of(self._settings.readout_s)
-        self._last: Last | None = None
+        self._last: LastLocatedPair | None = None
         self._serial = 0
         self._recognitions = 0
         self._full_points = 0
@@ -125,29 +125,29 @@ class StereoOdometry:
         return self._accept(sight, self._last, located)
 
     def _start(self, sight: Sight) -> OdometryPose:
-        motion = standing(np.eye(4), sight.t_exposure_ns)
+        motion = standing_motion(np.eye(4), sight.t_exposure_ns)
         kept = sight.keep()
         keyframe = self._add_keyframe(kept, motion, np.zeros((6, 6)), None, np.zeros((0, 2)))
         if keyframe.n_points < self._settings.inliers_min:
             self.reset()
             reason = f"{keyframe.n_points} points in both eyes (need {self._settings.inliers_min}); too little texture"
             return self._lost(sight.t_exposure_ns, reason)
-        self._last = Last(kept, motion, keyframe.places_left_px, keyframe.points_vo, True)
+        self._last = LastLocatedPair(kept, motion, keyframe.places_left_px, keyframe.points_vo, True)
         status, reason = self._judged(Evidence(keyframe.places_left_px, np.zeros((6, 6)), 1.0, self._texture_grey))
         return OdometryPose(sight.t_exposure_ns, np.eye(4), np.zeros((6, 6)), status, reason, keyframe.n_points)
 
-    def _locate(self, sight: Sight, last: Last) -> Located | None:
+    def _locate(self, sight: Sight, last: LastLocatedPair) -> LocatedPose | None:
         located = self._fit(sight, last.motion, last.motion.predict(sight.t_exposure_ns), False)
         if located is not None:
             return located
-        self._unsure_m = max(self._unsure_m, travelled(last.motion, sight.t_exposure_ns))
+        self._unsure_m = max(self._unsure_m, travel_limit_m(last.motion, sight.t_exposure_ns))
         T_coarse = self._coarse(sight, last)
         return None if T_coarse is None else self._fit(sight, last.motion, T_coarse, True)
 
-    def _unique(self, sight: Sight, last: Last, located: Located) -> Located:
+    def _unique(self, sight: Sight, last: LastLocatedPair, located: LocatedPose) -> LocatedPose:
         """After a gap: the best of the places that look alike, in doubt until no other is nearly as good."""
         if last.motion.is_gap(sight.t_exposure_ns):
-            self._unsure_m = max(self._unsure_m, travelled(last.motion, sight.t_exposure_ns))
+            self._unsure_m = max(self._unsure_m, travel_limit_m(last.motion, sight.t_exposure_ns))
         if self._unsure_m == 0.0:
             return located
         ways_px = sight.repeats()
@@ -165,7 +165,7 @@ class StereoOdometry:
         )
         return replace(best, places=np.asarray(spread), doubt=doubt, jumped=True)
 
-    def _coarse(self, sight: Sight, last: Last) -> Array | None:
+    def _coarse(self, sight: Sight, last: LastLocatedPair) -> Array | None:
         """T_vo_cam by flow from the last pair, the first and the newest keyframe; else by recognising a keyframe."""
         keyframes = (self._keyframes[0], self._keyframes[-1])
         sources = [(last.sight, last.left_px, last.points_vo)]
@@ -177,9 +177,9 @@ class StereoOdometry:
         return by_recognition(self._camera, sight, self._keyframes, self._recognitions, self._settings.inliers_min)
 
     def _judged(self, found: Evidence) -> tuple[OdometryStatus, str]:
-        return verdict(self._settings, self._shape, replace(found, unique_depth=self._unique_depth))
+        return odometry_verdict(self._settings, self._shape, replace(found, unique_depth=self._unique_depth))
 
-    def _fit(self, sight: Sight, motion: Motion, T_vo_cam: Array, coarse: bool) -> Located | None:
+    def _fit(self, sight: Sight, motion: Motion, T_vo_cam: Array, coarse: bool) -> LocatedPose | None:
         settings = self._settings
         observed = observe_map(
             self._camera, self._keyframes, sight, T_vo_cam, settings.points_max, settings.sigma_px, self._own.hides
@@ -198,11 +198,13 @@ class StereoOdometry:
             twist = motion.moved_to(T_vo_cam, sight.t_exposure_ns).twist()
         return located
 
-    def _fit_motions(self, observed: Observed, points_vo: Array, T_vo_cam: Array, twist: Twist) -> Located | None:
+    def _fit_motions(
+        self, observed: ObservedPoints, points_vo: Array, T_vo_cam: Array, twist: Twist
+    ) -> LocatedPose | None:
         """The world's motion among those in the picture; None where too few of the other points agree with it."""
         settings, T_cam_vo = self._settings, inverse_pose(T_vo_cam)
         problem = pose_problem(T_cam_vo, replace(observed.seen, points_vo=points_vo))
-        first = settled(problem, *rough(problem, T_cam_vo))
+        first = settled_pose(problem, *rough_pose(problem, T_cam_vo))
         if first is None:
             return None
         scene = Scene(
@@ -215,7 +217,7 @@ class StereoOdometry:
             count_good=settings.count_good(self._shape),
             coverage_good=settings.coverage_good,
         )
-        parts, sure = parted(problem, first, scene, settings.inliers_min)
+        parts, sure = part_motions(problem, first, scene, settings.inliers_min)
         fits = parts if sure else motions(problem, first, settings.inliers_min)
         fit, rival, doubt = world_motion(fits, scene)
         if parts and not sure and rival is None:
@@ -224,7 +226,7 @@ class StereoOdometry:
         open_to = (problem.roots[:, 0, 0] > 0.0) & ~np.any(inliers, axis=0)
         if fit.inliers.sum() < max(settings.inliers_min, INLIERS_MIN_FRAC * np.sum(open_to | fit.inliers)):
             return None
-        return Located(observed, fit, points_vo, twist, scene.rest_squares, rival, doubt)
+        return LocatedPose(observed, fit, points_vo, twist, scene.rest_squares, rival, doubt)
 
     @property
     def _rolls(self) -> bool:
@@ -233,7 +235,7 @@ class StereoOdometry:
     def _fractions(self, left_px: Array) -> Array:
         return row_fractions(left_px[:, 1], self._camera.height_px)
 
-    def _as_exposed(self, observed: Observed, T_vo_cam: Array, twist: Array) -> Array:
+    def _as_exposed(self, observed: ObservedPoints, T_vo_cam: Array, twist: Array) -> Array:
         """Map points (n, 3) in vo as if they had moved, instead of the camera, until their row was exposed."""
         points_vo = observed.seen.points_vo
         if not self._rolls:
@@ -242,7 +244,7 @@ class StereoOdometry:
         times_s = self._readout.value_s * self._fractions(observed.left_px)
         return transform_points(T_vo_cam, moved_by_twist(points_cam, twist, times_s))
 
-    def _settle_keyframe(self, sight: Sight, last: Last, located: Located) -> Located:
+    def _settle_keyframe(self, sight: Sight, last: LastLocatedPair, located: LocatedPose) -> LocatedPose:
         """The pair after a keyframe shows how fast that one moved; then the map is adjusted, and the fit repeated."""
         if not self._rolls:
             return located
@@ -256,11 +258,11 @@ class StereoOdometry:
         again = self._fit(sight, self._last.motion, inverse_pose(located.fit.T_cam_vo), False)
         return located if again is None else again
 
-    def _accept(self, sight: Sight, last: Last, located: Located) -> OdometryPose:
+    def _accept(self, sight: Sight, last: LastLocatedPair, located: LocatedPose) -> OdometryPose:
         fit, observed = located.fit, located.observed
         observed.count(fit.inliers)
         if not located.doubt:
-            vote(self._own, sight, observed, fit, located.rest_squares)
+            vote_by_pair(self._own, sight, observed, fit, located.rest_squares)
         T_vo_cam = inverse_pose(fit.T_cam_vo)
         T_vo_cam[:3, :3] = nearest_rotation(T_vo_cam[:3, :3])
         inliers_px = observed.left_px[fit.inliers]
@@ -284,7 +286,7 @@ class StereoOdometry:
         status, reason = self._judged(evidence)
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
         if located.jumped:  # a step over places that look alike is not a motion
-            motion = standing(T_vo_cam, sight.t_exposure_ns)
+            motion = standing_motion(T_vo_cam, sight.t_exposure_ns)
         wanted = self._wants_keyframe(inliers_px) and (motion.steady or not self._rolls) and not located.doubt
         kept = sight.keep() if wanted else sight
         if wanted:
@@ -294,12 +296,12 @@ class StereoOdometry:
             self._adjust(fit.noise_factor)
             T_vo_cam = keyframe.T_vo_cam
             motion = replace(motion, T_vo_cam=T_vo_cam)
-        self._last = Last(kept, motion, inliers_px, observed.seen.points_vo[fit.inliers], wanted)
+        self._last = LastLocatedPair(kept, motion, inliers_px, observed.seen.points_vo[fit.inliers], wanted)
         scale_frac = self._settings.sigma_scale_frac if self._unique_depth else 1.0
         reported = with_scale_error(held, T_vo_cam[:3, 3], scale_frac)
         return OdometryPose(sight.t_exposure_ns, T_vo_cam, reported, status, reason, len(inliers_px))
 
-    def _right_frac(self, located: Located) -> float:
+    def _right_frac(self, located: LocatedPose) -> float:
         """Of the points that the right eye should show, how many it does; 1 where there are too few."""
         on = located.fit.inliers
         expected = expected_right(self._camera, transform_points(located.fit.T_cam_vo, located.points_vo[on]))
@@ -313,7 +315,7 @@ class StereoOdometry:
         for keyframe in self._keyframes:
             keyframe.place(keyframe.T_vo_cam, keyframe.twist, self._readout.value_s)
 
-    def _sensitivity(self, located: Located) -> Sensitivity:
+    def _sensitivity(self, located: LocatedPose) -> Sensitivity:
         observed = located.observed
         fractions_key = np.empty(len(observed.keyframes))
         for number in np.unique(observed.keyframes):
@@ -323,7 +325,7 @@ class StereoOdometry:
         shutter = Shutter(fractions, fractions_key, located.twist.value, self._readout.size_s)
         return sensitivity(observed, located.fit, located.points_vo, shutter, self._keyframes)
 
-    def _seen_here(self, located: Located) -> SeenHere:
+    def _seen_here(self, located: LocatedPose) -> SeenHere:
         observed, on = located.observed, located.fit.inliers
         serials = np.array([keyframe.serial for keyframe in self._keyframes], dtype=np.int64)
         return SeenHere(

@@ -20,7 +20,7 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Tracked:
+class TrackedPoints:
     """Points that more than one keyframe of the window saw: their host's number in the window and place in it (m,)."""
 
     hosts: Indices
@@ -36,7 +36,7 @@ class Tracked:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class WindowObservations:
     """Observations (n,): numbers of the keyframe in the window and of the point, raw pixels (n, 2) in both eyes."""
 
     frames: Indices
@@ -94,7 +94,7 @@ def _mix(keyframe: Keyframe, at: Indices, mixings: Array, serials: Sequence[int]
             mixing[at] = mixings[:, number]
 
 
-def collect(window: Sequence[Keyframe]) -> tuple[Tracked, Seen]:
+def collect(window: Sequence[Keyframe]) -> tuple[TrackedPoints, WindowObservations]:
     """Points that another keyframe of the window saw again, and all observations of them, their host's first."""
     numbers = {keyframe.serial: number for number, keyframe in enumerate(window)}
     frames, keys, left_px, right_px = [], [], [], []
@@ -115,17 +115,17 @@ def collect(window: Sequence[Keyframe]) -> tuple[Tracked, Seen]:
         on = hosts == host
         left_px.append(window[host].places_left_px[indices[on]])
         right_px.append(window[host].places_right_px[indices[on]])
-    seen = Seen(
+    seen = WindowObservations(
         np.concatenate([np.zeros(0), *frames, hosts]).astype(np.int64),
         np.concatenate([points.reshape(-1), np.arange(len(hosts))]),
         np.concatenate([none, *left_px]),
         np.concatenate([none, *right_px]),
     )
-    return Tracked(hosts, indices), seen
+    return TrackedPoints(hosts, indices), seen
 
 
 def _unrolled(
-    camera: StereoCamera, window: Sequence[Keyframe], tracked: Tracked, seen: Seen, readout_s: float
+    camera: StereoCamera, window: Sequence[Keyframe], tracked: TrackedPoints, seen: WindowObservations, readout_s: float
 ) -> Array:
     """What has to be added to rays (n, 4) so that they are those of the middle row's exposure."""
     change = np.zeros((len(seen.left_px), 4))

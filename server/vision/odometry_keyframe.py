@@ -11,7 +11,7 @@ from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
 from server.vision.contracts import Array
 from server.vision.odometry_motion import moved_by_twist, row_fractions
-from server.vision.odometry_sight import Sight, StereoMatches, Wanted
+from server.vision.odometry_sight import SearchPoints, Sight, StereoMatches
 
 
 def ray_noise(camera: StereoCamera, rays: Array) -> Array:
@@ -183,7 +183,9 @@ def make_keyframe(
     return keyframe
 
 
-def expect_points(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array, sight: Sight, hides: Hides) -> Wanted:
+def expect_points(
+    camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array, sight: Sight, hides: Hides
+) -> SearchPoints:
     """Which of a keyframe's points a pair taken at `T_vo_cam` shows, and where.
 
     A point is left out where it lies under the mask or own structure hides it, where it is own structure itself, where
@@ -206,7 +208,7 @@ def expect_points(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array, sig
     area = growth[:, 0, 0] * growth[:, 1, 1] - growth[:, 0, 1] * growth[:, 1, 0]
     usable = (area > 0.4) & (area < 2.5)
     indices, growth = indices[usable], growth[usable]
-    return Wanted(
+    return SearchPoints(
         indices=indices,
         places_left_px=keyframe.places_left_px[indices],
         places_right_px=keyframe.places_right_px[indices],

@@ -79,7 +79,7 @@ class Motion:
         return Twist(share * following + (1.0 - share) * before, sigma)
 
 
-def standing(T_vo_cam: Array, t_ns: int) -> Motion:
+def standing_motion(T_vo_cam: Array, t_ns: int) -> Motion:
     """A pose without a past."""
     return Motion(T_vo_cam, t_ns, np.eye(4), 0, None, 0)
 

@@ -16,8 +16,8 @@ from machine.poses import transform_points
 from server.vision.contracts import Array
 from server.vision.odometry_features import N_CELLS, cell_numbers, coverage
 from server.vision.odometry_motion import Twist
-from server.vision.odometry_observation import Observed
-from server.vision.odometry_pose import PoseFit, PoseProblem, equations, minimise, rough, settled
+from server.vision.odometry_observation import ObservedPoints
+from server.vision.odometry_pose import PoseFit, PoseProblem, minimise, normal_equations, rough_pose, settled_pose
 
 SAMPLE = 3  # points that determine a pose, seen by both eyes
 SAMPLE_ROUNDS = 5
@@ -30,7 +30,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class Located:
+class LocatedPose:
     """A pose, the points that it was fitted to (as shifted for the shutter), the velocity that was assumed, and what is
     left of each point if it moved with the camera instead.
 
@@ -39,7 +39,7 @@ class Located:
     one of them, without motion.
     """
 
-    observed: Observed
+    observed: ObservedPoints
     fit: PoseFit
     points_vo: Array
     twist: Twist
@@ -85,7 +85,7 @@ def _best_sample(
             continue
         some = draws[k]
         tried = minimise(rotation, position, points[some], rays[some], roots[some], shape, QUADRATIC, SAMPLE_ROUNDS)
-        _, _, cost, squares = equations(tried[0], tried[1], points, rays, roots, shape, limit)
+        _, _, cost, squares = normal_equations(tried[0], tried[1], points, rays, roots, shape, limit)
         if cost < best:
             best = cost
             found_rotation, found_position = tried[0], tried[1]
@@ -111,7 +111,7 @@ def motions(problem: PoseProblem, first: PoseFit, needed: int) -> list[PoseFit]:
         rotation = np.ascontiguousarray(first.T_cam_vo[:3, :3])
         position = np.ascontiguousarray(first.T_cam_vo[:3, 3])
         draws = rng.integers(0, len(on), (SAMPLES_MAX, SAMPLE))
-        fit = settled(problem, *_best_sample(rotation, position, *data, problem.limit, draws))
+        fit = settled_pose(problem, *_best_sample(rotation, position, *data, problem.limit, draws))
         if fit is None or (fit.inliers & left).sum() < needed:
             break
         found.append(fit)
@@ -120,10 +120,10 @@ def motions(problem: PoseProblem, first: PoseFit, needed: int) -> list[PoseFit]:
 
 
 def _fit_of(problem: PoseProblem, T_cam_vo: Array) -> PoseFit | None:
-    return settled(problem, *rough(problem, T_cam_vo))
+    return settled_pose(problem, *rough_pose(problem, T_cam_vo))
 
 
-def parted(problem: PoseProblem, fit: PoseFit, scene: Scene, needed: int) -> tuple[list[PoseFit], bool]:
+def part_motions(problem: PoseProblem, fit: PoseFit, scene: Scene, needed: int) -> tuple[list[PoseFit], bool]:
     """The motion of one part of the picture and the rest of the other, and whether they are surely two.
 
     Model:   two motions that differ by less than the inliers' limit pass for one. But one of them is known beforehand:

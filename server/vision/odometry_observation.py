@@ -15,7 +15,7 @@ from server.vision.contracts import Array
 from server.vision.odometry_align import AWAY_MAX_PX
 from server.vision.odometry_keyframe import DEPTH_MIN_M, Hides, Keyframe, expect_points, ray_noise
 from server.vision.odometry_pose import PoseFit, StereoPoints
-from server.vision.odometry_sight import Sight, Wanted
+from server.vision.odometry_sight import SearchPoints, Sight
 
 ENOUGH_FRAC = 0.5  # of the points wanted: found, not only expected
 SAMPLE = 24  # points of a keyframe that are asked first
@@ -24,7 +24,7 @@ MARGIN = 0.7  # half of the image and some more
 
 
 @dataclass(frozen=True, slots=True)
-class Observed:
+class ObservedPoints:
     """Map points found in a pair: keyframe and number in it (n,), raw pixels (n, 2) (right NaN where not shown), and
     the same for the fit. points_row (n, 3): in the axes of the camera that kept them. votes (n,): of earlier pairs,
     above 0 for a point that went with the world, below for one that went with the camera."""
@@ -38,7 +38,7 @@ class Observed:
     points_row: Array
     votes: NDArray[np.int8]
     correlations: Array
-    tried: tuple["Tried", ...] = ()
+    tried: tuple["SearchedPoints", ...] = ()
 
     def count(self, good: NDArray[np.bool_]) -> None:
         """Hold misses, and finds that are not `good` (n,), against the points.
@@ -55,17 +55,17 @@ class Observed:
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class SearchedPoints:
     """Points of a keyframe (n,) that were looked for, and which of them were found."""
 
     keyframe: Keyframe
-    wanted: Wanted
+    wanted: SearchPoints
     found: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    tried: Tried
+    tried: SearchedPoints
     number: int
     left_px: Array
     right_px: Array
@@ -84,7 +84,7 @@ def observe_map(
     points_max: int,
     sigma_px: float,
     hides: Hides,
-) -> Observed:
+) -> ObservedPoints:
     """Map points in a pair taken near `T_vo_cam`.
 
     Args:    keyframes: oldest first. points_max: no further keyframe once this many points were expected.
@@ -118,7 +118,7 @@ def observe_map(
         baseline_m=camera.baseline_m,
         noise=np.stack([ray_noise(camera, rays_left), ray_noise(camera, rays_right)], axis=1),
     )
-    return Observed(
+    return ObservedPoints(
         keyframes=np.repeat([part.number for part in parts], [len(part.left_px) for part in parts]),
         indices=together(lambda part: part.indices),
         left_px=left_px,
@@ -150,13 +150,15 @@ def in_view(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array) -> bool:
     return bool((near & across & above).any())
 
 
-def _observe_keyframe(number: int, keyframe: Keyframe, sight: Sight, wanted: Wanted, room: int) -> tuple[_Part, int]:
+def _observe_keyframe(
+    number: int, keyframe: Keyframe, sight: Sight, wanted: SearchPoints, room: int
+) -> tuple[_Part, int]:
     if len(wanted.indices) > room:
         wanted = wanted.some(np.linspace(0, len(wanted.indices) - 1, room).astype(np.int64))
     left, right = sight.find(keyframe.sight, wanted)
     good = left.good
     right_px = np.where(right.good[:, None], right.points_px, np.nan)[good]
-    part = _Part(Tried(keyframe, wanted, good), number, left.points_px[good], right_px, left.correlation[good])
+    part = _Part(SearchedPoints(keyframe, wanted, good), number, left.points_px[good], right_px, left.correlation[good])
     return part, len(wanted.indices)
 
 
@@ -191,7 +193,7 @@ class OwnStructure:
         return cells[:, 1], cells[:, 0]
 
 
-def vote(own: OwnStructure, sight: Sight, observed: Observed, fit: PoseFit, rest_squares: Array) -> None:
+def vote_by_pair(own: OwnStructure, sight: Sight, observed: ObservedPoints, fit: PoseFit, rest_squares: Array) -> None:
     """Let a located pair vote: on its points, on their keyframes, and on the picture's cells.
 
     A point votes where the world's motion and rest in the picture exclude each other: it fits one of them only. Points
@@ -210,7 +212,7 @@ def vote(own: OwnStructure, sight: Sight, observed: Observed, fit: PoseFit, rest
     own.vote(np.concatenate(own_px), observed.left_px[with_world])
 
 
-def _standing(sight: Sight, tried: Tried, limit_px: float) -> Array:
+def _standing(sight: Sight, tried: SearchedPoints, limit_px: float) -> Array:
     """Places (n, 2) of points that were missed, and that lie where they were kept, in both eyes."""
     wanted = tried.wanted
     away = np.linalg.norm(wanted.guesses_left_px - wanted.places_left_px, axis=1) > AWAY_MAX_PX
@@ -219,7 +221,7 @@ def _standing(sight: Sight, tried: Tried, limit_px: float) -> Array:
         return np.zeros((0, 2))
     some = wanted.some(missed)
     warps, places = np.tile(np.eye(2), (len(missed), 1, 1)), (some.places_left_px, some.places_right_px)
-    found = sight.find(tried.keyframe.sight, Wanted(some.indices, *places, warps, *places))
+    found = sight.find(tried.keyframe.sight, SearchPoints(some.indices, *places, warps, *places))
     good = np.ones(len(missed), dtype=bool)
     for eye, place in zip(found, places, strict=True):
         good &= eye.good & (np.linalg.norm(eye.points_px - place, axis=1) < limit_px)

@@ -13,7 +13,7 @@ from server.vision.odometry_align import CORRELATION_MIN
 from server.vision.odometry_features import UNIQUE_RATIO_MAX
 from server.vision.odometry_keyframe import Keyframe
 from server.vision.odometry_motion import ACCELERATION, Motion
-from server.vision.odometry_motions import Located
+from server.vision.odometry_motions import LocatedPose
 from server.vision.odometry_pose import coarse_pose
 from server.vision.odometry_sight import Sight
 
@@ -69,7 +69,7 @@ def _start(camera: StereoCamera, points_vo: Array, here_px: Array, inliers_min: 
     return inverse_pose(start.T_cam_vo) if start is not None and start.n_inliers >= inliers_min else None
 
 
-def shifted(camera: StereoCamera, located: Located, way_px: Array) -> Array:
+def shifted_pose(camera: StereoCamera, located: LocatedPose, way_px: Array) -> Array:
     """T_vo_cam from which the points would appear this way (2,) [px] from where they are seen.
 
     Model:   the camera goes along the plane that fits the points best (inverse depth is linear in the picture).
@@ -83,7 +83,7 @@ def shifted(camera: StereoCamera, located: Located, way_px: Array) -> Array:
     return np.asarray(inverse_pose(T_cam_vo) @ pose(np.eye(3), ends[1] - ends[0]))
 
 
-def dissimilarity(located: Located) -> float:
+def dissimilarity(located: LocatedPose) -> float:
     """How unlike their kept patches the expected points look here: mean of 1 - correlation^2, a missed one at most."""
     observed, worst = located.observed, 1.0 - CORRELATION_MIN**2
     on = located.fit.inliers
@@ -92,14 +92,14 @@ def dissimilarity(located: Located) -> float:
 
 
 def best_place(
-    camera: StereoCamera, ways_px: Array, located: Located, fit: Callable[[Array], Located | None]
-) -> tuple[Located, list[Array]]:
+    camera: StereoCamera, ways_px: Array, located: LocatedPose, fit: Callable[[Array], LocatedPose | None]
+) -> tuple[LocatedPose, list[Array]]:
     """The place among its repetitions that looks most like the map, and the ways (3,) in vo [m] to others that cannot
     be excluded. `fit`: an accepted fit about a pose, or None."""
     best = located
-    others: list[tuple[float, Located]] = []
+    others: list[tuple[float, LocatedPose]] = []
     for _ in range(CLIMBS_MAX):
-        found = [fit(shifted(camera, best, way)) for way in ways_px]
+        found = [fit(shifted_pose(camera, best, way)) for way in ways_px]
         others = [
             (dissimilarity(fitted), fitted)
             for fitted in found
@@ -113,11 +113,11 @@ def best_place(
     return best, [_position(located) - _position(best) for located in alike]
 
 
-def _position(located: Located) -> Array:
+def _position(located: LocatedPose) -> Array:
     return inverse_pose(located.fit.T_cam_vo)[:3, 3]
 
 
-def _apart(one: Located, other: Located, ways_px: Array, focal_px: float) -> bool:
+def _apart(one: LocatedPose, other: LocatedPose, ways_px: Array, focal_px: float) -> bool:
     """Whether two fits did not end at the same place: more than half of the shortest repetition between them."""
     points_cam = transform_points(one.fit.T_cam_vo, one.points_vo[one.fit.inliers])
     half_px = 0.5 * np.linalg.norm(ways_px, axis=1).min()
@@ -125,7 +125,7 @@ def _apart(one: Located, other: Located, ways_px: Array, focal_px: float) -> boo
     return bool(np.linalg.norm(_position(one) - _position(other)) > half_m)
 
 
-def travelled(motion: Motion, t_ns: int) -> float:
+def travel_limit_m(motion: Motion, t_ns: int) -> float:
     """How far [m] the camera may have come since its last pose: at its speed and with a boom's acceleration."""
     elapsed_s = 1e-9 * (t_ns - motion.t_ns)
     speed_m_s = float(np.linalg.norm(motion.twist().value[3:]))

@@ -112,7 +112,7 @@ def coarse_pose(points_vo: Array, rays: Array, focal_px: float) -> CoarsePose | 
 
 
 @njit(cache=True, nogil=True)
-def slopes(point_cam: Array, focal: float, baseline: float, rows: Array) -> None:
+def projection_jacobian(point_cam: Array, focal: float, baseline: float, rows: Array) -> None:
     """d(four coordinates) / d(point in camera axes), (4, 3) [px/m], in place: x, y of left, then right eye."""
     inverse = focal / point_cam[2]
     for eye in range(2):
@@ -153,7 +153,7 @@ def _whiteners(
         point_cam = apply(rotation, points[i]) + position
         if point_cam[2] < DEPTH_MIN_M:
             continue
-        slopes(point_cam, shape[0], shape[1], rows)
+        projection_jacobian(point_cam, shape[0], shape[1], rows)
         for a in range(4):
             for k in range(3):
                 turned[a, k] = rows[a, 0] * rotation[0, k] + rows[a, 1] * rotation[1, k] + rows[a, 2] * rotation[2, k]
@@ -173,7 +173,7 @@ def white_rows(
     arm: Array, point_cam: Array, ray: Array, root: Array, shape: Array, rows: Array, slope: Array, white: Array
 ) -> None:
     """Whitened residuals white (4,) and Jacobian rows (4, 6) for R <- exp(w) R, t <- t + dt, in place; arm = R X."""
-    slopes(point_cam, shape[0], shape[1], slope)
+    projection_jacobian(point_cam, shape[0], shape[1], slope)
     n = 2 if np.isnan(ray[2]) else 4
     for a in range(4):
         white[a] = 0.0
@@ -197,7 +197,7 @@ def white_rows(
 
 
 @njit(cache=True, nogil=True)
-def equations(
+def normal_equations(
     rotation: Array, position: Array, points: Array, rays: Array, roots: Array, shape: Array, limit: float
 ) -> tuple[Array, Array, float, Array]:
     """Weighted J^T J, J^T r, cost, squared whitened residual per point. `limit`: points below it count fully, others
@@ -235,7 +235,9 @@ def equations(
 
 
 @njit(cache=True, nogil=True)
-def squares_at(rotation: Array, position: Array, points: Array, rays: Array, roots: Array, shape: Array) -> Array:
+def squared_residuals(
+    rotation: Array, position: Array, points: Array, rays: Array, roots: Array, shape: Array
+) -> Array:
     """Squared whitened residuals (n,) alone; infinite for a point behind the eye or left out."""
     squares = np.full(len(points), np.inf)
     for i in range(len(points)):
@@ -258,7 +260,7 @@ def minimise(
     rotation: Array, position: Array, points: Array, rays: Array, roots: Array, shape: Array, limit: float, rounds: int
 ) -> tuple[Array, Array, Array, Array]:
     """Levenberg-Marquardt from a pose: rotation, position, J^T J and squared residuals at the end; `limit` as above."""
-    information, gradient, cost, squares = equations(rotation, position, points, rays, roots, shape, limit)
+    information, gradient, cost, squares = normal_equations(rotation, position, points, rays, roots, shape, limit)
     damping = 1e-4
     for _ in range(rounds):
         damped = information.copy()
@@ -266,7 +268,7 @@ def minimise(
             damped[k, k] += damping * information[k, k] + 1e-6
         step = solve_positive(damped, -gradient)
         new_rotation, new_position = rotated(rotation, step[:3]), position + step[3:]
-        new = equations(new_rotation, new_position, points, rays, roots, shape, limit)
+        new = normal_equations(new_rotation, new_position, points, rays, roots, shape, limit)
         if new[2] <= cost:
             small = cost - new[2] < 1e-6 * cost
             rotation, position = new_rotation, new_position
@@ -312,7 +314,7 @@ class PoseProblem:
         """Squared whitened residuals (n,) at a pose, of the problem's points or of others in their place (n, 3)."""
         rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
         places = self.points if points is None else np.ascontiguousarray(points)
-        return squares_at(rotation, position, places, self.rays, self.roots, self.shape)
+        return squared_residuals(rotation, position, places, self.rays, self.roots, self.shape)
 
 
 def pose_problem(T_cam_vo: Array, seen: StereoPoints) -> PoseProblem:
@@ -353,10 +355,10 @@ def refine_camera(T_cam_vo: Array, seen: StereoPoints) -> PoseFit | None:
     Args:    T_cam_vo: start (4, 4), near enough for C. seen: points and observations.
     """
     problem = pose_problem(T_cam_vo, seen)
-    return settled(problem, *rough(problem, T_cam_vo))
+    return settled_pose(problem, *rough_pose(problem, T_cam_vo))
 
 
-def rough(problem: PoseProblem, T_cam_vo: Array) -> tuple[Array, Array]:
+def rough_pose(problem: PoseProblem, T_cam_vo: Array) -> tuple[Array, Array]:
     """Rotation and position by the Cauchy cost of all points: the nearest of its minima."""
     rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
     data = problem.points, problem.rays, problem.roots, problem.shape
@@ -364,7 +366,7 @@ def rough(problem: PoseProblem, T_cam_vo: Array) -> tuple[Array, Array]:
     return found[0], found[1]
 
 
-def settled(problem: PoseProblem, rotation: Array, position: Array) -> PoseFit | None:
+def settled_pose(problem: PoseProblem, rotation: Array, position: Array) -> PoseFit | None:
     """The fit of the inliers about a pose, at their full weight."""
     rays, limit = problem.rays, problem.limit
     data = problem.points, rays, problem.roots, problem.shape

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from server.vision.contracts import Array
 from server.vision.odometry_keyframe import Keyframe
 from server.vision.odometry_motion import inverse_jacobian
-from server.vision.odometry_observation import Observed
+from server.vision.odometry_observation import ObservedPoints
 from server.vision.odometry_pose import PoseFit, stacked_rays, white_rows
 from server.vision.small_algebra import apply
 
@@ -149,7 +149,7 @@ def _products(
     return keyed, moving, alone
 
 
-def mixed(keyframes: Sequence[Keyframe], hosts: Indices, indices: Indices) -> tuple[Indices, Array]:
+def keyframe_mixture(keyframes: Sequence[Keyframe], hosts: Indices, indices: Indices) -> tuple[Indices, Array]:
     """Numbers (k,) of the keyframes that these points (n,) go with, and how far they do, (n, k, 3, 3)."""
     serials = {keyframe.serial: number for number, keyframe in enumerate(keyframes)}
     used = {int(host) for host in np.unique(hosts)}
@@ -166,7 +166,7 @@ def mixed(keyframes: Sequence[Keyframe], hosts: Indices, indices: Indices) -> tu
 
 
 def sensitivity(
-    observed: Observed, fit: PoseFit, points_vo: Array, shutter: Shutter, keyframes: Sequence[Keyframe]
+    observed: ObservedPoints, fit: PoseFit, points_vo: Array, shutter: Shutter, keyframes: Sequence[Keyframe]
 ) -> Sensitivity:
     """How a fit follows the errors that its points share.
 
@@ -176,7 +176,7 @@ def sensitivity(
     """
     on = fit.inliers
     hosts, indices, seen = observed.keyframes[on], observed.indices[on], observed.seen
-    numbers, mixings = mixed(keyframes, hosts, indices)
+    numbers, mixings = keyframe_mixture(keyframes, hosts, indices)
     keyed, moving, alone = _products(
         np.ascontiguousarray(fit.T_cam_vo[:3, :3]),
         np.ascontiguousarray(fit.T_cam_vo[:3, 3]),

@@ -39,7 +39,7 @@ class Flow:
     good: NDArray[np.bool_]
 
 
-def flow(first: Image, second: Image, points_px: Array, guess_px: Array | None = None) -> Flow:
+def optical_flow(first: Image, second: Image, points_px: Array, guess_px: Array | None = None) -> Flow:
     """Where points of the first image are in the second.
 
     Args:    first, second: grey (h, w). points_px (n, 2). guess_px (n, 2): start, the same place if None.
@@ -83,7 +83,7 @@ class StereoMatches:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class SearchPoints:
     """Points of a kept pair that are looked for in a new one: places (n, 2) raw in the kept pair's two eyes, warps
     (n, 2, 2) = d(kept px)/d(new px), guesses (n, 2) raw in the new pair."""
 
@@ -94,9 +94,9 @@ class Wanted:
     guesses_left_px: Array
     guesses_right_px: Array
 
-    def some(self, chosen: NDArray[np.int64]) -> "Wanted":
+    def some(self, chosen: NDArray[np.int64]) -> "SearchPoints":
         """Only these of them."""
-        return Wanted(
+        return SearchPoints(
             self.indices[chosen],
             self.places_left_px[chosen],
             self.places_right_px[chosen],
@@ -118,7 +118,7 @@ class Sight(Protocol):
         """New points in both eyes, about `count` at most, away from `occupied_px` (m, 2)."""
         ...
 
-    def find(self, kept: "Sight", wanted: Wanted) -> tuple[Alignment, Alignment]:
+    def find(self, kept: "Sight", wanted: SearchPoints) -> tuple[Alignment, Alignment]:
         """Points of a kept pair in this pair's left and right eye."""
         ...
 
@@ -159,12 +159,12 @@ class ImageSight:
                  runs twice: what fails starts again at the disparity of its neighbours.
         """
         corners = spread_corners(self.left, self.masks[0], count, occupied_px)
-        found = flow(self.left, self.right, corners)
+        found = optical_flow(self.left, self.right, corners)
         rays_left = undistort_to_rays(camera, corners)
         right_px, good = found.points_px, plausible(camera, rays_left, found.points_px, found.good)
         if 0 < good.sum() < len(good):
             shift = np.median(right_px[good] - corners[good], axis=0)
-            again = flow(self.left, self.right, corners[~good], corners[~good] + shift)
+            again = optical_flow(self.left, self.right, corners[~good], corners[~good] + shift)
             right_px = right_px.copy()
             right_px[~good] = again.points_px
             retried = good.copy()
@@ -212,7 +212,7 @@ class ImageSight:
         moved = align(self.left, corners, np.tile(np.eye(2), (len(corners), 1, 1)), self.right, right_px + offset)
         return np.where(moved.good[:, None], moved.points_px, np.nan), unique
 
-    def find(self, kept: Sight, wanted: Wanted) -> tuple[Alignment, Alignment]:
+    def find(self, kept: Sight, wanted: SearchPoints) -> tuple[Alignment, Alignment]:
         """Patches of the kept pair, warped, laid onto this one; what lies under a mask is not found."""
         kept = _images(kept)
         left = align(kept.left, wanted.places_left_px, wanted.warps, self.left, wanted.guesses_left_px)
@@ -227,7 +227,7 @@ class ImageSight:
     def flow_from(self, kept: Sight, places_left_px: Array) -> Flow:
         """Pyramidal flow from the kept left image to this one."""
         kept = _images(kept)
-        found = flow(kept.left, self.left, places_left_px)
+        found = optical_flow(kept.left, self.left, places_left_px)
         return Flow(found.points_px, found.good & inside_mask(self.masks[0], found.points_px))
 
     def recognise(self, kept: Sight) -> tuple[Array, Array]:

@@ -54,7 +54,7 @@ class Evidence:
     unique_depth: bool = True
 
 
-def verdict(settings: OdometrySettings, shape: tuple[int, int], found: Evidence) -> tuple[OdometryStatus, str]:
+def odometry_verdict(settings: OdometrySettings, shape: tuple[int, int], found: Evidence) -> tuple[OdometryStatus, str]:
     """OK, or DEGRADED and why; `shape` of a picture, height first."""
     good_m = settings.sigma_good_m + settings.sigma_good_frac * found.distance_m
     count, covered, wanted = len(found.inliers_px), coverage(found.inliers_px, shape), settings.count_good(shape)

@@ -9,7 +9,7 @@ from server.vision.bundle_contracts import BundleProblem
 from server.vision.odometry_align import align
 from server.vision.odometry_keyframe import Keyframe
 from server.vision.odometry_motions import motions
-from server.vision.odometry_observation import Observed
+from server.vision.odometry_observation import ObservedPoints
 from server.vision.odometry_pose import StereoPoints, pose_problem, refine_camera
 from server.vision.odometry_sensitivity import Shutter, sensitivity
 from server.vision.odometry_sight import ImageSight
@@ -54,7 +54,7 @@ def warm_up() -> None:
     problem.squares(np.eye(4))
     motions(problem, replace(fit, inliers=np.zeros(12, dtype=bool)), 3)
     numbers = np.zeros(12, dtype=np.int64)
-    observed = Observed(numbers, numbers, left, right, 12, seen, points, np.zeros(12, dtype=np.int8), np.ones(12))
+    observed = ObservedPoints(numbers, numbers, left, right, 12, seen, points, np.zeros(12, dtype=np.int8), np.ones(12))
     shutter = Shutter(left[:, 0], left[:, 0], np.ones(6), 0.01)
     sensitivity(observed, fit, points, shutter, [_keyframe()])
 

@@ -47,7 +47,7 @@ class RefinedPose:
     residuals_px: Array
 
 
-class Given(NamedTuple):
+class KernelArrays(NamedTuple):
     """`PointObservations` as the kernels take them: contiguous arrays."""
 
     points: Array
@@ -57,17 +57,17 @@ class Given(NamedTuple):
     weights: Array
 
 
-def kernel_arrays(observations: PointObservations) -> Given:
+def kernel_arrays(observations: PointObservations) -> KernelArrays:
     """The kernels' argument."""
     weights = observations.weights
     if weights is None:
         weights = np.repeat(np.eye(2)[None], len(observations.points_object), axis=0)
     arrays = observations.points_object, observations.seen_px, observations.eye_x_m, observations.focal_px, weights
-    return Given(*(np.ascontiguousarray(array, dtype=np.float64) for array in arrays))
+    return KernelArrays(*(np.ascontiguousarray(array, dtype=np.float64) for array in arrays))
 
 
 @njit(cache=True, nogil=True)
-def sum_squares(rotation: Array, position: Array, given: Given) -> float:
+def sum_squares(rotation: Array, position: Array, given: KernelArrays) -> float:
     """Sum of squared residuals [px^2]; inf where a point lies behind the glass."""
     points, seen, eye_x, focal, weights = given
     total = 0.0
@@ -86,7 +86,9 @@ def sum_squares(rotation: Array, position: Array, given: Given) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _normal_equations(rotation: Array, position: Array, given: Given, information: Array, gradient: Array) -> None:
+def _normal_equations(
+    rotation: Array, position: Array, given: KernelArrays, information: Array, gradient: Array
+) -> None:
     """J^T J and J^T r, in place, for the left perturbation R <- exp(w) R, t <- t + dt; upper half mirrored."""
     points, seen, eye_x, focal, weights = given
     information[:], gradient[:] = 0.0, 0.0
@@ -118,7 +120,7 @@ def _normal_equations(rotation: Array, position: Array, given: Given, informatio
 
 
 @njit(cache=True, nogil=True)
-def _descend(T: Array, given: Given) -> tuple[Array, Array, float, Array]:
+def _descend(T: Array, given: KernelArrays) -> tuple[Array, Array, float, Array]:
     """Levenberg-Marquardt from one start: rotation, position, sum of squares, information."""
     rotation, position = T[:3, :3].copy(), T[:3, 3].copy()
     total = sum_squares(rotation, position, given)
@@ -153,7 +155,7 @@ def _descend(T: Array, given: Given) -> tuple[Array, Array, float, Array]:
 
 
 @njit(cache=True, nogil=True)
-def _descend_all(Ts: Array, given: Given) -> tuple[Array, Array, Array]:
+def _descend_all(Ts: Array, given: KernelArrays) -> tuple[Array, Array, Array]:
     """From every start (k, 4, 4): poses (k, 4, 4), sums of squares (k,), information (k, 6, 6)."""
     found, totals, informations = np.zeros(Ts.shape), np.empty(len(Ts)), np.empty((len(Ts), 6, 6))
     for k in range(len(Ts)):

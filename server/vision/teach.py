@@ -37,7 +37,7 @@ from server.vision.teach_contracts import (
     angle_sigma_rad,
     position_sigma_m,
 )
-from server.vision.teach_fit import PER_MARKER, Corners, LayoutFit, LayoutState, Priors, fit_layout, moved
+from server.vision.teach_fit import PER_MARKER, Corners, LayoutFit, LayoutState, Priors, fit_layout, stepped_state
 from server.vision.teach_start import SeenViews, corners_of, first_sides, start_of
 
 FrameName = Literal["present", "reference", "middle"]
@@ -79,8 +79,8 @@ def placed_covariances(state: LayoutState, covariance: Array, ids: Sequence[int]
     for column, row in enumerate(rows):
         step = np.zeros(len(covariance))
         step[row] = STEP
-        plus = place_layout(moved(state, step), ids, frame)
-        minus = place_layout(moved(state, -step), ids, frame)
+        plus = place_layout(stepped_state(state, step), ids, frame)
+        minus = place_layout(stepped_state(state, -step), ids, frame)
         for k in range(len(ids)):
             J[k, :, column] = pose_difference(minus[k], plus[k]) / (2.0 * STEP)
     found = J @ covariance[np.ix_(rows, rows)] @ J.transpose(0, 2, 1)
@@ -150,7 +150,7 @@ def teach_layout(
     """
     fits = _fits(views, task, camera, settings)
     if isinstance(fits, Refusal):
-        return refused(fits, len(views))
+        return refused_layout(fits, len(views))
     refusal = check_sides(fits.free, task.printed_m, task.ids, settings)
     markers = _markers(fits, task)
     refusal = refusal or check_sigmas(
@@ -173,7 +173,7 @@ def teach_layout(
     return layout if refusal is None else replace(layout, status=refusal.status, reason=refusal.reason, markers=())
 
 
-def refused(refusal: Refusal, n_views: int) -> TaughtLayout:
+def refused_layout(refusal: Refusal, n_views: int) -> TaughtLayout:
     """A layout that there is not."""
     nan = float("nan")
     return TaughtLayout(refusal.status, refusal.reason, (), n_views, nan, nan, nan, nan)

@@ -223,7 +223,7 @@ def free_rows(n_markers: int) -> Indices:
     return np.arange(6, PER_MARKER * n_markers + 1)
 
 
-def moved(state: LayoutState, step: Array) -> LayoutState:
+def stepped_state(state: LayoutState, step: Array) -> LayoutState:
     """The state after a step (7 m + 1) of markers and baseline; views stay."""
     n = len(state.Ts_ref_marker)
     per_marker = step[:-1].reshape(n, PER_MARKER)
@@ -238,7 +238,7 @@ def _moved(state: LayoutState, equations: _Equations) -> LayoutState:
     step[free] = _solved(equations.S[np.ix_(free, free)], -equations.g[free])
     back = equations.view_gradient + np.einsum("vij,j->vi", equations.cross, step)
     views = -np.einsum("vij,vj->vi", equations.view_inverse, back)
-    return replace(moved(state, step), Ts_cam_ref=_all_moved(state.Ts_cam_ref, views))
+    return replace(stepped_state(state, step), Ts_cam_ref=_all_moved(state.Ts_cam_ref, views))
 
 
 def _all_moved(Ts: Array, steps: Array) -> Array:

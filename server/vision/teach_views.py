@@ -10,7 +10,7 @@ from machine.description import Marker, StereoCamera
 from machine.poses import inverse_pose
 from server.vision.contracts import Array, Image
 from server.vision.edge_fit import SideFit
-from server.vision.marker_search import FoundMarker, find_markers, refined, same_place
+from server.vision.marker_search import FoundMarker, find_markers, refined_marker, same_place
 from server.vision.pose_problem import Sighting, pose_problem
 from server.vision.pose_refinement import distinct_minima
 from server.vision.teach_contracts import TeachSettings, TeachView
@@ -21,7 +21,7 @@ SAME_RAD = np.deg2rad(1.0)
 GUESSED_SIDE_M = 0.1  # where no side is known: directions do not depend on it
 
 
-class Offer(Enum):
+class OfferedView(Enum):
     """What became of a pair that was offered as a view."""
 
     TAKEN = "taken"
@@ -50,7 +50,7 @@ def _in_eye(
             known.append(marker)
     twice = frozenset(marker_id for marker_id, found in places.items() if len(found) > 1)
     single = [found[0] for found in places.values() if len(found) == 1]
-    fitted = [refined(marker, image, dictionary, camera) for marker in single]
+    fitted = [refined_marker(marker, image, dictionary, camera) for marker in single]
     return {marker.marker_id: marker.corners_px for marker in fitted if marker.fit is SideFit.CLEAN}, twice
 
 
@@ -91,21 +91,21 @@ class ViewKeeper:
         self._resting = 0
         self.views: list[TeachView] = []
 
-    def offer(self, view: TeachView) -> Offer:
+    def offer(self, view: TeachView) -> OfferedView:
         """Keep the view if the camera rests and it differs from all that are kept."""
         if len(view.left.keys() | view.right.keys()) < self._markers_min:
             self._last, self._resting = None, 0
-            return Offer.TOO_FEW_MARKERS
+            return OfferedView.TOO_FEW_MARKERS
         still = self._last is not None and motion_px(view, self._last) < REST_MAX_PX
         self._last, self._resting = view, self._resting + 1 if still else 1
         if self._resting < REST_PAIRS:
-            return Offer.MOVING
+            return OfferedView.MOVING
         places = camera_in_markers(view, self._camera)
         if any(self._alike(places, other) for other in self._places):
-            return Offer.ALIKE
+            return OfferedView.ALIKE
         self._places.append(places)
         self.views.append(view)
-        return Offer.TAKEN
+        return OfferedView.TAKEN
 
     def _alike(self, one: dict[int, Array], other: dict[int, Array]) -> bool:
         both = one.keys() & other.keys()

@@ -11,7 +11,7 @@ from protocol.framing import Framing
 from protocol.limits import axis_mask, cfg_id
 from protocol.messages import Command, axes8
 from protocol.objection import Objection, object_to
-from protocol.plc_events import Accepted, Effect, PlcLinkEvent, SessionOpened, StateChanged
+from protocol.plc_events import CommandAccepted, PlcAction, PlcLinkEvent, SessionOpened, StateChanged
 from protocol.plc_link import PlcLink, PlcLinkSettings
 from protocol.plc_states import ARMED_STATES, PlcEvent
 from sim_plc.plc.knot_ring import KnotRing, PlaybackView
@@ -189,13 +189,13 @@ class PlcLogic:
             match event:
                 case StateChanged(new=new):
                     self._enter(event.old, new, event.event)
-                case Accepted(command=command, effect=Effect.LOAD):
+                case CommandAccepted(command=command, effect=PlcAction.LOAD):
                     self._load(command)
-                case Accepted(command=command, effect=Effect.SERVO):
+                case CommandAccepted(command=command, effect=PlcAction.SERVO):
                     self._load_servo(command, t_plc_ns)
-                case Accepted(effect=Effect.QUICK_STOP):
+                case CommandAccepted(effect=PlcAction.QUICK_STOP):
                     self.reference.quick_stop()
-                case Accepted(effect=Effect.RESET):
+                case CommandAccepted(effect=PlcAction.RESET):
                     self.monitor.clear()
                 case SessionOpened():
                     self.reference.leave_path()

@@ -16,7 +16,7 @@ from benchmarks.diagnosis.sealed.foreign_arm import arm_of
 from benchmarks.diagnosis.sealed.own_plant import Course
 from benchmarks.diagnosis.sealed.plants import OWN, plant_named
 from diagnosis.log.nominal import nominal_of
-from machine.effects.entries import make_entry, pack
+from machine.effects.entries import make_entry, pack_effects
 from machine.effects.registry import effect_named
 from machine.effects.structure import link_poses, reference_torques, tcp_poses
 
@@ -55,7 +55,7 @@ def test_the_arm_is_the_files_and_bends_as_the_catalogue_defines(one: Injected |
         assert effect is not None
         entries.append(make_entry(effect, one.joint, parameters))
     assert NOMINAL.arm is not None
-    sets = pack(entries, 3)
+    sets = pack_effects(entries, 3)
     theirs = link_poses(NOMINAL.arm, sets, Q[None])[0]
     for name, point in arm.points(tree_at(Q)).items():
         link, xyz = m.POINTS[name]
@@ -93,7 +93,7 @@ def test_levers_are_what_the_integrated_cylinders_move() -> None:
 def test_the_load_is_the_catalogues() -> None:
     assert NOMINAL.arm is not None
     low, high = np.deg2rad(np.array(k.RANGES_DEG)).T
-    largest = reference_torques(NOMINAL.arm, pack([], 3), low, high)
+    largest = reference_torques(NOMINAL.arm, pack_effects([], 3), low, high)
     rows = foreign_valves.load_rows()
     arm = arm_of(faults_of((), 3))
     torques, _ = arm.weights(*arm.chain(Q, np.eye(3)))

@@ -18,7 +18,7 @@ from benchmarks.diagnosis.sealed.limits import key, no_easier_with_less_noise
 from benchmarks.diagnosis.sealed.scales import KINDS, NOT_JUDGED
 from benchmarks.diagnosis.sealed.sensitivity import separation, size2
 from diagnosis.log.nominal import nominal_of
-from machine.effects.entries import make_entry, pack
+from machine.effects.entries import make_entry, pack_effects
 from machine.effects.registry import NAMES, effect_named
 from machine.effects.structure import link_poses, tcp_poses
 
@@ -59,7 +59,7 @@ def test_the_generators_arm_bends_as_the_catalogue_defines(one: Injected, parame
     effect = effect_named(one.name)
     assert effect is not None
     assert NOMINAL.arm is not None
-    sets = pack([make_entry(effect, one.joint, parameters)], own.N)
+    sets = pack_effects([make_entry(effect, one.joint, parameters)], own.N)
     theirs = link_poses(NOMINAL.arm, sets, q[None])[0]
     for number in (2, 3):
         np.testing.assert_allclose(links[number], theirs[number], atol=1e-12)

@@ -7,7 +7,7 @@ from protocol.framing import Framing, RawFraming
 from protocol.limits import AxisLimits, LimitTable, axis_mask, cfg_id
 from protocol.messages import ZEROS, Axes, Command, Knot, PlcStatus
 from protocol.objection import Objection, object_to, object_to_knot
-from protocol.plc_events import Accepted, Effect, PlcLinkEvent
+from protocol.plc_events import CommandAccepted, PlcAction, PlcLinkEvent
 from protocol.plc_link import PlcLink, PlcLinkSettings
 from protocol.plc_states import PlcEvent
 
@@ -46,7 +46,7 @@ class ToyPlc:
     def receive(self, datagram: bytes, t_ns: int, source: object = "pc") -> None:
         for event in self.link.receive(datagram, t_ns, source):
             self.events.append(event)
-            if isinstance(event, Accepted) and event.effect is Effect.LOAD:
+            if isinstance(event, CommandAccepted) and event.effect is PlcAction.LOAD:
                 self._load(event.command)
 
     def _load(self, command: Command) -> None:

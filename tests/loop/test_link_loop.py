@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import pytest
 from link_toy_plc import MS, RAMP_NS, TABLE, ToyPlc, smooth_knots
 
-from protocol.client_events import ClientPhase, Closed, RejectSeen, StateReceived, TrajectoryEnded
+from protocol.client_events import ClientPhase, LinkClosed, RejectSeen, StateReceived, TrajectoryEnded
 from protocol.client_link import ClientLink
 from protocol.codes import PlcState
 from protocol.errors import LocalProtocolError
@@ -92,7 +92,7 @@ class Loop:
 
     def note(self, events: list) -> None:  # type: ignore[type-arg]
         self.events += [event for event in events if not isinstance(event, StateReceived)]
-        if any(isinstance(event, Closed) for event in events):
+        if any(isinstance(event, LinkClosed) for event in events):
             self.connect()
 
     def until(self, wanted: Callable[[], bool], within_s: float) -> bool:

@@ -5,7 +5,7 @@ import pytest
 from servo_virtual import MS, VirtualCell, drive
 
 from protocol.codes import PlcState
-from server.calibration.calibration_life import Validity, ValidityStatus
+from server.calibration.calibration_life import CalibrationValidity, ValidityStatus
 from server.errors import JobFailedError
 from server.jobs.plans import servoing
 from server.jobs.plans.servoing import servo
@@ -102,7 +102,7 @@ def test_a_camera_that_slipped_during_a_pass_ends_the_job_before_the_next_one(mo
     passes, asked = [], servoing.validity
 
     def validity(ctx, reading):
-        slipped = Validity(ValidityStatus.SLIPPED, "tool marker moved by 64.2 mm")
+        slipped = CalibrationValidity(ValidityStatus.SLIPPED, "tool marker moved by 64.2 mm")
         return slipped if passes else asked(ctx, reading)
 
     def one_pass(*args):
@@ -110,9 +110,9 @@ def test_a_camera_that_slipped_during_a_pass_ends_the_job_before_the_next_one(mo
         return (yield from done(*args))
 
     done = servoing._one_pass
-    monkeypatch.setattr(servoing, "validity", validity)
+    monkeypatch.setattr(servoing, "calibration_validity", validity)
     monkeypatch.setattr(servoing, "_one_pass", one_pass)
-    monkeypatch.setattr(servoing, "inside", lambda _ctx, _taken: False)
+    monkeypatch.setattr(servoing, "is_look_inside_tolerance", lambda _ctx, _taken: False)
     with pytest.raises(JobFailedError, match=r"64\.2 mm"):
         steered(cell, ctx)
     assert len(passes) == 1

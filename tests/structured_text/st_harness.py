@@ -18,7 +18,7 @@ from protocol.errors import FramingError
 from protocol.framing import EAP_OVERHEAD, EapFraming, RawFraming
 from protocol.limits import LimitTable, limits_of
 from protocol.messages import Command, State
-from protocol.plc_events import Rejected
+from protocol.plc_events import CommandRejected
 from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.logic import PlcLogic
 from sim_plc.plc.sample import PlantSample
@@ -182,7 +182,7 @@ class Pair:
         self._panel_to_st()
         self.plc.link.refused = None
         for event in self.plc.receive(datagram, self.t_ns, source):
-            if isinstance(event, Rejected):
+            if isinstance(event, CommandRejected):
                 self.tally.rejects[event.code.name] += 1
         try:
             payload = self._plc_end.unwrap(datagram)

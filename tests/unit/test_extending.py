@@ -7,7 +7,7 @@ import pytest
 
 from machine.effects.layout import slots_of
 from machine.effects.registry import EFFECTS, effect_of
-from server.access.roles import COMMANDERS, needed
+from server.access.roles import COMMANDERS, roles_needed
 from server.api.examples import EXAMPLES
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.compensation.effects import COMPENSATED
@@ -138,7 +138,7 @@ def test_a_job_is_whole(kind):
         "a button in web/static, or WITHOUT_BUTTON here": (f'"{kind}"' in scripts) != (kind in WITHOUT_BUTTON),
     }
     assert missed(**places) == "", f"job {kind} is missing in: {missed(**places)}"
-    assert needed("POST", "/v1/jobs") == COMMANDERS
+    assert roles_needed("POST", "/v1/jobs") == COMMANDERS
 
 
 @pytest.mark.parametrize("code", CATALOGUE)

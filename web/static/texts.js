@@ -33,7 +33,7 @@ export const TEXTS = {
   target_refused: "Not measured: {why}",
   objects_title: "Taught objects", object_which: "object", object_use: "Use this object", object_remove: "Remove", object_view: "Take a view", object_forget: "Forget views",
   object_about: "To teach: markers next to the object, both in the picture; take a view from three or four sides, then give it a name.",
-  object_centre: "Centre, from the markers, mm:", object_size: "Size, mm:", object_width: "width", object_height: "height", object_depth: "depth", object_name: "name", object_teach: "Teach",
+  object_centre: "Centre of the object, measured from its markers, mm:", object_size: "Size of the object, mm:", object_width: "width", object_height: "height", object_depth: "depth", object_name: "name", object_teach: "Teach",
   object_views: "{n} views, landmarks: {marks}", object_no_views: "No view taken.", object_in_use: "Target: the object {name}. Back to markers ends it.",
   target_reach_reachable: "The tool can reach it.", target_reach_refused: "Cannot be reached from here: {why}", target_reach_unknown: "{why}",
   marker_unused: "not used", legend_tool: "tool", legend_goal: "goal", 
@@ -104,7 +104,7 @@ export const TEXTS = {
   identify_compare: "Compare: a first move by kinematics alone", identify_compare_about: "The error that a move based on one look and kinematics alone would have had, computed from the same two looks.", identify_move: "move", identify_nominal: "nominal model", identify_with: "with these effects", identify_miss: "model error", identify_left: "remaining",
   recordings_intro: "Each job is recorded as MCAP, which Foxglove opens directly:", download: "download", replay: "replay", layout: "Foxglove layout", rerun: "For Rerun, with a blueprint:",
   disk: "{gb} GB free", recording_on: "recording now", no_recordings: "No recording yet.", settings_intro: "Read-only. To change a setting, edit the settings file and restart the server.",
-  replay_title: "Replay of {name}", replay_empty: "{name} could not be opened.", replay_at: "{s} s of {end} s", replay_slider: "time in the run",
+  replay_title: "Replay of {name}", replay_empty: "The recording {name} could not be opened. Check that its file is still there; `longreach recording check` states what is damaged.", replay_at: "{s} s of {end} s", replay_slider: "time in the run",
   loading: "Reading …", unit: "unit", value: "value", setting: "setting",
   // tour
   tour_next: "Next", tour_end: "Got it", tour_again: "Tour",

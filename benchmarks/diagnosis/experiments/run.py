@@ -11,7 +11,7 @@ from benchmarks.diagnosis.experiments.arm import Truth
 from benchmarks.diagnosis.experiments.cases import NAMES, Key, draw
 from benchmarks.diagnosis.experiments.recorded import executed
 from diagnosis.experiments.described import experiment_of
-from diagnosis.reading.together import together
+from diagnosis.reading.together import join_recordings
 
 SURE = 0.95
 EXECUTED_STREAM = 77
@@ -75,7 +75,7 @@ def run_case(pair: str, seed: int) -> Outcome:
     if proposed:
         rng = np.random.default_rng([seed, EXECUTED_STREAM])
         second = executed(case.rig, experiment_of(proposal["execute"]), rng)
-        both = answered(together([case.first, second]))
+        both = answered(join_recordings([case.first, second]))
     return Outcome(
         pair,
         seed,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnosis.first_day.figures import Scores, reliability
-from diagnosis.whole_model.probability import FEATURES, fitted, logistic
+from diagnosis.whole_model.probability import FEATURES, fit_logistic, logistic
 from machine.rotations import Array
 
 PARTS = 5  # of the cases; each is judged by what the others gave
@@ -27,7 +27,7 @@ def calibrated(scores: Scores) -> dict[str, Any]:
         raise TooFewError(
             f"{len(right)} reported effects, {int(right.sum())} right: more cases are needed, of both sorts"
         )
-    intercept, weights = fitted(X, right)
+    intercept, weights = fit_logistic(X, right)
     stated = _held_out(X, right, case)
     return {
         "intercept": round(intercept, 4),
@@ -66,7 +66,7 @@ def _held_out(X: Array, right: Array, case: Array) -> Array:
     for part in range(PARTS):
         own = case % PARTS == part
         if own.any() and len(set(right[~own].tolist())) == 2:
-            intercept, weights = fitted(X[~own], right[~own])
+            intercept, weights = fit_logistic(X[~own], right[~own])
             out[own] = logistic(intercept + X[own] @ weights)
     return out
 

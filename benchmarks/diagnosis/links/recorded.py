@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.effects.dynamics import Traces, actuators_of, drive_by_sent, simulate
-from machine.effects.entries import EffectEntry, pack
+from machine.effects.dynamics import SimulatedTraces, actuators_of, drive_by_sent, simulate
+from machine.effects.entries import EffectEntry, pack_effects
 from machine.rotations import Array
 from recording.content import Recording
 from recording.rows import PlcState, Row, Sent
@@ -102,7 +102,9 @@ def over(link: Link, effects: tuple[EffectEntry, ...] = (), seed: int = 1, cours
         start, first = number * (course.segment_s + PAUSE_S), 1 + numbers * number
         q = course.command(kind, np.maximum(t_s, 0.0))
         which, when = arrived(link, t_s, rng)
-        traces = simulate(plant, pack(effects, course.joints), drive_by_sent(plant, when, q[which], 0.0, cycles))
+        traces = simulate(
+            plant, pack_effects(effects, course.joints), drive_by_sent(plant, when, q[which], 0.0, cycles)
+        )
         enc = traces.enc[0] + rng.normal(0.0, NOISE_RAD, traces.enc[0].shape)
         t_log = plant.log_cycle_s * np.arange(len(enc), dtype=np.float64)
         seen = which[np.searchsorted(when, t_log + 1e-9, side="right") - 1]
@@ -115,7 +117,7 @@ def over(link: Link, effects: tuple[EffectEntry, ...] = (), seed: int = 1, cours
     return Recording("folder", info, course.machine_toml(plant.log_cycle_s), (*sent, *logged))
 
 
-def logged_rows(t_plc_s: Array, seq: NDArray[np.int64], traces: Traces, enc: Array) -> list[Row]:
+def logged_rows(t_plc_s: Array, seq: NDArray[np.int64], traces: SimulatedTraces, enc: Array) -> list[Row]:
     """The PLC's rows at t_plc_s (m,), with the last datagram's number (m,) and what the encoders showed (m, n)."""
     return [
         PlcState(

@@ -12,7 +12,7 @@ from benchmarks.link.drill.invariants import Breach, Longest, Watch
 from benchmarks.link.drill.operator import Operator
 from benchmarks.link.drill.schedule import Act, Action, FaultPhase, FaultSchedule
 from machine.description import Machine, parse_machine_toml
-from protocol.client_events import ClientEvent, Closed, TailAnswered, TrajectoryEnded
+from protocol.client_events import ClientEvent, LinkClosed, TailAnswered, TrajectoryEnded
 from protocol.client_link import ClientLink
 from protocol.codec import decode_command, encode_command
 from protocol.codes import Mode
@@ -202,7 +202,7 @@ class Drill:
                     self.ended.append((self.client.session, event))
                 case TailAnswered():
                     self.operator.tail_answered((self.client.session, event.traj_id), event.taken)
-                case Closed():
+                case LinkClosed():
                     self._connect()
                 case _:
                     pass

@@ -17,7 +17,7 @@ from numba import njit
 
 from machine.rotations import Array
 from protocol.codes import FaultBit, PlcState
-from protocol.plc_events import Accepted, Effect, PlcLinkEvent, StateChanged
+from protocol.plc_events import CommandAccepted, PlcAction, PlcLinkEvent, StateChanged
 from protocol.plc_states import ARMED_STATES
 from protocol.timeouts import COMMAND_LOST
 from sim_plc.plc.logic import PlcLogic
@@ -134,7 +134,7 @@ class Watch:
         for event in events:
             if isinstance(event, StateChanged) and event.new is PlcState.RUN:
                 started = True
-            elif isinstance(event, Accepted):
+            elif isinstance(event, CommandAccepted):
                 self.accepted_ns, self._stalled = t_plc_ns, False
                 if started:
                     self._start(event)
@@ -181,10 +181,10 @@ class Watch:
     def _breach(self, name: str, text: str) -> None:
         self.breaches.append(Breach(name, round(self.t_s, 4), text))
 
-    def _start(self, event: Accepted) -> None:
+    def _start(self, event: CommandAccepted) -> None:
         """Motion begins: asked for, for the first time, with a number higher than any before."""
         key = self._key = (event.command.session, event.command.traj_id)
-        if event.effect not in (Effect.LOAD, Effect.SERVO):
+        if event.effect not in (PlcAction.LOAD, PlcAction.SERVO):
             self._breach("motion starts by itself", f"{event.effect.name} started it")
         if key in self.started or any(s == key[0] and i > key[1] for s, i in self.started):
             self._breach("motion resumes", f"trajectory {key[1]} again")

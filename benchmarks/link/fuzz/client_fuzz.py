@@ -15,7 +15,7 @@ from benchmarks.link.fuzz.picture import picture
 from benchmarks.link.fuzz.plc_check import Outcome
 from benchmarks.link.fuzz.plc_end import VARIANTS
 from benchmarks.link.fuzz.verdict import Kind, Verdict, Violation
-from protocol.client_events import ClientEvent, ClientPhase, Closed, Dropped, RejectSeen, StateReceived
+from protocol.client_events import ClientEvent, ClientPhase, DatagramDropped, LinkClosed, RejectSeen, StateReceived
 from protocol.codes import RejectCode
 from protocol.layout import STATE_SIZE
 from protocol.limits import LimitTable
@@ -110,7 +110,7 @@ class ClientFuzz:
             events = link.receive(datagram, end.t_ns)
         except Exception as error:  # any exception at all is the finding
             return Outcome(Kind.REFUSED, -1, 0, (phase, type(error).__name__), (f"raised {error!r}",), raised=True)
-        dropped = events[0] if events and isinstance(events[0], Dropped) else None
+        dropped = events[0] if events and isinstance(events[0], DatagramDropped) else None
         kind = Kind.REFUSED if dropped else Kind.TAKEN if events else Kind.SILENT
         code = int(dropped.code) if dropped else 0
         problems = _against_verdict(verdict, kind, code)
@@ -136,7 +136,7 @@ class ClientFuzz:
             problems.append("the event holds other values than the datagram")
         if any(isinstance(event, RejectSeen) for event in events) and not fields.reject_code:
             problems.append("a refusal was seen that the state does not tell of")
-        if closes is not any(isinstance(event, Closed) for event in events) or end.link.closed is not closes:
+        if closes is not any(isinstance(event, LinkClosed) for event in events) or end.link.closed is not closes:
             problems.append("closed, or not, against the rule")
         return problems
 

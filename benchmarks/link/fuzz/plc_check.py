@@ -9,7 +9,7 @@ from benchmarks.link.fuzz.picture import picture
 from benchmarks.link.fuzz.plc_end import PlcEnd
 from benchmarks.link.fuzz.verdict import Breach, Kind, Verdict
 from protocol.codes import PlcState, RejectCode
-from protocol.plc_events import PlcLinkEvent, Rejected, StateChanged
+from protocol.plc_events import CommandRejected, PlcLinkEvent, StateChanged
 from protocol.plc_states import PlcEvent
 
 _APART = frozenset({"_counters", "_reject", "peer", "refused"})  # looked at one by one below
@@ -64,7 +64,7 @@ class PlcCheck:
             self._before = None
             signature = (state, type(error).__name__)
             return Outcome(Kind.REFUSED, -1, -1, signature, (f"raised {error!r}",), raised=True)
-        refusal = events[0] if events and isinstance(events[0], Rejected) else None
+        refusal = events[0] if events and isinstance(events[0], CommandRejected) else None
         kind = Kind.REFUSED if refusal else Kind.TAKEN if events else Kind.SILENT
         code, offset = (int(refusal.code), refusal.offset) if refusal else (0, 0)
         problems = _against_verdict(verdict, kind, code, offset)
@@ -94,7 +94,12 @@ class PlcCheck:
     # --- refused or dropped -------------------------------------------------------------------------------------------
 
     def _after_refused(
-        self, before: _Snapshot, kind: Kind, refusal: Rejected | None, events: list[PlcLinkEvent], state: PlcState
+        self,
+        before: _Snapshot,
+        kind: Kind,
+        refusal: CommandRejected | None,
+        events: list[PlcLinkEvent],
+        state: PlcState,
     ) -> list[str]:
         """Nothing has changed but the counters; the one exception is a blind PC whose motion is stopped."""
         after = self._before = _snapshot(self.end)
@@ -120,7 +125,7 @@ class PlcCheck:
         stopped = StateChanged(PlcState.RUN, PlcState.STOPPING, PlcEvent.SOFT_STOP)
         return [] if events[1:] == [stopped] else ["a blind PC's motion was not just stopped"]
 
-    def _against_record(self, refusal: Rejected | None) -> list[str]:
+    def _against_record(self, refusal: CommandRejected | None) -> list[str]:
         """What the next states will tell of it."""
         noted = self.end.plc.link._reject
         if refusal is None or (noted.code, noted.offset, noted.seq) == (refusal.code, refusal.offset, refusal.seq):

@@ -17,7 +17,7 @@ from protocol.codec import decode_state
 from protocol.codes import FaultBit, Mode, PlcState
 from protocol.framing import EAP_OVERHEAD, EapFraming, RawFraming
 from protocol.limits import cfg_id
-from protocol.plc_events import Rejected
+from protocol.plc_events import CommandRejected
 from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.logic import PlcLogic
 from sim_plc.plc.reference import Motion
@@ -138,7 +138,7 @@ class PlcEnd:
         datagram = wire.wrap(payload, 0)
         self.recorded.append(payload)
         events = self.plc.receive(datagram, self.t_ns, source)
-        if events and not isinstance(events[0], Rejected):
+        if events and not isinstance(events[0], CommandRejected):
             self.oracle.take(payload, source)
         self.look()
 

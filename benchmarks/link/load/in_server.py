@@ -13,7 +13,7 @@ from collections.abc import Callable
 import cv2
 
 from machine.description import Machine
-from protocol.client_events import ClientEvent, ClientPhase, Closed, RejectSeen, StateReceived, TrajectoryEnded
+from protocol.client_events import ClientEvent, ClientPhase, LinkClosed, RejectSeen, StateReceived, TrajectoryEnded
 from protocol.client_link import ClientLink
 from protocol.errors import LocalProtocolError
 from protocol.framing import RawFraming
@@ -140,7 +140,7 @@ class InServerLink:
                 case RejectSeen(text=text):
                     self._rejected += 1
                     self._last_reject = text
-                case Closed():
+                case LinkClosed():
                     self._lost += self._link.counters.lost
                     self._link, self._traj_id = self._new_link(), 0
                 case _:

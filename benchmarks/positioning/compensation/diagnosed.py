@@ -7,7 +7,7 @@ import numpy as np
 
 from diagnosis.baseline.left_over import cells_of, remainders_of, with_baseline
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import Read, examine
+from diagnosis.reading.read import Read, examine_recording
 from machine.effects.entries import EffectEntry
 from recording.content import Recording
 
@@ -45,7 +45,7 @@ def effects_of(fitted: Recording, left: Recording, judged: Recording) -> Found:
 
 
 def _read(recording: Recording) -> Read:
-    whole = examine(recording, Path("tour"))
+    whole = examine_recording(recording, Path("tour"))
     if not whole.usable:
         raise RuntimeError("; ".join(str(one) for one in whole.findings))
     return whole

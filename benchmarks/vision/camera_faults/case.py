@@ -8,7 +8,7 @@ from benchmarks.vision.camera_faults.pictures import RATE_HZ, Pictures
 from machine.description import Machine
 from server.camera.contracts import FrameReport, VisionSettings
 from server.camera.health.image_health import ImageHealth
-from server.camera.health.stamps import silence
+from server.camera.health.stamps import silence_text
 from server.camera.pipeline import VisionPipeline
 from server.camera.process import build_pipeline
 from server.camera.sources.settings import HttpSource
@@ -97,7 +97,7 @@ def _badly_mapped(report: FrameReport, arrival: Arrival) -> bool:
 
 def _silent(arrival: Arrival, last_ns: int, faulty: bool) -> _Seen:
     """No pair: the source's words, or the silence itself once it is long enough."""
-    findings = silence(last_ns, arrival.t_receive_ns)
+    findings = silence_text(last_ns, arrival.t_receive_ns)
     if arrival.reason != "no picture":
         return _Seen(faulty, False, arrival.reason)
     return _Seen(faulty, not findings, findings[0].text if findings else "")

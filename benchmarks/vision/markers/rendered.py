@@ -14,7 +14,7 @@ from benchmarks.vision.markers.optimal import correlated_bounds, predict
 from machine.description import Machine
 from machine.markers import marker_corners
 from machine.rotations import Array
-from server.vision.marker_search import dictionary_by_name, find_markers, refined
+from server.vision.marker_search import dictionary_by_name, find_markers, refined_marker
 from server.vision.object_pose import PoseSettings
 
 _BACKGROUND_GREY = 128
@@ -57,7 +57,7 @@ def find_in_image(machine: Machine, image: np.ndarray) -> Array | None:
     dictionary = dictionary_by_name(machine.dictionary)
     for found in find_markers(image, dictionary):
         if found.marker_id == MARKER_ID:
-            one = refined(found, image, dictionary, machine.camera)
+            one = refined_marker(found, image, dictionary, machine.camera)
             return None if one.covered else one.corners_px
     return None
 

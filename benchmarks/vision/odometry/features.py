@@ -19,7 +19,7 @@ from server.vision.odometry import OdometrySettings, StereoOdometry
 from server.vision.odometry_align import Alignment
 from server.vision.odometry_features import BORDER_PX
 from server.vision.odometry_motion import mean_twist, moved_by_twist, row_fractions
-from server.vision.odometry_sight import Flow, Sight, StereoMatches, Wanted
+from server.vision.odometry_sight import Flow, SearchPoints, Sight, StereoMatches
 
 WALL_POINTS = 6000
 WALL_HALF_M = 3.5
@@ -65,7 +65,7 @@ class PointSight:
         """Which wall points have these places (k, 2) in the left eye."""
         return np.array([self.numbers[x, y] for x, y in places_px.tolist()], dtype=np.int64)
 
-    def find(self, kept: Sight, wanted: Wanted) -> tuple[Alignment, Alignment]:
+    def find(self, kept: Sight, wanted: SearchPoints) -> tuple[Alignment, Alignment]:
         """The same wall points in this pair."""
         on = _points_sight(kept).numbers_of(wanted.places_left_px)
         found = [self.left_px[on], self.right_px[on]]

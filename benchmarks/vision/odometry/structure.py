@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.vision.odometry.film import Film, FilmCase, nominal_machine
-from server.camera.own_structure import outlines, still_mask
+from server.camera.own_structure import mask_outlines, still_mask
 from server.vision.contracts import Array, OdometryStatus
 from server.vision.odometry import OdometrySettings, StereoOdometry
 
@@ -47,7 +47,7 @@ def proposed_masks(film: Film) -> tuple[list[Array], list[Array]]:
     """Polygons of both eyes from some pairs along the path; none where nothing stood still."""
     pairs = [film.pair(int(k)) for k in np.linspace(0, len(film.jpegs) - 1, MASK_PAIRS)]
     masks = [still_mask([pair[eye] for pair in pairs]) for eye in range(2)]
-    left, right = ([] if mask is None else list(outlines(mask)) for mask in masks)
+    left, right = ([] if mask is None else list(mask_outlines(mask)) for mask in masks)
     return left, right
 
 

@@ -1,6 +1,6 @@
 """Effects of the stages controller and actuator: their parameters, bounds and priors, and what distinguishes each."""
 
-from machine.effects.spec import Choice, Effect, Parameter, Prior
+from machine.effects.spec import Effect, Parameter, Prior, QuantityChoice
 
 # fmt: off
 EFFECTS: tuple[Effect, ...] = (
@@ -39,7 +39,7 @@ EFFECTS: tuple[Effect, ...] = (
                 # where a rounded edge of the spool begins, and what friction takes of small openings
                 open_frac=0.05),
         ),
-        choice=Choice("full_flow", ("kept", "lost"), "whether a full command still gives the full flow"),
+        choice=QuantityChoice("full_flow", ("kept", "lost"), "whether a full command still gives the full flow"),
         looks_like="no motion for small commands, either sign; the joint stops short of its target",
         distinguished_by="valve_hysteresis depends on the direction of change, stiction on whether the joint moves "
             "already, flow_gain_error acts on large commands too; needs slow passes through zero",
@@ -129,7 +129,7 @@ EFFECTS: tuple[Effect, ...] = (
                 # of joints that stick again below a tenth: 1 to 4.5 %
                 open_frac=0.05),
         ),
-        choice=Choice("sticks_again", ("below_a_fifth", "at_reversals"), "where a moving joint sticks again"),
+        choice=QuantityChoice("sticks_again", ("below_a_fifth", "at_reversals"), "where a moving joint sticks again"),
         looks_like="starts late and with a jump; runs on below the command that it needed to start",
         distinguished_by="valve_deadband also stops the joint early and starts it softly; valve_hysteresis needs no "
             "standstill",

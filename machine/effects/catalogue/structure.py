@@ -1,6 +1,6 @@
 """Effects of stage structure: their parameters, bounds and priors, and what distinguishes each."""
 
-from machine.effects.spec import Choice, Direction, Effect, Parameter, Prior
+from machine.effects.spec import Direction, Effect, Parameter, Prior, QuantityChoice
 
 # fmt: off
 EFFECTS: tuple[Effect, ...] = (
@@ -21,7 +21,7 @@ EFFECTS: tuple[Effect, ...] = (
             Parameter(name="error_m", unit="m", low=-0.2, high=0.2, start=0.005, prior=Prior("normal", 0.005),
                 meaning="added to the DH length a or d"),
         ),
-        choice=Choice("of", ("a", "d"), "which DH length"),
+        choice=QuantityChoice("of", ("a", "d"), "which DH length"),
         looks_like="the tip errs by a constant along that link's direction",
         distinguished_by="encoder_bias errs across the link; a along x of one link and d along z of the next may be "
             "the same direction",
@@ -76,7 +76,7 @@ EFFECTS: tuple[Effect, ...] = (
             Parameter(name="tilt_rad", unit="rad", low=-0.1, high=0.1, start=0.005, prior=Prior("normal", 0.005),
                 meaning="of the joint's axis about x or y of its frame"),
         ),
-        choice=Choice("about", ("x", "y"), "which axis of the joint's own frame, before its motion"),
+        choice=QuantityChoice("about", ("x", "y"), "which axis of the joint's own frame, before its motion"),
         looks_like="the tip moves on a tilted circle when this joint turns",
         distinguished_by="base_tilt is the same for all joints; encoder_bias stays in the joint's plane",
         source="Hayati 1983 for near-parallel axes", prevalence=0.15),

@@ -137,7 +137,7 @@ def _periods(before: StereoFrame, frame: StereoFrame) -> int:
     return max(1, frame.sequence - before.sequence)
 
 
-def silence(t_last_receive_mono_ns: int, t_now_mono_ns: int) -> tuple[Finding, ...]:
+def silence_text(t_last_receive_mono_ns: int, t_now_mono_ns: int) -> tuple[Finding, ...]:
     """What to say when no pair has come for a while; the pairs before it are not to be used any more."""
     silent_s = (t_now_mono_ns - t_last_receive_mono_ns) * 1e-9
     if silent_s <= SILENCE_MAX_S:

@@ -15,7 +15,7 @@ from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
 from server.camera.sources.live import HELD_UP, LiveSource
-from server.camera.sources.multipart import MultipartParser, Part
+from server.camera.sources.multipart import MultipartParser, MultipartPart
 from server.camera.sources.settings import HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side
 from server.shown_address import without_password
@@ -131,7 +131,7 @@ CHUNK_BYTES = 1 << 18
 
 @dataclass(frozen=True, slots=True)
 class _Received:
-    part: Part
+    part: MultipartPart
     number: int  # of all that arrived, for a camera that does not count
     connection: int
 

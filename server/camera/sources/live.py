@@ -16,7 +16,7 @@ HELD_UP = "this process was held up; pictures that waited meanwhile are dropped"
 _log = logging.getLogger(__name__)
 
 
-class Newest(Generic[Item]):
+class NewestOnlyBox(Generic[Item]):
     """One place; putting into a full box replaces and counts what was never taken."""
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class LiveSource(ABC, Generic[Item]):
 
     def __init__(self, subject: str, opening: str) -> None:
         self._subject = subject
-        self._newest: Newest[Item] = Newest()
+        self._newest: NewestOnlyBox[Item] = NewestOnlyBox()
         self._stop = threading.Event()
         self._state = f"{subject}: {opening}"
         self._connection = 0

@@ -17,7 +17,7 @@ JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"  # within a JPEG's data the end 
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class MultipartPart:
     """One part of the stream. Stamps are None where the camera gives none; `t_header_ns`: its header was seen."""
 
     body: bytes
@@ -72,10 +72,10 @@ class MultipartParser:
         self._t_body_ns: int | None = None
         self._searched = 0  # of the buffer, for the boundary behind a body
 
-    def feed(self, data: bytes, t_mono_ns: int) -> list[Part]:
+    def feed(self, data: bytes, t_mono_ns: int) -> list[MultipartPart]:
         """Parts completed by these bytes, in order."""
         self._buffer += data
-        parts: list[Part] = []
+        parts: list[MultipartPart] = []
         while True:
             if self._header is None and not self._take_header(t_mono_ns):
                 return parts
@@ -88,7 +88,7 @@ class MultipartParser:
             if body is None:
                 return parts
             t_ns = t_mono_ns if self._t_body_ns is None else self._t_body_ns
-            parts.append(Part(body, header.t_exposure_ns, header.sequence, t_ns))
+            parts.append(MultipartPart(body, header.t_exposure_ns, header.sequence, t_ns))
             self._header = None
 
     def _take_header(self, t_mono_ns: int) -> bool:

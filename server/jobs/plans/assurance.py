@@ -15,7 +15,7 @@ from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
-from server.jobs.plans.living import require_valid, validity
+from server.jobs.plans.living import calibration_validity, require_valid
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.moving import Sigmas, map_refused, preview
 from server.jobs.plans.seeing import require_judgeable
@@ -29,7 +29,7 @@ CLOSER_LOOK_MAX = 3.0  # times the tolerance: worse is not an approach but a gue
 
 
 @dataclass(frozen=True, slots=True)
-class Assured:
+class AssuredPlan:
     """The look that the move starts from, its plan, and what was done to know enough."""
 
     taken: LookTaken
@@ -39,7 +39,7 @@ class Assured:
 
 def assured_preview(
     ctx: PlanContext, taken: LookTaken, t_now_ns: int, moves_left: int
-) -> Generator[Request, object, Assured]:
+) -> Generator[Request, object, AssuredPlan]:
     """The plan of the next move, and its start look; the ladder above is climbed as far as needed.
 
     Args:    moves_left: moves that may follow this one.
@@ -52,24 +52,24 @@ def assured_preview(
     require_judgeable(ctx, taken)
     if why := map_refused(ctx):
         yield Progress("assure", 0, 3, "", f"the learnt map is not used; the move is based on the look alone: {why}")
-    if fits(ctx, previewed.predicted_sigma_mm):
-        return Assured(taken, previewed, paths)
+    if is_inside_tolerance(ctx, previewed.predicted_sigma_mm):
+        return AssuredPlan(taken, previewed, paths)
     if _look_matters(ctx, taken, previewed.predicted_sigma_mm):
         text = f"{accuracy_text(ctx, previewed.predicted_sigma_mm)}: looking again over more pairs"
         yield Progress("assure", 1, 3, "", text)
         taken = yield from good_look(ctx, LOOK_AGAIN_SHARE)
         previewed = preview(ctx, taken, t_now_ns)
-    if not fits(ctx, previewed.predicted_sigma_mm) and len(ctx.knowledge.runs) < RUNS_WANTED:
+    if not is_inside_tolerance(ctx, previewed.predicted_sigma_mm) and len(ctx.knowledge.runs) < RUNS_WANTED:
         text = f"{accuracy_text(ctx, previewed.predicted_sigma_mm)}: a further calibration path"
         yield Progress("assure", 2, 3, "", text)
         taken, paths = (yield from _further_path(ctx, taken)), paths + 1
         previewed = preview(ctx, taken, t_now_ns)
-    if not fits(ctx, previewed.predicted_sigma_mm):
+    if not is_inside_tolerance(ctx, previewed.predicted_sigma_mm):
         yield from _closer_look_or_refuse(ctx, previewed, moves_left)
-    return Assured(taken, previewed, paths)
+    return AssuredPlan(taken, previewed, paths)
 
 
-def fits(ctx: PlanContext, sigma_mm: Sigmas) -> bool:
+def is_inside_tolerance(ctx: PlanContext, sigma_mm: Sigmas) -> bool:
     """Whether 2 sigma is inside the tolerance on every axis. The paper's method does not ask."""
     return ctx.method == "paper" or 2.0 * max(sigma_mm) <= ctx.settings.position.tolerance_mm
 
@@ -85,7 +85,7 @@ def accuracy_text(ctx: PlanContext, sigma_mm: Sigmas) -> str:
 
 def _must_renew(ctx: PlanContext, taken: LookTaken) -> bool:
     """Whether the calibration has expired in a way that another path repairs; after a slip a person must look first."""
-    found = validity(ctx, taken.reading)
+    found = calibration_validity(ctx, taken.reading)
     if found.status is ValidityStatus.SLIPPED:
         require_valid(found, "calibration")
     return not found.ok

@@ -12,11 +12,11 @@ from server.calibration.trajectory_matching_paper import estimate_camera_rotatio
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.diagnosed import believed_mount, believed_track
+from server.jobs.plans.diagnosed import believed_track, diagnosed_mount
 from server.jobs.plans.learning import joint_estimate, remember_run, remember_side, side_now
-from server.jobs.plans.living import born, forget_expired
+from server.jobs.plans.living import forget_expired, keep_calibration
 from server.jobs.plans.planning import onto_reference, plan_settings
-from server.jobs.plans.seeing import doubts, focal_found
+from server.jobs.plans.seeing import focal_found, refuted_inputs
 from server.jobs.records import CalibrationRecord
 from server.jobs.requests import (
     Arm,
@@ -30,7 +30,7 @@ from server.jobs.requests import (
     StartOdometry,
     StopOdometry,
     TimePairs,
-    expect,
+    expect_reply,
 )
 from server.motion.calibration_paths import plan_calibration_path
 from server.motion.camera_pace import CameraNeeds, camera_paced
@@ -40,7 +40,7 @@ from server.vision.odometry_align import AWAY_MAX_PX
 
 def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, CalibrationRecord]:
     """Drive the path with odometry on, match, and keep the result as the mount's rotation here."""
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     remember_side(ctx, reading)
     before = side_now(ctx)
     nominal, _ = possible_path(ctx, reading)
@@ -48,7 +48,7 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     yield Progress("calibrate", 0.0, nominal.duration_s, "s", "the camera begins to measure its own motion")
     yield Arm()
     yield StartOdometry()
-    timing = expect((yield TimePairs()), PairTiming)
+    timing = expect_reply((yield TimePairs()), PairTiming)
     plan = camera_paced(ctx.machine, nominal, timing.interval_s, camera_needs(ctx, taken), plan_settings(ctx))
     plan, trajectory = driven_path(ctx, reading, plan)
     text = f"driving a {plan.length_m:.2f} m path in {plan.duration_s:.0f} s"
@@ -58,16 +58,16 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
         )
     yield Progress("calibrate", 0.0, plan.duration_s, "s", text)
     yield Move(trajectory, "calibration path")
-    rested = expect((yield Settle()), MachineReading)
-    tracks = expect((yield StopOdometry()), tuple)
+    rested = expect_reply((yield Settle()), MachineReading)
+    tracks = expect_reply((yield StopOdometry()), tuple)
     camera, encoder = tracks
-    estimate = match(ctx, taken, camera, believed_track(ctx, encoder, before))
+    estimate = match_trajectories(ctx, taken, camera, believed_track(ctx, encoder, before))
     record = describe_calibration(ctx, estimate, plan.duration_s)
     yield Record(estimate)
     if estimate.status is not CalibrationStatus.OK:
         raise JobFailedError(f"calibration failed ({estimate.status.value}): {estimate.reason}", "calibration_failed")
     ctx.knowledge.mount = estimate
-    born(ctx, estimate, taken, rested)
+    keep_calibration(ctx, estimate, taken, rested)
     remember_run(ctx, camera, encoder, before)
     ctx.knowledge.calibration = record = _with_focal(ctx, record)
     text = f"camera rotation known to {record.sigma_deg:.2f} deg, {record.time_offset_ms:.0f} ms to add to camera time"
@@ -84,7 +84,7 @@ def _with_focal(ctx: PlanContext, record: CalibrationRecord) -> CalibrationRecor
     if focal is None:
         return record
     off_pct, sigma_pct = (100.0 * value for value in focal)
-    return replace(record, focal_off_pct=off_pct, focal_sigma_pct=sigma_pct, reason=doubts(ctx))
+    return replace(record, focal_off_pct=off_pct, focal_sigma_pct=sigma_pct, reason=refuted_inputs(ctx))
 
 
 def possible_path(ctx: PlanContext, reading: MachineReading) -> tuple[PathPlan, JointTrajectory]:
@@ -124,12 +124,14 @@ def camera_needs(ctx: PlanContext, taken: LookTaken) -> CameraNeeds:
     )
 
 
-def match(ctx: PlanContext, taken: LookTaken, camera: CameraTrack, encoder: EncoderTrack) -> CameraRotationEstimate:
+def match_trajectories(
+    ctx: PlanContext, taken: LookTaken, camera: CameraTrack, encoder: EncoderTrack
+) -> CameraRotationEstimate:
     """Trajectory matching, ours or the paper's."""
     T_tcp_cam = ctx.machine.T_tcp_cam_left
     if ctx.method == "paper":
         return estimate_camera_rotation_paper(camera, encoder, T_tcp_cam[:3, :3])
-    prior = believed_mount(ctx)
+    prior = diagnosed_mount(ctx)
     if prior is None and taken.look.T_cam_tool is not None:
         sigma_rad = float(np.deg2rad(ctx.settings.position.sigma_tool_mount_deg))
         prior = prior_from_tool_marker(ctx.machine.T_tcp_tool[:3, :3], taken.look.T_cam_tool[:3, :3], sigma_rad)

@@ -80,7 +80,7 @@ def believed_track(ctx: PlanContext, encoder: EncoderTrack, before: Array) -> En
     return replace(encoder, Ts_base_tcp=ctx.compensation.tcp_poses(encoder.qs, sides))
 
 
-def believed_mount(ctx: PlanContext) -> MountRotation | None:
+def diagnosed_mount(ctx: PlanContext) -> MountRotation | None:
     """The camera's rotation as diagnosed; None where it was not."""
     if ctx.compensation is None or not ctx.compensation.knows_mount:
         return None

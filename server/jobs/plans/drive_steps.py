@@ -14,10 +14,10 @@ from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import fingerprint
 from server.jobs.plans.planning import LIMIT_SHARE, plan_settings
-from server.jobs.requests import Arm, MachineReading, ReadMachine, Record, Request, expect
+from server.jobs.requests import Arm, MachineReading, ReadMachine, Record, Request, expect_reply
 from server.link.samples import knots_from, knots_of, refusals_text
-from server.motion.contracts import Array, JointTrajectory, PathPlan, PlanStatus, join, sample
-from server.motion.identification_courses import Mark
+from server.motion.contracts import Array, JointTrajectory, PathPlan, PlanStatus, join_trajectories, sample_trajectory
+from server.motion.identification_courses import SegmentMark
 from server.motion.point_to_point import plan_joint_move
 from server.motion.refusal import Refusal, range_refusal
 from server.motion.settings import PlanSettings
@@ -36,7 +36,7 @@ class Step:
     trajectory: JointTrajectory
     purpose: str
     then: Literal["", "look"] = ""
-    marks: tuple[Mark, ...] = ()  # stretches of it that are segments of their own
+    marks: tuple[SegmentMark, ...] = ()  # stretches of it that are segments of their own
 
 
 def way_to(ctx: PlanContext, q_from: Array, q_to: Array, purpose: str) -> tuple[Step, ...]:
@@ -60,7 +60,7 @@ def check_driven(ctx: PlanContext, trajectory: JointTrajectory) -> None:
 
     Raises: JobFailedError: the first that refuses.
     """
-    _, motion = sample(trajectory, 0.02)
+    _, motion = sample_trajectory(trajectory, 0.02)
     beyond = range_refusal(ctx.machine, motion.q, drive_settings(ctx).joint_margin_rad)
     if beyond is not None:
         raise _refused(beyond)
@@ -89,7 +89,7 @@ def steps_hash(steps: tuple[Step, ...]) -> str:
 
 def clearance_of(ctx: PlanContext, trajectory: JointTrajectory) -> float:
     """Smallest distance of the tool to the wall [m]; infinite without a known wall."""
-    _, motion = sample(trajectory, 0.05)
+    _, motion = sample_trajectory(trajectory, 0.05)
     return wall_refusal(tcp_poses(ctx.chain, motion.q), ctx.machine.T_tcp_tool, ctx.wall)[0]
 
 
@@ -100,7 +100,7 @@ def begin_drive(
 
     Raises: PlanRefusedError: the machine is not where the plan begins. JobFailedError: the wall is nearer than it was.
     """
-    reading = expect((yield ReadMachine()), MachineReading)
+    reading = expect_reply((yield ReadMachine()), MachineReading)
     require_reference(reading, q_ref_start)
     for trajectory in trajectories:  # a look since then may have found a wall, or found it nearer
         check_driven(ctx, trajectory)
@@ -122,7 +122,7 @@ def require_reference(reading: MachineReading, q_ref_start: Array) -> None:
 
 def path_of(ctx: PlanContext, trajectories: list[JointTrajectory]) -> PathPlan:
     """Motions one after the other as a planned path, for the recording."""
-    whole = join(trajectories)
+    whole = join_trajectories(trajectories)
     Ts = tcp_poses(ctx.chain, whole.q)
     return PathPlan(
         status=PlanStatus.OK,

@@ -12,7 +12,7 @@ import numpy as np
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.plans.planning import trim_settings
-from server.jobs.requests import Arm, MachineReading, Move, Progress, Request, Settle, expect
+from server.jobs.requests import Arm, MachineReading, Move, Progress, Request, Settle, expect_reply
 from server.motion.approach import play_of
 from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
 from server.motion.lost_motion import last_direction, off_the_wall, plan_trim, updated_stall, worth_trimming
@@ -31,13 +31,13 @@ STEPS_MAX = 12  # of about a second: the paper's operator waited half a minute b
 STEP_MIN_S = 0.5
 
 
-def integrate(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, int]:
+def correct_encoder_shortfall(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, int]:
     """Rest; add the encoders' shortfall to the reference until there is none. Returns the number of steps.
 
     No step is longer than the shortfall, so no joint is driven past its goal, and none comes from a chosen side.
     """
     for count in range(STEPS_MAX + 1):
-        reading = expect((yield Settle()), MachineReading)
+        reading = expect_reply((yield Settle()), MachineReading)
         shortfall = plan.q_end - reading.q_rad
         if count == STEPS_MAX or not worth_trimming(ctx.machine, reading.q_rad, shortfall).any():
             return count
@@ -52,17 +52,17 @@ def integrate(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Reque
     return STEPS_MAX
 
 
-def drive(
+def drive_and_correct(
     ctx: PlanContext, plan: PathPlan, purpose: str, trims_max: int = TRIMS_MAX
 ) -> Generator[Request, object, int]:
     """Execute a checked plan, rest, and trim. Returns the number of trims. The paper's method has its own end."""
-    trajectory = yield from play(ctx, plan, purpose)
+    trajectory = yield from execute_plan(ctx, plan, purpose)
     if ctx.method == "paper":
-        return (yield from integrate(ctx, plan, purpose))
+        return (yield from correct_encoder_shortfall(ctx, plan, purpose))
     direction, play_rad = last_direction(trajectory), play_of(len(ctx.machine.joints))
     count = 0
     while True:
-        reading = expect((yield Settle()), MachineReading)
+        reading = expect_reply((yield Settle()), MachineReading)
         stall, stuck = updated_stall(ctx.stall, reading.q_ref_rad, reading.q_rad, direction, play_rad)
         ctx.knowledge.stall_rad = stall
         play_rad = np.minimum(np.where(stuck, 2.0 * play_rad, play_rad), PLAY_MAX_RAD)
@@ -81,7 +81,7 @@ def drive(
         direction = last_direction(again.trajectory)
 
 
-def play(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, JointTrajectory]:
+def execute_plan(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, JointTrajectory]:
     """Execute a checked plan. Returns what was played."""
     if plan.status is not PlanStatus.OK or plan.trajectory is None:
         raise JobFailedError(f"{purpose}: {plan.reason}", f"plan_{plan.status.value}")

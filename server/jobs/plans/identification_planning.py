@@ -10,9 +10,9 @@ from server.calibration.contracts import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.plans.drive_steps import Step, check_driven, clearance_of, drive_settings, steps_hash, way_to
-from server.jobs.records import IdentificationPart, IdentificationPlan
+from server.jobs.records import DriveSegment, IdentificationPlan
 from server.motion.approach import play_of
-from server.motion.contracts import JointTrajectory, join
+from server.motion.contracts import JointTrajectory, join_trajectories
 from server.motion.identification_courses import PARTS, MotionPart, fitted_course, part_course, part_marks
 from server.motion.identification_postures import Postures, SeenObject, choose_postures
 from server.motion.refusal import Refusal
@@ -32,7 +32,7 @@ SHORTEST_S = 4.0
 class PlannedPart:
     """One part: motions from rest to rest, in the order in which they are driven."""
 
-    summary: IdentificationPart
+    summary: DriveSegment
     steps: tuple[Step, ...]
 
     @property
@@ -127,7 +127,7 @@ def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array)
             refused = error
             continue
         step = Step(fitted, part.name, marks=part_marks(part))
-        summary = IdentificationPart(part.name, _duration((*way, step)), part.shows, _small(size))
+        summary = DriveSegment(part.name, _duration((*way, step)), part.shows, _small(size))
         return PlannedPart(summary, (*way, step))
     raise refused or JobFailedError("no size of it fits", "plan_too_fast")
 
@@ -150,7 +150,7 @@ def _looks_part(ctx: PlanContext, drive: Drive, here: Array) -> tuple[PlannedPar
     back = way_to(ctx, steps[-1].trajectory.q[-1], drive.q_home, "back to where the drive began")
     why = [dropped] if dropped else []
     why += _stay_open(found)
-    summary = IdentificationPart(LOOKS, _duration((*steps, *back)), LOOKS_SHOW, dropped)
+    summary = DriveSegment(LOOKS, _duration((*steps, *back)), LOOKS_SHOW, dropped)
     return PlannedPart(summary, (*steps, *back)), why
 
 
@@ -169,7 +169,7 @@ def _look_steps(ctx: PlanContext, postures: Array, here: Array) -> tuple[tuple[S
             except JobFailedError as error:
                 reasons.append(str(error))
                 continue
-            steps.append(Step(join([leg.trajectory for leg in legs]), purpose, "look"))
+            steps.append(Step(join_trajectories([leg.trajectory for leg in legs]), purpose, "look"))
             here = posture
     note = f"{len(reasons)} of the looks are left out: {reasons[0]}" if reasons else ""
     return tuple(steps), note
@@ -196,7 +196,7 @@ def plan_summary(ctx: PlanContext, planned: PlannedIdentification, t_now_ns: int
     trajectories = planned.trajectories
     clearance = min(clearance_of(ctx, motion) for motion in trajectories)
     travel = sum((np.abs(np.diff(motion.q, axis=0)).sum(axis=0) for motion in trajectories), np.zeros(ctx.chain.n))
-    whole = join(trajectories)
+    whole = join_trajectories(trajectories)
     path = tcp_poses(ctx.chain, whole.q[:: max(1, len(whole.q) // 200)])[:, :3, 3]
     caution = "no wall is known: clearance was not checked, watch the whole path" if ctx.wall is None else ""
     return IdentificationPlan(

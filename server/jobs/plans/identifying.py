@@ -29,7 +29,7 @@ from server.jobs.requests import (
     Request,
     Settle,
     TakeLook,
-    expect,
+    expect_reply,
 )
 from server.motion.identification_postures import SeenObject
 from server.vision.contracts import Look, LookStatus
@@ -58,7 +58,7 @@ def plan_identification(
             "camera sees the object, or plan with wall_free = true if there is no wall within reach",
             "no_wall",
         )
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     q_ref = np.asarray(reading.q_ref_rad, dtype=float)
     drive = unfinished
     if drive is None:
@@ -106,11 +106,11 @@ def _part(part: PlannedPart) -> Generator[Request, object, int]:
         yield BeginSegment(LOOKS, "static")
     for number, step in enumerate(part.steps, start=1):
         yield Move(step.trajectory, step.purpose, step.marks)
-        expect((yield Settle()), MachineReading)
+        expect_reply((yield Settle()), MachineReading)
         if step.then != "look":
             continue
         yield Progress("look", number, len(part.steps), "motions", step.purpose)
-        look = expect((yield TakeLook(pairs=PAIRS)), Look)
+        look = expect_reply((yield TakeLook(pairs=PAIRS)), Look)
         good, missed = (good + 1, 0) if look.status is LookStatus.OK else (good, missed + 1)
         if missed == MISSED_MOST:
             raise JobFailedError(

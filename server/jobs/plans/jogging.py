@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 
 from server.jobs.context import PlanContext
-from server.jobs.plans.driving import play
+from server.jobs.plans.driving import execute_plan
 from server.jobs.plans.planning import onto_reference, plan_settings
-from server.jobs.requests import MachineReading, Progress, Request, Settle, expect
+from server.jobs.requests import MachineReading, Progress, Request, Settle, expect_reply
 from server.motion.contracts import Wall
 from server.motion.jog import JogAxis, JogSpeed, plan_jog
 from server.motion.wall_clearance import stall_reach
@@ -22,13 +22,13 @@ def jog(ctx: PlanContext, axis: JogAxis, direction: Literal[-1, 1]) -> Generator
     """
     slow = ctx.settings.jog
     speed = JogSpeed(slow.speed_mm_s * 1e-3, float(np.deg2rad(slow.turn_speed_deg_s)))
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     wall = _wall_of_reference(ctx, reading)
     planned = plan_jog(ctx.machine, reading.q_rad, axis, direction, speed, plan_settings(ctx), wall)
     purpose = f"jog {axis} {'+' if direction > 0 else '-'}"
     if planned.ends_by:
         yield Progress("jog_limit", 0.0, 0.0, "", f"{purpose} ends at a limit: {planned.ends_by}")
-    yield from play(ctx, onto_reference(ctx, planned.path, reading), purpose)
+    yield from execute_plan(ctx, onto_reference(ctx, planned.path, reading), purpose)
     yield Settle()
     return planned.ends_by or "the longest distance of one press"
 

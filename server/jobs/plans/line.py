@@ -15,7 +15,7 @@ from server.calibration.line_equation_fit import fit_line_moving
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.driving import drive
+from server.jobs.plans.driving import drive_and_correct
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.orienting import orient
 from server.jobs.plans.planning import onto_reference, plan_settings, plan_to
@@ -26,11 +26,11 @@ from server.jobs.requests import (
     Move,
     Progress,
     Request,
+    SeenPairs,
     Settle,
-    Sighted,
     StartWatching,
     StopWatching,
-    expect,
+    expect_reply,
 )
 from server.motion.contracts import PlanStatus
 from server.motion.point_to_point import plan_through
@@ -39,12 +39,12 @@ LineVariant = Literal["paper", "paper servo", "fit", "fit, OOI axes"]
 
 
 @dataclass(frozen=True, slots=True)
-class Watched:
+class WatchedCircle:
     """The circle as driven: where it began, the encoders' TCP, and every pair that showed both objects."""
 
     T_base_tcp_init: Array
     encoder: EncoderTrack
-    sighted: Sighted
+    sighted: SeenPairs
 
 
 def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Request, object, LineResult]:
@@ -72,9 +72,9 @@ def _line_look(name: str, taken: LookTaken) -> LineLook:
     return LineLook(name, taken.error, taken.record.t_plc_ns)
 
 
-def drive_circle(ctx: PlanContext) -> Generator[Request, object, Watched]:
+def drive_circle(ctx: PlanContext) -> Generator[Request, object, WatchedCircle]:
     """The circle, point to point, resting at each (18 points); pairs are watched all the way."""
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     T_init = ctx.tcp(reading.q_rad)
     stations = [pose(T_init[:3, :3], p) for p in circle_points(T_init)[1:]]
     plan = onto_reference(
@@ -88,18 +88,18 @@ def drive_circle(ctx: PlanContext) -> Generator[Request, object, Watched]:
     yield StartWatching("mono")
     yield Move(plan.trajectory, "circle")
     yield Settle()
-    sighted, encoder = expect((yield StopWatching()), tuple)
-    return Watched(T_init, encoder, sighted)
+    sighted, encoder = expect_reply((yield StopWatching()), tuple)
+    return WatchedCircle(T_init, encoder, sighted)
 
 
-def _reference(ctx: PlanContext, watched: Watched, variant: LineVariant) -> tuple[Array, Array, str]:
+def _reference(ctx: PlanContext, watched: WatchedCircle, variant: LineVariant) -> tuple[Array, Array, str]:
     """T_base_tcp_ref, direction (3,) and a note of the variant."""
     if variant in ("paper", "paper servo"):
         return _by_minimum(watched)
     return _by_fit(ctx, watched, in_ooi_axes=variant == "fit, OOI axes")
 
 
-def _by_minimum(watched: Watched) -> tuple[Array, Array, str]:
+def _by_minimum(watched: WatchedCircle) -> tuple[Array, Array, str]:
     """Eq. 13-16; each distance belongs to the TCP where the encoders stood when its pair was taken to be exposed."""
     track = watched.encoder
     points, _ = positions_at(watched.sighted.t_s, track.t_s, track.Ts_base_tcp[:, :3, 3])
@@ -110,7 +110,7 @@ def _by_minimum(watched: Watched) -> tuple[Array, Array, str]:
     return found.T_base_tcp_ref, found.direction_base, f"residual {1e3 * found.residual_rms_m:.1f} mm rms"
 
 
-def _by_fit(ctx: PlanContext, watched: Watched, in_ooi_axes: bool) -> tuple[Array, Array, str]:
+def _by_fit(ctx: PlanContext, watched: WatchedCircle, in_ooi_axes: bool) -> tuple[Array, Array, str]:
     sighted = watched.sighted
     vectors, R_tcp_view = sighted.vectors_cam, ctx.machine.T_tcp_cam_left[:3, :3]
     if in_ooi_axes:
@@ -128,11 +128,11 @@ def _by_fit(ctx: PlanContext, watched: Watched, in_ooi_axes: bool) -> tuple[Arra
 
 
 def _move_and_look(ctx: PlanContext, T_ref: Array, purpose: str) -> Generator[Request, object, LookTaken]:
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     plan = plan_to(ctx, reading, T_ref)
     if plan.status is not PlanStatus.OK:
         raise JobFailedError(f"{purpose}: {plan.reason}", f"plan_{plan.status.value}")
-    yield from drive(ctx, plan, purpose)
+    yield from drive_and_correct(ctx, plan, purpose)
     return (yield from good_look(ctx))
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from machine.rotations import Array, geodesic_angle
-from server.calibration.calibration_life import LocalCalibration, LocalMap, MadeAt, Validity, ValidityStatus
+from server.calibration.calibration_life import CalibrationValidity, LocalCalibration, LocalMap, MadeAt, ValidityStatus
 from server.calibration.contracts import CameraRotationEstimate
 from server.calibration.joint_estimate import JointEstimate
 from server.calibration.slip_monitor import ToolSeen, judge_slip
@@ -17,14 +17,16 @@ from server.jobs.knowledge import LookTaken
 from server.jobs.requests import MachineReading, Progress, Request
 from server.vision.contracts import Look
 
-NONE = Validity(ValidityStatus.VALID)
+NONE = CalibrationValidity(ValidityStatus.VALID)
 BY_PAPER = (
     "the calibration is one by the paper's method, which takes the mount of the machine file as it is and knows no "
     "error of it; calibrate"
 )
 
 
-def born(ctx: PlanContext, estimate: CameraRotationEstimate, taken: LookTaken, reading: MachineReading) -> None:
+def keep_calibration(
+    ctx: PlanContext, estimate: CameraRotationEstimate, taken: LookTaken, reading: MachineReading
+) -> None:
     """Keep a good estimate as the calibration of this place: where the machine rests now, the tool as last seen."""
     if estimate.R_tcp_cam is None or estimate.covariance is None:
         return
@@ -98,7 +100,7 @@ def forget_expired(ctx: PlanContext, reading: MachineReading) -> None:
     After a slip or a shift only the last look is of the mount as it is now. The calibration itself stays, and with it
     what refuses every motion by it, until a new one is made.
     """
-    found = validity(ctx, reading)
+    found = calibration_validity(ctx, reading)
     if found.ok:
         return
     ctx.knowledge.runs.clear()
@@ -107,22 +109,22 @@ def forget_expired(ctx: PlanContext, reading: MachineReading) -> None:
     ctx.knowledge.joint = None
 
 
-def validity(ctx: PlanContext, reading: MachineReading) -> Validity:
+def calibration_validity(ctx: PlanContext, reading: MachineReading) -> CalibrationValidity:
     """Whether the calibration may be used with the machine as it was read; valid where there is none."""
     return validity_at(ctx, reading, reading.q_rad, ctx.tcp(reading.q_rad))
 
 
-def validity_at(ctx: PlanContext, reading: MachineReading, q: Array, T_base_tcp: Array) -> Validity:
+def validity_at(ctx: PlanContext, reading: MachineReading, q: Array, T_base_tcp: Array) -> CalibrationValidity:
     """The same with the machine elsewhere, such as at its goal."""
     life: LocalCalibration | None = ctx.knowledge.life
     if life is None or ctx.method == "paper":
         return NONE
     if life.method == PAPER_METHOD:
-        return Validity(ValidityStatus.OTHER_METHOD, BY_PAPER)
+        return CalibrationValidity(ValidityStatus.OTHER_METHOD, BY_PAPER)
     return life.valid_at(ctx.knowledge.unix_s(reading.t_mono_ns), q, T_base_tcp, reading.oil_temperature_c)
 
 
-def require_valid(found: Validity, subject: str) -> None:
+def require_valid(found: CalibrationValidity, subject: str) -> None:
     """Raises: JobFailedError saying why the calibration has expired and what to do."""
     if not found.ok:
         raise JobFailedError(f"{subject}: {found.reason}", f"calibration_{found.status.value}")

@@ -12,7 +12,7 @@ from server.jobs.plans.learning import remember_look, remember_side
 from server.jobs.plans.living import watch_slip
 from server.jobs.plans.seeing import common_of, corrected_look
 from server.jobs.records import ErrorMm, LookRecord
-from server.jobs.requests import MachineReading, Progress, Request, Settle, TakeLook, expect
+from server.jobs.requests import MachineReading, Progress, Request, Settle, TakeLook, expect_reply
 from server.vision.contracts import Look, LookStatus
 from server.vision.goal_error import PoseError, error_to_goal
 
@@ -22,12 +22,12 @@ def take_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, obje
 
     A previewed plan ends here: what was measured since may speak against it.
     """
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     remember_side(ctx, reading)
     yield Progress("look", 0.0, 1.0, "", "looking: tool and object of interest in both eyes")
     paper = ctx.method == "paper"
     pairs = 1 if paper else ctx.settings.look.pairs * pairs_share
-    look = expect((yield TakeLook(pairs=pairs, source="mono" if paper else "stereo")), Look)
+    look = expect_reply((yield TakeLook(pairs=pairs, source="mono" if paper else "stereo")), Look)
     taken = _taken(ctx, look, reading)
     ctx.knowledge.last_look = taken
     ctx.knowledge.previewed = None  # it was made from an older look
@@ -35,7 +35,7 @@ def take_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, obje
         ctx.knowledge.T_base_ooi = ooi_in_base(ctx, taken)
         yield from watch_slip(ctx, taken)
         remember_look(ctx, taken)
-    yield Progress("look", 1.0, 1.0, "", describe(taken))
+    yield Progress("look", 1.0, 1.0, "", describe_look(taken))
     return taken
 
 
@@ -129,7 +129,7 @@ def error_in_mm(ctx: PlanContext, found: PoseError, T_cam_tool: Array, T_cam_ooi
     )
 
 
-def describe(taken: LookTaken) -> str:
+def describe_look(taken: LookTaken) -> str:
     """One line for the operator."""
     error = taken.error
     if error is None:

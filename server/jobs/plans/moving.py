@@ -14,16 +14,16 @@ from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken, PreviewedPlan, plan_hash
 from server.jobs.plans.diagnosed import compared_move, goal_from_look
-from server.jobs.plans.driving import TRIMS_MAX, drive
+from server.jobs.plans.driving import TRIMS_MAX, drive_and_correct
 from server.jobs.plans.freshness import require_fresh
 from server.jobs.plans.learning import joint_estimate
-from server.jobs.plans.living import note_map, require_valid, validity, validity_at
+from server.jobs.plans.living import calibration_validity, note_map, require_valid, validity_at
 from server.jobs.plans.looking import good_look, mount_rotation
 from server.jobs.plans.planning import plan_to
 from server.jobs.plans.seeing import common_of
 from server.jobs.plans.unmoved import require_unmoved
 from server.jobs.records import MoveRecord
-from server.jobs.requests import MachineReading, Progress, ReadMachine, Record, Request, expect
+from server.jobs.requests import MachineReading, Progress, ReadMachine, Record, Request, expect_reply
 from server.motion.contracts import PlanStatus
 
 Sigmas = tuple[float, float, float]
@@ -39,7 +39,7 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
     """
     if taken.error is None:
         raise JobFailedError(f"no usable look: {taken.record.reason}; look again", "no_look")
-    require_valid(validity(ctx, taken.reading), "preview")
+    require_valid(calibration_validity(ctx, taken.reading), "preview")
     goal = move_goal(ctx, taken)
     T_goal = goal.T_base_tcp
     plan = plan_to(ctx, taken.reading, T_goal, q_goal=goal.q_rad)
@@ -164,15 +164,15 @@ def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generato
     Raises: PlanRefusedError when the machine moved since the look or the preview; nothing moves then.
     """
     ctx.knowledge.previewed = None  # a plan fires once
-    reading = expect((yield ReadMachine()), MachineReading)
+    reading = expect_reply((yield ReadMachine()), MachineReading)
     require_unmoved(ctx.machine, reading, previewed)
-    require_valid(validity(ctx, reading), f"move {number}")
+    require_valid(calibration_validity(ctx, reading), f"move {number}")
     if ctx.knowledge.q_start is None:
         ctx.knowledge.q_start = reading.q_rad
     yield Progress("execute", number, ctx.settings.position.moves_max, "moves", f"move {number}")
     before = ctx.knowledge.last_look
     far = previewed.plan.length_m > FAR_M
-    trims = yield from drive(ctx, previewed.plan, f"move {number}", trims_max=1 if far else TRIMS_MAX)
+    trims = yield from drive_and_correct(ctx, previewed.plan, f"move {number}", trims_max=1 if far else TRIMS_MAX)
     taken = yield from good_look(ctx)
     record = MoveRecord(
         number=number,

@@ -10,7 +10,7 @@ from server.calibration.reference import orientation_reference, orientation_refe
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.driving import drive
+from server.jobs.plans.driving import drive_and_correct
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.planning import plan_to
 from server.jobs.records import MoveRecord
@@ -32,7 +32,9 @@ def orient(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, Loo
         )
         T_goal = orientation_goal(ctx, taken)
         plan = plan_to(ctx, taken.reading, T_goal)
-        trims = yield from drive(ctx, plan, f"orientation step {step}", trims_max=1)  # only the angle matters
+        trims = yield from drive_and_correct(
+            ctx, plan, f"orientation step {step}", trims_max=1
+        )  # only the angle matters
         taken = yield from good_look(ctx)
         record = MoveRecord(
             number=step,

@@ -27,7 +27,7 @@ def marks_of(ctx: PlanContext, target_ids: Sequence[int]) -> tuple[AnchoredTarge
     return tuple(known[number] for number in target_ids)
 
 
-def visit(
+def visit_marks(
     ctx: PlanContext, marks: Sequence[AnchoredTarget], clock_ns: Clock = mono_ns
 ) -> Generator[Request, object, PatternResult]:
     """Bring the tool to each mark; between two of them back to where the first run began, which sees them all.

@@ -9,11 +9,11 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.assurance import assured_preview
 from server.jobs.plans.calibrating import calibrate, possible_path
-from server.jobs.plans.living import require_valid, validity
+from server.jobs.plans.living import calibration_validity, require_valid
 from server.jobs.plans.looking import good_look, ooi_in_base
 from server.jobs.plans.moving import execute
 from server.jobs.plans.orienting import GOOD_ENOUGH_DEG, orient
-from server.jobs.plans.seeing import doubts
+from server.jobs.plans.seeing import refuted_inputs
 from server.jobs.records import CalibrationRecord, ErrorMm, PositionResult
 from server.jobs.requests import Progress, Request
 
@@ -31,7 +31,7 @@ def position(
     watch = _StopWatch(clock_ns)
     taken = first = yield from good_look(ctx)
     watch.lap("look")
-    if inside(ctx, taken):
+    if is_look_inside_tolerance(ctx, taken):
         ctx.knowledge.moves.clear()
         return _result(ctx, first, taken, ctx.knowledge.calibration, watch)
     if not recalibrate:
@@ -63,7 +63,7 @@ def _begin_run(ctx: PlanContext, taken: LookTaken, recalibrate: bool) -> None:
 
 def _drop_expired(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, None]:
     """A kept calibration that has expired is made again; where something slipped, a person must look first."""
-    found = validity(ctx, taken.reading)
+    found = calibration_validity(ctx, taken.reading)
     if found.status is ValidityStatus.SLIPPED:
         require_valid(found, "calibration")
     if not found.ok:
@@ -76,7 +76,7 @@ def _move_until_inside(
 ) -> Generator[Request, object, LookTaken]:
     goal = ctx.settings.position
     for number in range(1, goal.moves_max + 1):
-        if inside(ctx, taken):
+        if is_look_inside_tolerance(ctx, taken):
             break
         assured = yield from assured_preview(ctx, taken, clock_ns(), goal.moves_max - number)
         if assured.paths:
@@ -88,7 +88,7 @@ def _move_until_inside(
     return taken
 
 
-def inside(ctx: PlanContext, taken: LookTaken) -> bool:
+def is_look_inside_tolerance(ctx: PlanContext, taken: LookTaken) -> bool:
     """Whether the look puts the tool inside the tolerance, two sigma to spare."""
     goal, error = ctx.settings.position, error_of(taken)
     if ctx.method == "paper":
@@ -107,14 +107,14 @@ def _result(
     ctx: PlanContext, first: LookTaken, last: LookTaken, calibration: CalibrationRecord | None, watch: "_StopWatch"
 ) -> PositionResult:
     goal = ctx.settings.position
-    reached = inside(ctx, last)
+    reached = is_look_inside_tolerance(ctx, last)
     moves = tuple(ctx.knowledge.moves)
     count = sum(1 for move in moves if move.kind == "move")
     reason = f"inside +-{goal.tolerance_mm:g} mm and {goal.tolerance_deg:g} deg after {count} moves"
     if not reached:
         reason = (
             f"not inside +-{goal.tolerance_mm:g} mm and {goal.tolerance_deg:g} deg after {count} moves (limit "
-            f"{goal.moves_max}); {doubts(ctx) or 'calibrate and try again'}"
+            f"{goal.moves_max}); {refuted_inputs(ctx) or 'calibrate and try again'}"
         )
     return PositionResult(
         reached=reached,

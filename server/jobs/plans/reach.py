@@ -13,7 +13,7 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.calibrating import possible_path
 from server.jobs.plans.diagnosed import goal_from_look
-from server.jobs.plans.living import born, validity_at
+from server.jobs.plans.living import keep_calibration, validity_at
 from server.jobs.plans.looking import mount_rotation, ooi_in_base
 from server.jobs.plans.orienting import GOOD_ENOUGH_DEG, orientation_goal
 from server.jobs.plans.planning import plan_to
@@ -149,7 +149,7 @@ def _as_if_calibrated(ctx: PlanContext, taken: LookTaken) -> None:
         1.0,
         plan.length_m,
     )
-    born(ctx, mount, taken, taken.reading)
+    keep_calibration(ctx, mount, taken, taken.reading)
 
 
 def _require_judgeable_angle(ctx: PlanContext, taken: LookTaken) -> None:

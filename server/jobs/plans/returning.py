@@ -8,19 +8,19 @@ from machine.description import Machine
 from machine.rotations import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
-from server.jobs.plans.driving import drive, play
+from server.jobs.plans.driving import drive_and_correct, execute_plan
 from server.jobs.plans.planning import onto_reference, plan_settings, plan_to
-from server.jobs.requests import MachineReading, Request, Settle, expect
+from server.jobs.requests import MachineReading, Request, Settle, expect_reply
 from server.motion.approach import offset_goal
 from server.motion.point_to_point import plan_joint_move
 
 
 def retract(ctx: PlanContext, distance_mm: float) -> Generator[Request, object, str]:
     """Back away from the wall along the tool's axis (z_tcp points back)."""
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     T_goal = offset_goal(ctx.tcp(reading.q_rad), np.array([0.0, 0.0, distance_mm * 1e-3]))
     plan = plan_to(ctx, reading, T_goal, one_sided=False)
-    yield from play(ctx, plan, "retract")
+    yield from execute_plan(ctx, plan, "retract")
     yield Settle()
     return f"retracted by {distance_mm:.0f} mm"
 
@@ -43,7 +43,7 @@ def park(ctx: PlanContext) -> Generator[Request, object, str]:
         raise JobFailedError(f"park: {why_not}", "no_park_posture")
     if ctx.wall is not None:
         yield from retract(ctx, 300.0)
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     parked = zip(ctx.machine.joints, reading.q_rad, strict=True)
     q_park = np.array([q if joint.park_rad is None else joint.park_rad for joint, q in parked])
     yield from _to_joints(ctx, q_park, "park")
@@ -58,6 +58,6 @@ def why_no_park(machine: Machine) -> str:
 
 
 def _to_joints(ctx: PlanContext, q_goal: Array, purpose: str) -> Generator[Request, object, None]:
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     plan = plan_joint_move(ctx.machine, reading.q_rad, q_goal, plan_settings(ctx), ctx.wall)
-    yield from drive(ctx, onto_reference(ctx, plan, reading), purpose)
+    yield from drive_and_correct(ctx, onto_reference(ctx, plan, reading), purpose)

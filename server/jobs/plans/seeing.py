@@ -17,7 +17,7 @@ from server.calibration.joint_lens import (
     look_sensitivity,
 )
 from server.calibration.lens_evidence import lens_doubts
-from server.calibration.nuisances import LAYOUT, Contribution, contributions, largest_in_words, lens_groups
+from server.calibration.nuisances import LAYOUT, Contribution, contributions_by_group, largest_in_words, lens_groups
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
@@ -52,7 +52,7 @@ def focal_found(ctx: PlanContext) -> tuple[float, float] | None:
     return float(mean[FOCAL]), float(np.sqrt(covariance[FOCAL, FOCAL]))
 
 
-def doubts(ctx: PlanContext) -> str:
+def refuted_inputs(ctx: PlanContext) -> str:
     """What the last estimate refutes of camera file and prints, with the remedy; empty for nothing."""
     known = ctx.knowledge.lens
     return "" if known is None else "; ".join(lens_doubts(*known, lens_prior(ctx)))
@@ -102,7 +102,7 @@ def require_judgeable(ctx: PlanContext, taken: LookTaken) -> None:
     axis = int(np.argmax(sigma_mm))
     if 2.0 * sigma_mm[axis] <= goal.tolerance_mm:
         return
-    doubt = doubts(ctx)
+    doubt = refuted_inputs(ctx)
     raise JobFailedError(
         f"a look at the goal would know {'xyz'[axis]} to +-{2.0 * sigma_mm[axis]:.1f} mm only (2 sigma, allowed "
         f"{goal.tolerance_mm:g}); {largest_in_words(found, axis)}{f'; {doubt}' if doubt else ''}",
@@ -121,4 +121,4 @@ def _look_contributions(ctx: PlanContext, T_cam_tool: Array, T_cam_ooi: Array) -
     J = error_jacobian(T_cam_tool, T_cam_ooi)[:3]
     S = look_sensitivity(ctx.machine, T_cam_tool, T_cam_ooi)
     layout = J[:, 6:] @ layout_in_camera(ctx.machine, T_cam_ooi, lens_prior(ctx)) @ J[:, 6:].T
-    return [*contributions(J @ S, _lens_covariance(ctx), lens_groups()), Contribution(LAYOUT, np.diag(layout))]
+    return [*contributions_by_group(J @ S, _lens_covariance(ctx), lens_groups()), Contribution(LAYOUT, np.diag(layout))]

@@ -14,12 +14,12 @@ from recording.clock import mono_ns
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.living import require_valid, validity
+from server.jobs.plans.living import calibration_validity, require_valid
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.pair_gate import PairGate
-from server.jobs.plans.positioning import error_of, inside
+from server.jobs.plans.positioning import error_of, is_look_inside_tolerance
 from server.jobs.plans.steering_path import (
-    Steered,
+    SteeredPath,
     correction_for,
     goal_of,
     joints_near,
@@ -41,7 +41,7 @@ from server.jobs.requests import (
     Settle,
     StartMove,
     StopMove,
-    expect,
+    expect_reply,
 )
 from server.motion.approach import play_of
 from server.motion.closed_loop import at_rest, with_start
@@ -63,9 +63,11 @@ def servo(ctx: PlanContext, clock_ns: Callable[[], int] = mono_ns) -> Generator[
     started_ns = clock_ns()
     taken = first = yield from good_look(ctx)
     pairs = corrections = passes = 0
-    while not inside(ctx, taken) and passes < ctx.settings.closed_loop.passes_max:
+    while not is_look_inside_tolerance(ctx, taken) and passes < ctx.settings.closed_loop.passes_max:
         passes += 1
-        require_valid(validity(ctx, taken.reading), "closed loop")  # each look may show that the camera has slipped
+        require_valid(
+            calibration_validity(ctx, taken.reading), "closed loop"
+        )  # each look may show that the camera has slipped
         yield from _reliable(ctx)
         before = error_of(taken)
         steered = yield from _one_pass(ctx, taken, passes)
@@ -93,20 +95,20 @@ def _reliable(ctx: PlanContext) -> Generator[Request, object, None]:
         if tries >= 3 * wanted:
             raise JobFailedError(f"vision is not reliable enough for closed-loop motion: {fault}", "vision_unreliable")
         asked = next_pair(ctx, number)
-        seen = expect((yield asked if in_a_row else replace(asked, silence_max_s=PATIENCE_S)), PairSeen)
+        seen = expect_reply((yield asked if in_a_row else replace(asked, silence_max_s=PATIENCE_S)), PairSeen)
         late, number = seen.number == number, seen.number
         tries += 1
         fault = gate.fault(seen) or fault
         in_a_row = 0 if late or gate.fault(seen) else in_a_row + 1
 
 
-def _one_pass(ctx: PlanContext, taken: LookTaken, number: int) -> Generator[Request, object, Steered]:
+def _one_pass(ctx: PlanContext, taken: LookTaken, number: int) -> Generator[Request, object, SteeredPath]:
     """To just before the goal, then in from below, corrected on the way; the joints' rest shows their stall.
 
     The last leg turns every joint forward by more than its play and stiction, as every approach does: a shorter one
     would end wherever the dead bands let it.
     """
-    reading = expect((yield Settle()), MachineReading)
+    reading = expect_reply((yield Settle()), MachineReading)
     T_goal = _goal_at_rest(ctx, taken, reading)
     play_rad = play_of(ctx.chain.n)
     goal = SeenGoal(T_goal)
@@ -114,10 +116,10 @@ def _one_pass(ctx: PlanContext, taken: LookTaken, number: int) -> Generator[Requ
     q_before = joints_near(ctx, T_goal, reading.q_rad) - play_rad
     before = _begun(ctx, goal, reading, q_before, corrects=False)
     yield from _driven(ctx, before, f"closed loop, pass {number}: to just before the goal")
-    reading = expect((yield ReadMachine()), MachineReading)
+    reading = expect_reply((yield ReadMachine()), MachineReading)
     steered = _begun(ctx, goal, reading, joints_near(ctx, goal.pose, reading.q_rad), corrects=True)
     yield from _driven(ctx, steered, f"closed loop, pass {number}: in")
-    rested = expect((yield Settle()), MachineReading)
+    rested = expect_reply((yield Settle()), MachineReading)
     direction = last_direction(steered.current)
     ctx.knowledge.stall_rad, _ = updated_stall(ctx.stall, rested.q_ref_rad, rested.q_rad, direction, play_rad)
     steered.pairs += before.pairs
@@ -138,26 +140,26 @@ def _goal_at_rest(ctx: PlanContext, taken: LookTaken, reading: MachineReading) -
     return goal_of(ctx, taken, reading.q_rad, look.T_cam_tool, look.T_cam_ooi)
 
 
-def _begun(ctx: PlanContext, goal: SeenGoal, reading: MachineReading, q_goal: Array, corrects: bool) -> Steered:
+def _begun(ctx: PlanContext, goal: SeenGoal, reading: MachineReading, q_goal: Array, corrects: bool) -> SteeredPath:
     start = at_rest(reading.q_ref_rad)
     tail = path_onto_reference(ctx, start, reading, q_goal, 1.0)
     if isinstance(tail, Refusal):
         raise JobFailedError(f"closed loop: {tail.reason}", f"plan_{tail.status.value}")
-    return Steered(goal, goal.pose, with_start(tail, start), reading, corrects)
+    return SteeredPath(goal, goal.pose, with_start(tail, start), reading, corrects)
 
 
-def _driven(ctx: PlanContext, steered: Steered, purpose: str) -> Generator[Request, object, None]:
+def _driven(ctx: PlanContext, steered: SteeredPath, purpose: str) -> Generator[Request, object, None]:
     yield Progress("servo", 0.0, steered.current.duration_s, "s", purpose)
     yield StartMove(steered.current, purpose)
     yield from _follow(ctx, steered)
     yield EndMove()
 
 
-def _follow(ctx: PlanContext, steered: Steered) -> Generator[Request, object, None]:
+def _follow(ctx: PlanContext, steered: SteeredPath) -> Generator[Request, object, None]:
     """Pair by pair until the path is at its end; the first fault stops the motion and the job."""
     gate, number = PairGate(ctx), 0
     while True:
-        seen = expect((yield next_pair(ctx, number)), PairSeen)
+        seen = expect_reply((yield next_pair(ctx, number)), PairSeen)
         if seen.ended:
             return
         number = seen.number
@@ -192,7 +194,7 @@ def _remembered(ctx: PlanContext, number: int, before: ErrorMm, taken: LookTaken
 def _result(
     ctx: PlanContext, first: LookTaken, last: LookTaken, passes: int, pairs: int, corrections: int, duration_s: float
 ) -> ServoResult:
-    goal, reached = ctx.settings.position, inside(ctx, last)
+    goal, reached = ctx.settings.position, is_look_inside_tolerance(ctx, last)
     state = "inside" if reached else "not inside"
     return ServoResult(
         reached=reached,

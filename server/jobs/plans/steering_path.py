@@ -14,7 +14,7 @@ from server.jobs.plans.looking import mount_rotation
 from server.jobs.plans.pair_gate import PairGate
 from server.jobs.plans.seeing import corrected_poses
 from server.jobs.requests import Correct, MachineReading, NextPair, PairSeen
-from server.motion.closed_loop import JOIN_AHEAD_S, Join, join_after, path_to_rest, reference_goal, with_tail
+from server.motion.closed_loop import JOIN_AHEAD_S, TailStart, join_after, path_to_rest, reference_goal, with_tail
 from server.motion.contracts import JointTrajectory, PlanStatus
 from server.motion.joint_path import joint_line
 from server.motion.refusal import Refusal
@@ -27,7 +27,7 @@ CORRECTION_MIN_M = 0.0003  # the goal moved by less: not worth a new tail
 
 
 @dataclass(slots=True)
-class Steered:
+class SteeredPath:
     """The path under way and what is known while it is."""
 
     goal: SeenGoal
@@ -42,7 +42,7 @@ class Steered:
     refused: int = 0
 
 
-def off_goal(ctx: PlanContext, steered: Steered, seen: PairSeen) -> str:
+def off_goal(ctx: PlanContext, steered: SteeredPath, seen: PairSeen) -> str:
     """Take a good pair in; or why its goal cannot be believed."""
     T_goal, sigma_m, way_m = _goal_seen(ctx, seen)
     apart_m, most_m = steered.goal.jump(T_goal, sigma_m, way_m)
@@ -56,7 +56,7 @@ def off_goal(ctx: PlanContext, steered: Steered, seen: PairSeen) -> str:
     return ""
 
 
-def note_tail(steered: Steered, seen: PairSeen) -> None:
+def note_tail(steered: SteeredPath, seen: PairSeen) -> None:
     """What the PLC answered to the last new tail."""
     if seen.tail == "taken" and steered.offered is not None and steered.T_offered is not None:
         steered.current, steered.T_aimed = steered.offered, steered.T_offered
@@ -67,7 +67,7 @@ def note_tail(steered: Steered, seen: PairSeen) -> None:
         steered.offered = steered.T_offered = None
 
 
-def correction_for(ctx: PlanContext, steered: Steered, seen: PairSeen) -> Correct | None:
+def correction_for(ctx: PlanContext, steered: SteeredPath, seen: PairSeen) -> Correct | None:
     """A new tail to where the goal is seen now; None while one is on its way, near the end, or not worth it."""
     if not steered.corrects:
         return None
@@ -89,7 +89,7 @@ def correction_for(ctx: PlanContext, steered: Steered, seen: PairSeen) -> Correc
 
 
 def path_onto_reference(
-    ctx: PlanContext, start: Join, reading: MachineReading, q_goal: Array, duration_s: float
+    ctx: PlanContext, start: TailStart, reading: MachineReading, q_goal: Array, duration_s: float
 ) -> JointTrajectory | Refusal:
     """Knots to where the encoders rest at q_goal, laid onto the reference; a Refusal when it cannot be.
 

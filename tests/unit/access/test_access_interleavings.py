@@ -16,7 +16,7 @@ from server.jobs.engine import Job, JobState
 from server.jobs.keeper import add_job, end_interrupted, end_job, read_jobs
 from server.store.audit_rows import read_fencing, save_fencing
 from server.store.database import migrate
-from server.store.idempotency import Answered, hash_of, read_answer, replay_of, save_answer
+from server.store.idempotency import StoredAnswer, hash_of, read_answer, replay_of, save_answer
 
 STEPS = 150
 TTL_S = 5.0
@@ -135,7 +135,7 @@ class Client:
         world.db.execute("BEGIN IMMEDIATE")
         add_job(world.db, job, "{}")
         save_fencing(world.db, job.fencing)
-        save_answer(world.db, self.name, command, Answered(hash_of(command.encode()), 202, "", job.job_id))
+        save_answer(world.db, self.name, command, StoredAnswer(hash_of(command.encode()), 202, "", job.job_id))
         if world.rng.random() < 0.05:  # the power fails before the commit
             world.db.execute("ROLLBACK")
             return world.crash()

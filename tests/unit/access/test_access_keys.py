@@ -4,7 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 from longreach.cli import app
-from server.access.keys import KeyRing, KeysError, first_key, found, read_keys, write_keys
+from server.access.keys import KeyRing, KeysError, first_key, key_by_secret, read_keys, write_keys
 from server.access.roles import Role
 
 
@@ -53,7 +53,7 @@ def test_the_first_key_is_made_once_and_read_by_its_owner_only(tmp_path):
     assert first_key(file, Role.OPERATOR, secret)
     assert not first_key(file, Role.OPERATOR, secret)
     assert secret.stat().st_mode & 0o077 == 0
-    assert found(read_keys(file), secret.read_text().strip()).name == "first"
+    assert key_by_secret(read_keys(file), secret.read_text().strip()).name == "first"
 
 
 def test_a_ring_that_cannot_read_its_file_holds_no_key_until_it_can(tmp_path):

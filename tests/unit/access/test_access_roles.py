@@ -4,7 +4,7 @@ import pytest
 
 from server.access.gatekeeper import ADDRESSES_MAX, FAILURES_MAX, LOCKED_S, Lockout
 from server.access.hosts import host_allowed, is_loopback, origin_allowed
-from server.access.roles import ANYBODY, COMMANDERS, EVERY_ROLE, PERSONS, needed
+from server.access.roles import ANYBODY, COMMANDERS, EVERY_ROLE, PERSONS, roles_needed
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ from server.access.roles import ANYBODY, COMMANDERS, EVERY_ROLE, PERSONS, needed
     ],
 )
 def test_who_may_what_and_what_is_not_listed_takes_a_person(method, path, roles):
-    assert needed(method, path) == roles
+    assert roles_needed(method, path) == roles
 
 
 def test_six_failures_lock_for_a_minute_and_a_minute_of_peace_forgets():

@@ -13,7 +13,7 @@ from machine.chain import chain_of
 from server.access.gatekeeper import Gatekeeper
 from server.access.keys import KeyRing, new_key, with_key, write_keys
 from server.access.roles import Role
-from server.api.application import Running, Served, application
+from server.api.application import RestServices, ServerTasks, create_application
 from server.api.panel import install_panel
 from server.errors import JobFailedError
 from server.jobs.cell import Cell
@@ -54,7 +54,7 @@ class Bench:
     """What a test needs of it."""
 
     app: FastAPI
-    running: Running
+    running: ServerTasks
     service: JobService
     keeper: Keeper
     performer: Performer
@@ -96,7 +96,7 @@ def bench(folder, keyed: bool = False) -> Bench:
     keys, file = _keys(folder) if keyed else ({}, None)
     gatekeeper = Gatekeeper(KeyRing(file))
     app = FastAPI(openapi_url="/v1/openapi.json")
-    running = application(app, Served(service, keeper, gatekeeper, secure_cookie=False))
+    running = create_application(app, RestServices(service, keeper, gatekeeper, secure_cookie=False))
     install_panel(app, service)  # its routes are in the document too; its feeds are not started
     return Bench(app, running, service, keeper, performer, gatekeeper, keys)
 

@@ -11,7 +11,7 @@ from machine.chain import chain_of
 from machine.poses import pose
 from server.api.panel import setting_rows
 from server.api.panel_view import EDGES_MS, link_figures, loss_pct, safety_view
-from server.api.state_view import steps
+from server.api.state_view import step_refusals
 from server.api.video import _cross
 from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
@@ -63,13 +63,13 @@ def test_what_the_page_may_execute_is_what_the_server_would():
     link = StandInLink()
     cell = Cell(ServerSettings(), MACHINE, chain_of(MACHINE), "", link, StandInVision(), StandInRecorder())
     engine = JobEngine(StandInPerformer(link))
-    assert steps(cell, engine)["execute"] == "preview first"
+    assert step_refusals(cell, engine)["execute"] == "preview first"
     cell.knowledge.previewed = previewed(60.0)
     link.latest = SimpleNamespace(q_rad=np.deg2rad([0, 0.1, 0, 0, 0, 0]), simulation=True)
-    assert steps(cell, engine)["execute"] == ""
+    assert step_refusals(cell, engine)["execute"] == ""
     link.latest = SimpleNamespace(q_rad=np.deg2rad([0, 0.2, 0, 0, 0, 0]), simulation=True)
     told = "joint lift moved by +0.200 deg since the look (limit 0.115 deg); look again"
-    assert steps(cell, engine)["execute"] == told
+    assert step_refusals(cell, engine)["execute"] == told
 
 
 @pytest.mark.parametrize("names_a_posture", [True, False])
@@ -77,7 +77,7 @@ def test_the_park_button_tells_of_a_machine_without_a_posture(names_a_posture):
     joints = MACHINE.joints if names_a_posture else tuple(replace(joint, park_rad=None) for joint in MACHINE.joints)
     machine, link = replace(MACHINE, joints=joints), StandInLink()
     cell = Cell(ServerSettings(), machine, chain_of(machine), "", link, StandInVision(), StandInRecorder())
-    why = steps(cell, JobEngine(StandInPerformer(link)))["park"]
+    why = step_refusals(cell, JobEngine(StandInPerformer(link)))["park"]
     assert ("names no park posture" in why) is not names_a_posture
 
 

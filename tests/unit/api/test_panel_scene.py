@@ -7,7 +7,7 @@ import pytest
 
 from machine.poses import inverse_pose, pose
 from machine.rotations import rotation_from_rotvec
-from server.api.panel_scene import SceneFeed, embedded
+from server.api.panel_scene import SceneFeed, embedded_scene_page
 from server.camera.contracts import OdometryMap
 from server.vision.odometry import StereoOdometry
 
@@ -57,8 +57,8 @@ def test_the_map_is_thinned_to_what_can_be_looked_at(found, told):
 
 
 def test_viser_s_own_notices_are_hidden_once_and_the_key_esc_stops_there_too():
-    page = embedded(b"<html><head></head><body></head></body></html>")
+    page = embedded_scene_page(b"<html><head></head><body></head></body></html>")
     assert page.count(b"<style>") == page.count(b"<script>") == 1
     assert b"/v1/stop" in page
     assert b"mantine-Notifications-root" in page
-    assert embedded(b"no page") == b"no page"
+    assert embedded_scene_page(b"no page") == b"no page"

@@ -11,7 +11,7 @@ from benchmarks.diagnosis.cost.everywhere import Way, written
 from benchmarks.diagnosis.cost.made import Size, write_short
 from benchmarks.diagnosis.cost.timed import Timed, timed
 from benchmarks.diagnosis.links.recorded import FIVE, Course
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 from longreach.cli import app
 
 
@@ -36,7 +36,7 @@ def test_a_diagnosis_is_timed_and_compared_with_what_is_wrong(tmp_path: Path) ->
     assert one.cpu_s > 0.0
     assert 50.0 < one.peak_mb < 4000.0
     write_short(tmp_path / "healthy", 3)
-    assert read(tmp_path / "healthy").usable
+    assert read_for_diagnosis(tmp_path / "healthy").usable
     (tmp_path / "healthy" / "plc.csv").unlink()
     with pytest.raises(RuntimeError, match=r"healthy ended with 2: .*no stage can be judged"):
         timed(Size(1), tmp_path / "healthy")

@@ -16,7 +16,7 @@ from server.calibration.reference import predicted_error_covariance, reference_f
 from server.calibration.trajectory_matching import estimate_camera_rotation, prior_from_tool_marker
 from server.calibration.trajectory_matching_paper import estimate_camera_rotation_paper
 from server.motion.calibration_paths import plan_calibration_path
-from server.motion.contracts import JointTrajectory, PlanStatus, evaluate
+from server.motion.contracts import JointTrajectory, PlanStatus, evaluate_trajectory
 from server.motion.point_to_point import plan_move
 from server.motion.settings import PAPER_PLAN_SETTINGS
 
@@ -75,7 +75,7 @@ class TrueMachine:
         """Both tracks of a driven path; odometry with drift, scale and jitter."""
         t_enc = np.arange(0.0, trajectory.duration_s, 0.01)
         t_cam = np.arange(0.02, trajectory.duration_s, 1 / 15)
-        Ts = self.tcps(evaluate(trajectory, t_cam).q) @ self.T_tcp_cam
+        Ts = self.tcps(evaluate_trajectory(trajectory, t_cam).q) @ self.T_tcp_cam
         Ts = inverse_pose(Ts[0]) @ Ts
         arc = np.linalg.norm(np.diff(Ts[:, :3, 3], axis=0), axis=1)
         walk = self.rng.normal(size=(len(arc), 3)) * 0.005 / np.sqrt(3) * np.sqrt(arc)[:, None]
@@ -84,7 +84,7 @@ class TrueMachine:
         Ts[:, :3, 3] += 0.001 * self.rng.normal(size=(len(Ts), 3))
         turns = Rotation.from_rotvec(np.deg2rad(0.05) * self.rng.normal(size=(len(Ts), 3))).as_matrix()
         Ts[:, :3, :3] = turns @ Ts[:, :3, :3]
-        encoder = EncoderTrack(t_enc, tcp_poses(chain_of(nominal()), evaluate(trajectory, t_enc).q))
+        encoder = EncoderTrack(t_enc, tcp_poses(chain_of(nominal()), evaluate_trajectory(trajectory, t_enc).q))
         return CameraTrack(t_cam - offset_s, Ts), encoder
 
 

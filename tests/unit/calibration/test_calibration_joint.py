@@ -15,7 +15,7 @@ from server.calibration.contracts import CalibrationStatus, CameraTrack
 from server.calibration.joint_estimate import JointPrior, estimate_jointly
 from server.calibration.joint_goal import joints_for_goal
 from server.calibration.joint_lens import LensPrior
-from server.calibration.joint_observations import JointTrack, NoiseModel, OdometryRun, thinned
+from server.calibration.joint_observations import JointTrack, NoiseModel, OdometryRun, thin_samples
 from server.calibration.joint_state import state_steps
 from server.calibration.kinematic_errors import ErrorKind, error_model, tcp_poses_with_errors
 from server.calibration.play import play_sides
@@ -254,7 +254,7 @@ def test_a_goal_out_of_reach_is_said(qs):
 
 def test_thinning_keeps_the_first_sample_and_the_limit(qs):
     run = odometry_run(nominal_machine(), path_joints(per_leg=60), np.random.default_rng(2), step_s=0.02)
-    samples = thinned(run, NoiseModel(samples_max=40))
+    samples = thin_samples(run, NoiseModel(samples_max=40))
     assert 20 <= len(samples.t_s) <= 42
     assert np.allclose(samples.Ts_first_cam[0], np.eye(4), atol=1e-9)
     assert np.all(np.diff(samples.length_m) > 0.0)

@@ -14,7 +14,7 @@ from server.calibration.contracts import CalibrationStatus, CameraTrack
 from server.calibration.joint_estimate import estimate_jointly
 from server.calibration.joint_goal import joints_for_goal
 from server.calibration.joint_lens import FOCAL, N_LENS, LensPrior, look_sensitivity, odometry_sensitivity
-from server.calibration.joint_verdict import Fitted, verdict, widened
+from server.calibration.joint_verdict import FitResiduals, covariance_widened_by_misfit, fit_verdict
 from server.calibration.lens_evidence import lens_doubts
 
 
@@ -50,9 +50,9 @@ def test_looks_at_one_place_agree(seed):
 
 def test_what_is_left_over_widens_the_covariance():
     covariance = np.diag([1.0, 4.0])
-    assert np.allclose(widened(covariance, 0.6), covariance)
-    assert np.allclose(widened(covariance, 1.7), 1.7 * covariance)
-    fitted = Fitted([10.0], [1.6], [0.2], [0.1], [np.ones(60)], 1.0, 0.01, 3.0)
+    assert np.allclose(covariance_widened_by_misfit(covariance, 0.6), covariance)
+    assert np.allclose(covariance_widened_by_misfit(covariance, 1.7), 1.7 * covariance)
+    fitted = FitResiduals([10.0], [1.6], [0.2], [0.1], [np.ones(60)], 1.0, 0.01, 3.0)
     assert fitted.misfit == pytest.approx(10.0 / 6.0)
     assert replace(fitted, run_spread=[3.1]).misfit == 3.1
 
@@ -81,8 +81,8 @@ def test_one_bad_observation_is_not_hidden_by_many_good_ones(changed, word):
         "mount_rad": 0.03,
         "seeing_chi2": 6.0,
     }
-    assert verdict(Fitted(**good))[0] is CalibrationStatus.OK
-    status, reason = verdict(Fitted(**{**good, **changed}))
+    assert fit_verdict(FitResiduals(**good))[0] is CalibrationStatus.OK
+    status, reason = fit_verdict(FitResiduals(**{**good, **changed}))
     assert status is CalibrationStatus.POOR_FIT
     assert re.search(word, reason), reason
 

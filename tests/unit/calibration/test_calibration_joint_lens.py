@@ -26,7 +26,7 @@ from server.calibration.nuisances import (
     LENS,
     OOI_SIDE,
     REMEDIES,
-    contributions,
+    contributions_by_group,
     largest_in_words,
     lens_groups,
 )
@@ -141,7 +141,7 @@ def test_a_print_too_large_widens_the_depth_of_its_own_object(unknown):
 def test_contributions_name_the_source_whose_knowledge_would_help_most():
     J, covariance = np.array([[2.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]), np.diag([1e-6, 1e-6, 1e-8])
     covariance[0, 1] = covariance[1, 0] = 0.5e-6
-    found = contributions(J, covariance, {FOCAL_LENGTH: [0], OOI_SIDE: [1], LENS: [2]})
+    found = contributions_by_group(J, covariance, {FOCAL_LENGTH: [0], OOI_SIDE: [1], LENS: [2]})
     total = J @ covariance @ J.T
     left = covariance[1, 1] - covariance[0, 1] ** 2 / covariance[0, 0]  # of the second unknown, the first one known
     assert found[0].variance[0] == pytest.approx(total[0, 0] - left)

@@ -9,14 +9,14 @@ from joint_scenes import GOAL, Q_START, machine, odometry_run, path_joints, scen
 from machine.chain import chain_of
 from server.calibration import chord_rotation, joint_estimate
 from server.calibration.joint_goal import joints_for_goal
-from server.calibration.joint_observations import NoiseModel, Scatter, run_covariance, thinned
+from server.calibration.joint_observations import NoiseModel, Scatter, run_covariance, thin_samples
 
 
 @pytest.mark.parametrize("neighbours", [-0.5, 0.0, 0.8])
 def test_a_runs_covariance_is_positive_and_symmetric(neighbours):
     rng = np.random.default_rng(1)
     run = odometry_run(scene(rng).true, path_joints(), rng)
-    samples = thinned(run, NoiseModel())
+    samples = thin_samples(run, NoiseModel())
     C = run_covariance(samples, NoiseModel(), Scatter(5e-4, neighbours))
     assert np.allclose(C, C.T)
     assert np.linalg.eigvalsh(C).min() > 0.0

@@ -12,8 +12,8 @@ from benchmarks.simulator.demo_scene import demo_tcp_pose, demo_world
 from machine.camera import distort_rays, undistort_to_rays
 from machine.description import Machine
 from machine.rotations import Array, rotation_from_rotvec
-from server.camera.check import Gathered, Gathering, check_camera, steps
-from server.camera.check_findings import CheckFinding, Level, exit_code, worst
+from server.camera.check import CheckSample, CheckSampler, check_camera, progress_steps
+from server.camera.check_findings import CheckFinding, Level, exit_code, worst_level
 from server.camera.check_picture import check_exposure, check_sharpness, edge_blur_px
 from server.camera.check_rig import check_rig, match_eyes
 from server.camera.check_scale import Tape, check_focal
@@ -52,12 +52,12 @@ def _machine_with(baseline_m: float) -> Machine:
 
 def judged(pair: Pair, baseline_m: float = MACHINE.camera.baseline_m) -> dict[str, CheckFinding]:
     machine = _machine_with(baseline_m)
-    gathered = Gathered(times(), ((*pair, 0),))
+    gathered = CheckSample(times(), ((*pair, 0),))
     done: list[int] = []
     findings = check_camera(
         gathered, machine, ArucoPoseSource(machine).observe, np.random.default_rng(1), lambda: done.append(1)
     )
-    assert len(done) == steps(gathered)
+    assert len(done) == progress_steps(gathered)
     return {finding.name: finding for finding in findings}
 
 
@@ -281,11 +281,11 @@ def test_pictures_of_another_size_end_the_check() -> None:
     found = judged_size(small)
     assert found[-1].name == "size"
     assert "672 x 376" in found[-1].text
-    assert worst(found) is Level.FAIL
+    assert worst_level(found) is Level.FAIL
 
 
 def judged_size(image: Image) -> list[CheckFinding]:
-    gathered = Gathered(times(), ((image, image, 0),))
+    gathered = CheckSample(times(), ((image, image, 0),))
     return check_camera(gathered, MACHINE, ArucoPoseSource(MACHINE).observe, np.random.default_rng(0))
 
 
@@ -373,12 +373,12 @@ def test_no_stream_at_all() -> None:
 
 
 def test_gathering_keeps_some_pairs_and_all_times() -> None:
-    gathering = Gathering(keep=3, seconds=3.0)
+    gathering = CheckSampler(keep=3, seconds=3.0)
     image = np.zeros((4, 4), np.uint8)
     for number in range(30):
         sequence = number + (5 if number > 20 else 0)
         gathering.add(StereoFrame(image, image, number, number * 100_000_000, sequence, 1))
-    gathered = gathering.gathered(2, own_clock=False, wanted_hz=None)
+    gathered = gathering.sample(2, own_clock=False, wanted_hz=None)
     assert len(gathered.pairs) == 3
     assert [stamp for _, _, stamp in gathered.pairs] == [0, 10, 20]
     assert gathering.rate_hz == pytest.approx(10.0)

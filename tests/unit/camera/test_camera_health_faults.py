@@ -12,7 +12,7 @@ from health_pictures import CAMERA, HEIGHT, MS, PERIOD_MS, WIDTH, Camera, moved_
 from server.camera.contracts import StereoFrame
 from server.camera.health.findings import FaultCode, Finding
 from server.camera.health.image_health import GOOD_PAIRS, ImageHealth
-from server.camera.health.stamps import silence
+from server.camera.health.stamps import silence_text
 from server.vision.contracts import Image
 
 BEFORE = 14
@@ -164,8 +164,8 @@ def test_an_old_picture_is_said_to_be_old_and_a_stall_is_no_jump() -> None:
 
 
 def test_silence() -> None:
-    assert silence(1_000 * MS, 1_400 * MS) == ()
-    assert "no image for 0.6 s" in silence(1_000 * MS, 1_600 * MS)[0].text
+    assert silence_text(1_000 * MS, 1_400 * MS) == ()
+    assert "no image for 0.6 s" in silence_text(1_000 * MS, 1_600 * MS)[0].text
 
 
 @pytest.mark.parametrize(

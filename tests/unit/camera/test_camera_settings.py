@@ -24,7 +24,7 @@ from server.camera.sources.settings import (
 from server.errors import SettingsError
 from server.settings import read_machine, read_machine_text, read_settings
 from server.settings_camera import with_stream
-from server.settings_source import machine_text_with, source_and_machine
+from server.settings_source import machine_text_with_camera, source_and_machine
 
 MACHINE = read_machine("hiab033")
 
@@ -113,7 +113,7 @@ def test_the_machine_text_of_a_recording_holds_the_rectified_camera(tmp_path: Pa
     path = tmp_path / "settings.toml"
     path.write_text(f'[camera]\nkind = "device"\ncalibration = "{tmp_path}/SN1.conf"\n')
     _, machine = source_and_machine(read_settings(path).camera, MACHINE)
-    again = parse_machine_toml(machine_text_with(read_machine_text("hiab033"), machine.camera))
+    again = parse_machine_toml(machine_text_with_camera(read_machine_text("hiab033"), machine.camera))
     assert again.camera == machine.camera
     assert again.T_tcp_cam_left.tolist() == MACHINE.T_tcp_cam_left.tolist()
     assert [marker.marker_id for marker in again.markers] == [marker.marker_id for marker in MACHINE.markers]

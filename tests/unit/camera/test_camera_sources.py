@@ -11,7 +11,7 @@ from camera_stand_in import CameraStandIn, jpeg_of, part_of, picture
 from server.camera.errors import CameraError, StreamError
 from server.camera.sources.folder import FolderStereoSource
 from server.camera.sources.http import HttpStereoSource
-from server.camera.sources.live import HELD_UP_NS, Newest
+from server.camera.sources.live import HELD_UP_NS, NewestOnlyBox
 from server.camera.sources.opening import open_source
 from server.camera.sources.settings import FileSource, FolderSource, HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side, split_side_by_side
@@ -101,7 +101,7 @@ def test_http_url_is_checked(url: str) -> None:
 
 
 def test_newest_keeps_one_and_counts() -> None:
-    box: Newest[int] = Newest()
+    box: NewestOnlyBox[int] = NewestOnlyBox()
     assert box.take(0.0) is None
     for number in range(5):
         box.put(number)

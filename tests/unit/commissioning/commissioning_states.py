@@ -8,9 +8,9 @@ import numpy as np
 from machine.chain import chain_of
 from machine.description import parse_machine_toml
 from protocol.limits import cfg_id, limits_of
-from server.commissioning.site import Options, Site
+from server.commissioning.site import CommissioningOptions, Site
 from server.link.contracts import LinkHealth, LinkPhase, MotionEnded, PlcSample
-from server.motion.contracts import evaluate
+from server.motion.contracts import evaluate_trajectory
 from server.settings import ServerSettings
 
 MS = 1_000_000
@@ -91,7 +91,7 @@ class StandInLink:
         self.calls.append("run")
         q_start, disarms = self.q.copy(), self.calls.count("disarm")
         for t_s in np.arange(0.0, trajectory.duration_s, 0.01):
-            motion = evaluate(trajectory, np.array([t_s]))
+            motion = evaluate_trajectory(trajectory, np.array([t_s]))
             self.q = q_start + self.gain * (motion.q[0] - trajectory.q[0])
             state = sample(
                 1e3 * t_s,
@@ -147,5 +147,5 @@ def site(link=None, operator=None, vision=None, **options):
         link or StandInLink(),
         vision,
         operator or StandInOperator(),
-        Options(**options),
+        CommissioningOptions(**options),
     )

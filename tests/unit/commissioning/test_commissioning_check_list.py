@@ -4,7 +4,7 @@ import pytest
 from commissioning_states import StandInLink, StandInOperator, health, sample, site
 
 from server.commissioning import check_list
-from server.commissioning.check_list import STEPS, Need, Step, go_through
+from server.commissioning.check_list import STEPS, Step, StepRequirement, go_through
 from server.commissioning.contracts import StepResult, Verdict
 from server.commissioning.moving import NotReadyError
 from server.link.contracts import LinkPhase
@@ -42,8 +42,8 @@ def test_numbers_and_names_are_unique_and_failures_point_back():
 
 def test_whatever_moves_needs_leave_open_valves_and_a_proven_link():
     for each in STEPS:
-        if Need.LEAVE in each.needs:
-            assert Need.VALVES in each.needs
+        if StepRequirement.LEAVE in each.needs:
+            assert StepRequirement.VALVES in each.needs
             assert {1, 2} <= set(each.after)
 
 
@@ -66,7 +66,7 @@ async def test_a_defect_is_not_hidden_but_the_machine_is_disarmed():
 async def test_a_silent_plc_leaves_a_step_open_and_names_the_server(impatient):
     link = StandInLink()
     link.health = health(LinkPhase.OFFLINE, last_reject="SESSION: another session is open")
-    (result,) = await run([step(needs=(Need.PLC,))], site(link))
+    (result,) = await run([step(needs=(StepRequirement.PLC,))], site(link))
     assert result.verdict is Verdict.INCONCLUSIVE
     assert "SESSION" in result.summary
     assert "one controller at a time" in result.remedy
@@ -75,20 +75,22 @@ async def test_a_silent_plc_leaves_a_step_open_and_names_the_server(impatient):
 async def test_a_dry_run_leaves_a_moving_step_open(impatient):
     link = StandInLink()
     link.health = health(dry_run=True)
-    (result,) = await run([step(needs=(Need.VALVES,))], site(link))
+    (result,) = await run([step(needs=(StepRequirement.VALVES,))], site(link))
     assert result.verdict is Verdict.INCONCLUSIVE
     assert "bDryRun" in result.remedy
 
 
 async def test_without_leave_a_moving_step_is_skipped_and_leave_is_asked_once():
     operator = StandInOperator(leave=False)
-    results = await run([step(needs=(Need.LEAVE,)), step(8, "stop times", (Need.LEAVE,))], site(operator=operator))
+    results = await run(
+        [step(needs=(StepRequirement.LEAVE,)), step(8, "stop times", (StepRequirement.LEAVE,))], site(operator=operator)
+    )
     assert {result.verdict for result in results} == {Verdict.SKIPPED}
     assert operator.leave_asked == 1
 
 
 async def test_without_a_camera_a_looking_step_stays_open(impatient):
-    (result,) = await run([step(needs=(Need.CAMERA,))])
+    (result,) = await run([step(needs=(StepRequirement.CAMERA,))])
     assert result.verdict is Verdict.INCONCLUSIVE
 
 
@@ -97,7 +99,7 @@ async def test_a_silent_camera_leaves_a_looking_step_open(impatient):
         age_s = float("inf")
         stream_text = "connection refused"
 
-    (result,) = await run([step(needs=(Need.CAMERA,))], site(vision=Silent()))
+    (result,) = await run([step(needs=(StepRequirement.CAMERA,))], site(vision=Silent()))
     assert result.verdict is Verdict.INCONCLUSIVE
     assert "connection refused" in result.summary
 
@@ -120,7 +122,7 @@ async def test_what_was_not_proven_before_is_noted():
 async def test_a_real_machine_is_not_moved_before_the_link_was_seen_to_stop():
     link = StandInLink()
     link.latest = sample(0.0, simulation=False)
-    moving = step(needs=(Need.LEAVE,))
+    moving = step(needs=(StepRequirement.LEAVE,))
     (refused,) = await run([moving], site(link))
     assert refused.verdict is Verdict.INCONCLUSIVE
     assert "step 1" in refused.summary

@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from commissioning_states import CHAIN, Q
 
-from server.commissioning.camera_axes import ANGLE_MAX_DEG, Seen, axes_figures, wrong_mounting
-from server.commissioning.joint_signs import Expected, compare, expected_motion, outward, understood
+from server.commissioning.camera_axes import ANGLE_MAX_DEG, CameraDisplacements, axes_figures, wrong_mounting
+from server.commissioning.joint_signs import (
+    ExpectedDirection,
+    expected_motion,
+    is_expected_direction,
+    parse_direction,
+    person_axes,
+)
 
 STEP = float(np.deg2rad(2.0))
 
@@ -37,7 +43,7 @@ def test_the_last_wrist_joint_turns_the_tool_about_its_own_line():
 
 
 def test_a_tool_above_the_column_still_has_directions():
-    axes = outward(np.eye(4))
+    axes = person_axes(np.eye(4))
     assert np.allclose(axes @ axes.T, np.eye(3))
     assert np.linalg.det(axes) == pytest.approx(1.0)
 
@@ -47,14 +53,14 @@ def test_a_tool_above_the_column_still_has_directions():
     [("Left", "left"), (" ccw ", "counter-clockwise"), ("u", "up"), ("clockwise", "clockwise"), ("north", None)],
 )
 def test_answers_are_understood(answer, word):
-    assert understood(answer) == word
+    assert parse_direction(answer) == word
 
 
 def test_an_answer_fits_contradicts_or_tells_nothing():
-    expected = Expected(("up", "out"), "")
-    assert compare(expected, "out") is True
-    assert compare(expected, "down") is False
-    assert compare(expected, "left") is None
+    expected = ExpectedDirection(("up", "out"), "")
+    assert is_expected_direction(expected, "out") is True
+    assert is_expected_direction(expected, "down") is False
+    assert is_expected_direction(expected, "left") is None
 
 
 # --- camera ---------------------------------------------------------------------------------------------------------
@@ -64,7 +70,7 @@ NAMES = ["right", "down", "back"]
 
 
 def shown(seen):
-    return Seen("test", LEGS, np.asarray(seen))
+    return CameraDisplacements("test", LEGS, np.asarray(seen))
 
 
 def test_a_true_camera_passes_and_nothing_is_named():
@@ -103,7 +109,7 @@ def test_every_other_mounting_of_the_48_is_noticed(order, signs):
 def test_the_angle_is_held_to_its_limit(deg, ok):
     a = np.deg2rad(deg)
     leg = np.array([[0.08, 0.0, 0.0]])
-    seen = Seen("test", leg, 0.08 * np.array([[np.cos(a), np.sin(a), 0.0]]))
+    seen = CameraDisplacements("test", leg, 0.08 * np.array([[np.cos(a), np.sin(a), 0.0]]))
     assert axes_figures(seen, ["right"])[0].ok is ok
 
 

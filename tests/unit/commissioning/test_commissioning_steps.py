@@ -10,18 +10,18 @@ from protocol.codes import FaultBit
 from protocol.limits import cfg_id, limits_of
 from server.commissioning import stopping
 from server.commissioning.check_list import compare_limits, compare_zeros, encoder_zeros
-from server.commissioning.contracts import Verdict, judged
+from server.commissioning.contracts import Verdict, result_of_figures
 from server.commissioning.joint_ranges import end_figure, range_figures
-from server.commissioning.joint_signs import expected_motion, jog_step, joint_signs, pressures_plausible, runaway
-from server.commissioning.link_dry_run import closed_figures, dry_goal, dry_guard, playback_figures
-from server.commissioning.moving import NoLeaveError, NotReadyError, Played, Reading, at_rest, gentle_plan
+from server.commissioning.joint_signs import expected_motion, jog_step, joint_signs, pressures_plausible, why_end_jog
+from server.commissioning.link_dry_run import closed_figures, dry_guard, dry_run_goal, playback_figures
+from server.commissioning.moving import MachineReading, NoLeaveError, NotReadyError, PlayedMotion, at_rest, gentle_plan
 from server.commissioning.stopping import EndedByItselfError, StopKind, by_itself, run_and_stop
 from server.link.contracts import MotionEnded
 from server.link.errors import LinkRefusedError
-from server.motion.contracts import evaluate
+from server.motion.contracts import evaluate_trajectory
 
 TABLE = limits_of(MACHINE.joints)
-READING = Reading(Q, Q)
+READING = MachineReading(Q, Q)
 Q_DEG = np.rad2deg(Q).tolist()
 
 
@@ -212,7 +212,7 @@ def test_the_guard_lets_a_right_jog_pass_and_objects_to_others():
     def moved(index, deg):
         q = Q.copy()
         q[index] += math.radians(deg)
-        return runaway(sample(0.0, q_rad=tuple(q)), Q, 0, step)
+        return why_end_jog(sample(0.0, q_rad=tuple(q)), Q, 0, step)
 
     assert moved(0, 2.3) == ""
     assert moved(0, -0.9) == ""
@@ -245,9 +245,9 @@ def test_chamber_pressures_must_be_plausible(p, ok):
 
 
 def dry_play(shift_rad=0.0, q_moves_rad=0.0, valve=0.0, underruns=0, reached=True):
-    plan = gentle_plan(site(), Q, dry_goal(MACHINE, Q))
+    plan = gentle_plan(site(), Q, dry_run_goal(MACHINE, Q))
     times = np.arange(0.0, plan.trajectory.duration_s, 0.01)
-    refs = evaluate(plan.trajectory, times).q + shift_rad
+    refs = evaluate_trajectory(plan.trajectory, times).q + shift_rad
     states = [
         sample(
             1e3 * t,
@@ -261,7 +261,7 @@ def dry_play(shift_rad=0.0, q_moves_rad=0.0, valve=0.0, underruns=0, reached=Tru
         for i, (t, ref) in enumerate(zip(times, refs, strict=True))
     ]
     states.append(sample(4e3, q_ref_rad=tuple(plan.trajectory.q[-1])))
-    played = Played(MotionEnded(1, reached, "reached" if reached else "stopped", 0), states, "")
+    played = PlayedMotion(MotionEnded(1, reached, "reached" if reached else "stopped", 0), states, "")
     return [figure for figure in playback_figures(played, plan.trajectory, MACHINE) if not figure.ok]
 
 
@@ -286,8 +286,8 @@ def test_every_fault_of_the_playback_is_told(fault, told):
 
 
 def test_a_playback_without_motion_is_told():
-    played = Played(MotionEnded(1, False, "the link was closed", 0), [sample(0.0)], "")
-    plan = gentle_plan(site(), Q, dry_goal(MACHINE, Q))
+    played = PlayedMotion(MotionEnded(1, False, "the link was closed", 0), [sample(0.0)], "")
+    plan = gentle_plan(site(), Q, dry_run_goal(MACHINE, Q))
     assert "the link was closed" in playback_figures(played, plan.trajectory, MACHINE)[0].name
 
 
@@ -299,7 +299,7 @@ def test_the_dry_guard_objects_to_motion():
 
 def test_the_dry_goal_stays_inside_the_ranges():
     for q in (np.array([j.q_min_rad for j in MACHINE.joints]), np.array([j.q_max_rad for j in MACHINE.joints]), Q):
-        goal = dry_goal(MACHINE, q)
+        goal = dry_run_goal(MACHINE, q)
         assert all(j.q_min_rad <= g <= j.q_max_rad for j, g in zip(MACHINE.joints, goal, strict=True))
 
 
@@ -318,7 +318,7 @@ def test_rest_needs_still_encoders_a_still_reference_and_enough_of_both():
 
 def test_a_verdict_is_fail_before_open_before_pass():
     figures = range_figures([sample(10.0 * i) for i in range(50)], MACHINE.joints)
-    assert judged("x", figures, "fine", "do").verdict is Verdict.PASS
-    assert judged("x", figures, "fine", "do", ["not seen"]).verdict is Verdict.INCONCLUSIVE
+    assert result_of_figures("x", figures, "fine", "do").verdict is Verdict.PASS
+    assert result_of_figures("x", figures, "fine", "do", ["not seen"]).verdict is Verdict.INCONCLUSIVE
     wrong = range_figures([sample(0.0, fault_bits=int(FaultBit.SENSOR))], MACHINE.joints)
-    assert judged("x", wrong, "fine", "do", ["not seen"]).verdict is Verdict.FAIL
+    assert result_of_figures("x", wrong, "fine", "do", ["not seen"]).verdict is Verdict.FAIL

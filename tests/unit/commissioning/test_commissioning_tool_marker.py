@@ -10,7 +10,7 @@ from machine.camera import project_stereo
 from machine.markers import marker_corners
 from machine.poses import inverse_pose, transform_points
 from server.camera.contracts import FrameReport
-from server.commissioning.camera_axes import Leg, judge_axes, marker_step
+from server.commissioning.camera_axes import CameraMove, judge_axes, marker_step
 from server.commissioning.contracts import Verdict
 from server.commissioning.looking import corners_by_stereo, mean_side_m
 from server.commissioning.tool_marker import judge_marker
@@ -102,7 +102,7 @@ LEG_NAMES = ("camera right", "camera down", "camera back")
 def legs(turn=None, odometry=True, markers=True):
     turn = np.eye(3) if turn is None else turn
     return [
-        Leg(name, step, turn @ step if odometry else None, turn @ step if markers else None)
+        CameraMove(name, step, turn @ step if odometry else None, turn @ step if markers else None)
         for name, step in zip(LEG_NAMES, STEPS, strict=True)
     ]
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from machine.description import parse_machine_toml
 from machine.effects.dynamics import actuators_of, drive_by_sent, simulate
-from machine.effects.entries import EffectEntry, pack
+from machine.effects.entries import EffectEntry, pack_effects
 from server.settings import read_machine_text
 
 PLANT = actuators_of(parse_machine_toml(read_machine_text("hiab033")))
@@ -23,7 +23,9 @@ def moved(effects):
     way = np.array([0.2, -0.15, 0.1, 0.05, -0.1, 0.1])
     ease = [10 * u**3 - 15 * u**4 + 6 * u**5 for u in (there, back)]
     sent = Q_START + (ease[0] - 0.4 * ease[1])[:, None] * way
-    return simulate(PLANT, pack(effects, 6), drive_by_sent(PLANT, t, sent, 0.0, round(30.0 / PLANT.cycle_s))).enc[0]
+    return simulate(
+        PLANT, pack_effects(effects, 6), drive_by_sent(PLANT, t, sent, 0.0, round(30.0 / PLANT.cycle_s))
+    ).enc[0]
 
 
 def test_a_late_move_ends_where_a_punctual_one_does_whatever_motion_is_lost():

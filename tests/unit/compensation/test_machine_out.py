@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from diagnosis.budget import Budget
-from diagnosis.search.candidates import named
+from diagnosis.search.candidates import candidates_of_effects
 from diagnosis.search.fit import Fit, entries_of
 from longreach.machine_out import MachineOutError, machine_with_effects, require_room
 from machine.description import parse_machine_toml
@@ -18,7 +18,7 @@ TEXT = read_machine_text("hiab033")
 
 def budget(verdict: str, *, confirmed: bool = True) -> Budget:
     """As much of a budget as a machine file is made of."""
-    candidates = named(("gravity_sag",), (2,)) + named(("hand_eye_rotation",), ())
+    candidates = candidates_of_effects(("gravity_sag",), (2,)) + candidates_of_effects(("hand_eye_rotation",), ())
     fit = Fit(candidates, np.array([1.5e-6, 0.003, -0.004, 0.0]), np.zeros(0), np.zeros((0, 4)), 0.0)
     entries = tuple(entries_of(fit)) if confirmed else ()
     found: Any = SimpleNamespace(verdict=verdict, why="for a test", confirmed=entries, entries=lambda: entries)

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.diagnosis.links.recorded import FIVE, MACHINE_TOML, NOISE_RAD, OFFSET_S, PLANT, logged_rows
 from machine.description import parse_machine_toml
 from machine.effects.dynamics import Actuators, drive_by_sent, simulate
-from machine.effects.entries import EffectEntry, make_entry, pack
+from machine.effects.entries import EffectEntry, make_entry, pack_effects
 from machine.effects.registry import effect_named
 from recording.content import Recording
 from recording.folder import write_folder
@@ -38,7 +38,7 @@ def run_segment(
     cycles = round(FIVE.segment_s / PLANT.cycle_s)
     t_cycle = PLANT.cycle_s * np.arange(cycles)
     sent = FIVE.command(kind, t_cycle[::4])
-    traces = simulate(plant, pack(effects, 6), drive_by_sent(plant, t_cycle[::4], sent, 0.0, cycles))
+    traces = simulate(plant, pack_effects(effects, 6), drive_by_sent(plant, t_cycle[::4], sent, 0.0, cycles))
     enc = traces.enc[0] + rng.normal(0.0, noise_rad, traces.enc[0].shape)
     t_log = t_start + PLANT.log_cycle_s * np.arange(len(enc))
     first = 1 + round(t_start * 1000)

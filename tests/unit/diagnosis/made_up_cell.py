@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from diagnosis.search.candidates import named
-from diagnosis.search.cell import Cell, Rows, blocks_of, folds_of
+from diagnosis.search.candidates import candidates_of_effects
+from diagnosis.search.cell import Cell, ResidualRows, blocks_of, folds_of
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 
 GAIN, ASYMMETRY, LAG = (slots_of(name, 1)[0] for name in ("flow_gain_error", "valve_asymmetry", "valve_lag"))
@@ -29,10 +29,10 @@ def made_up(truth: tuple[float, float, float], seed: int = 4, noise: float = 1.0
         stage="actuator",
         joint=1,
         unit="rad/s",
-        candidates=named(("flow_gain_error", "valve_asymmetry", "valve_lag"), (1,)),
+        candidates=candidates_of_effects(("flow_gain_error", "valve_asymmetry", "valve_lag"), (1,)),
         base=neutral_sets(1),
         whitened=whitened,
-        rows=Rows(fold, block, zero, zero),
+        rows=ResidualRows(fold, block, zero, zero),
         scale=np.ones(N),
         quiet=1.0,
         floor_known=True,

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from diagnosis_cases import MACHINE, MACHINE_TOML
 
-from diagnosis.reading.read import Read, examine
+from diagnosis.reading.read import Read, examine_recording
 from machine.effects.arm import arm_of
-from machine.effects.entries import make_entry, pack
+from machine.effects.entries import make_entry, pack_effects
 from machine.effects.layout import ParameterSets
 from machine.effects.registry import effect_named
 from machine.effects.structure import link_poses
@@ -26,7 +26,7 @@ NOISE_M = 2e-4
 def packed(name: str, joint: int | None, **parameters: object) -> ParameterSets:
     effect = effect_named(name)
     assert effect is not None
-    return pack([make_entry(effect, joint, parameters)], 6)
+    return pack_effects([make_entry(effect, joint, parameters)], 6)
 
 
 def static_recording(sets: ParameterSets, toml: str = MACHINE_TOML + POINTS, seed: int = 3) -> Recording:
@@ -44,4 +44,4 @@ def static_recording(sets: ParameterSets, toml: str = MACHINE_TOML + POINTS, see
 
 
 def examined(made: Recording) -> Read:
-    return examine(made, Path("made_up"))
+    return examine_recording(made, Path("made_up"))

@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from machine.effects.entries import EffectEntry, entries_to_toml, make_entry, pack, pack_under, parse_entries
+from machine.effects.entries import EffectEntry, entries_to_toml, make_entry, pack_effects, pack_under, parse_entries
 from machine.effects.kernel import DEADBAND, FLEX_GAIN, FLEX_HZ, FLOW_LIMIT, KNOWN_GAIN, KNOWN_HZ, RATE
 from machine.effects.layout import HAND_EYE_ROTATION, LENGTH_A, LENGTH_D, neutral_sets
 from machine.effects.registry import EFFECTS
@@ -19,7 +19,7 @@ def read(text: str, n: int = 6) -> tuple[EffectEntry, ...]:
 
 def test_a_file_without_effects_has_none() -> None:
     assert read("[machine]\nname = 'x'\n") == ()
-    assert np.array_equal(pack((), 6).joint, neutral_sets(6).joint)
+    assert np.array_equal(pack_effects((), 6).joint, neutral_sets(6).joint)
 
 
 def test_entries_are_read() -> None:
@@ -109,7 +109,7 @@ def entry(name: str, joint: int | None, **parameters: object) -> EffectEntry:
 
 
 def test_an_effect_beyond_a_baseline_adds_and_limits_take_the_smaller() -> None:
-    packed = pack(
+    packed = pack_effects(
         [
             entry("valve_deadband", 2, half_width_frac=0.03),
             entry("valve_deadband", 2, half_width_frac=0.02),
@@ -135,7 +135,7 @@ def test_an_effect_beyond_a_baseline_adds_and_limits_take_the_smaller() -> None:
 
 def test_a_second_swing_of_a_joint_keeps_its_own_frequency_and_a_third_is_refused() -> None:
     swings = [entry("link_flexibility", 2, gain=gain, frequency_hz=hz) for gain, hz in ((0.9, 3.8), (0.2, 2.1))]
-    both = pack(swings, 3).joint[0, 1]
+    both = pack_effects(swings, 3).joint[0, 1]
     assert both[[FLEX_GAIN, FLEX_HZ, KNOWN_GAIN, KNOWN_HZ]] == pytest.approx([0.2, 2.1, 0.9, 3.8])
     assert read(entries_to_toml(swings)) == tuple(swings)
     with pytest.raises(MachineFileError, match="link_flexibility, joint 2: a third oscillation"):
@@ -148,13 +148,13 @@ def test_what_a_hypothesis_is_put_on_leaves_it_a_swing_of_its_own() -> None:
     assert under[[FLEX_GAIN, KNOWN_GAIN, KNOWN_HZ]] == pytest.approx([0.0, 0.9, 3.8])
     assert under[FLEX_HZ] == neutral_sets(1).joint[0, 0, FLEX_HZ]
     full = [known, entry("link_flexibility", 1, gain=0.2, frequency_hz=2.1)]
-    assert np.array_equal(pack_under(full, 2).joint, pack(full, 2).joint)
+    assert np.array_equal(pack_under(full, 2).joint, pack_effects(full, 2).joint)
 
 
 def test_a_parameter_that_an_effect_does_not_have_is_refused_where_entries_are_packed() -> None:
     wrong = EffectEntry("encoder_bias", 1, (("bias_deg", 0.1),))
     with pytest.raises(MachineFileError, match="'encoder_bias': unknown parameter 'bias_deg'; nearest: bias_rad"):
-        pack((wrong,), 3)
+        pack_effects((wrong,), 3)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from slow_model import nominal_rows, slow_rows
 from machine.effects.dynamics import (
     Actuators,
     DynamicStage,
-    Traces,
+    SimulatedTraces,
     actuators_of,
     drive_actuator,
     drive_by_sent,
@@ -18,7 +18,7 @@ from machine.effects.dynamics import (
     drive_joint,
     simulate,
 )
-from machine.effects.entries import make_entry, pack
+from machine.effects.entries import make_entry, pack_effects
 from machine.effects.kernel import FLOW_LIMIT, LOSS
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 from machine.effects.registry import EFFECTS, effect_named
@@ -30,7 +30,7 @@ DYNAMIC = [effect for effect in EFFECTS if is_dynamic(effect)]
 def packed(name: str, joint: int | None, n: int = 6, **parameters: object):
     effect = effect_named(name)
     assert effect is not None
-    return pack([make_entry(effect, joint, parameters)], n)
+    return pack_effects([make_entry(effect, joint, parameters)], n)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.007])
@@ -98,7 +98,7 @@ def test_each_effect_with_neutral_size_is_an_exact_identity(effect) -> None:
     entry = make_entry(
         effect, None if effect.scope == "machine" else 2, {effect.size.name: effect.size.neutral, **shapes}
     )
-    nominal, neutral = simulate(plant, neutral_sets(6), run), simulate(plant, pack([entry], 6), run)
+    nominal, neutral = simulate(plant, neutral_sets(6), run), simulate(plant, pack_effects([entry], 6), run)
     for name in ("ref", "u", "enc", "link"):
         assert np.array_equal(getattr(nominal, name), getattr(neutral, name)), name
 
@@ -264,7 +264,7 @@ def test_two_swings_of_a_joint_go_on_beside_each_other() -> None:
 
     def bend(*swings: tuple[float, float]) -> np.ndarray:
         entries = [make_entry(effect, 2, {"gain": gain, "frequency_hz": hz}) for gain, hz in swings]
-        return simulate(plant, pack(entries, 6), drive_joint(plant, enc)).link[0, :, 1] - enc[:, 1]
+        return simulate(plant, pack_effects(entries, 6), drive_joint(plant, enc)).link[0, :, 1] - enc[:, 1]
 
     one, other = (0.9, 3.8), (0.2, 2.1)
     assert np.abs(bend(other)).max() > 1e-4
@@ -329,7 +329,7 @@ def test_rounding_and_rate_limit_of_the_reference() -> None:
 def test_the_encoder_starts_at_the_reference_whatever_its_error() -> None:
     plant = plant_of_hiab()
     sets = random_sets(6, 4, seed=11)
-    traces: Traces = simulate(plant, sets, drive(plant, 0.5))
+    traces: SimulatedTraces = simulate(plant, sets, drive(plant, 0.5))
     assert traces.enc[:, 0] == pytest.approx(np.tile(reference(np.zeros(1)), (4, 1)), abs=1e-12)
 
 

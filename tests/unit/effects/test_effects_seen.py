@@ -5,7 +5,7 @@ import pytest
 from effects_cases import hiab
 
 from machine.camera import project_stereo
-from machine.effects.entries import make_entry, pack
+from machine.effects.entries import make_entry, pack_effects
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 from machine.effects.registry import effect_named, effects_of
 from machine.effects.seen import (
@@ -41,7 +41,7 @@ LATER = np.array([pose(np.eye(3), np.array([2e-4, 3e-4, 0.0])) @ T for T in POSE
 def packed(name: str, **parameters: object) -> ParameterSets:
     effect = effect_named(name)
     assert effect is not None
-    return pack([make_entry(effect, None, parameters)], 6)
+    return pack_effects([make_entry(effect, None, parameters)], 6)
 
 
 def corners(sets: ParameterSets) -> np.ndarray:

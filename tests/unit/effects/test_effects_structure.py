@@ -11,7 +11,7 @@ from machine.chain import chain_of
 from machine.effects.arm import DhRow, arm_from_dh, arm_of
 from machine.effects.arm_urdf import arm_from_urdf
 from machine.effects.encoders import angles_at_rest, true_angles
-from machine.effects.entries import make_entry, pack
+from machine.effects.entries import make_entry, pack_effects
 from machine.effects.kernel import BIAS, ECC_AMPLITUDE, ECC_ORDER, ECC_PHASE, SCALE
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 from machine.effects.registry import effect_named, effects_of
@@ -29,7 +29,7 @@ NONE = neutral_sets(6)
 def packed(name: str, joint: int | None, n: int = 6, **parameters: object) -> ParameterSets:
     effect = effect_named(name)
     assert effect is not None
-    return pack([make_entry(effect, joint, parameters)], n)
+    return pack_effects([make_entry(effect, joint, parameters)], n)
 
 
 def test_without_effects_it_is_the_nominal_kinematics() -> None:

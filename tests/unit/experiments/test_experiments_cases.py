@@ -12,8 +12,8 @@ from benchmarks.diagnosis.experiments.run import alone, apart, run_case
 from diagnosis.behind.views_one_eye import planar_pose
 from diagnosis.cells.merged import merged_cells
 from diagnosis.errors import DiagnosisError
-from diagnosis.reading.read import examine
-from diagnosis.reading.together import together
+from diagnosis.reading.read import examine_recording
+from diagnosis.reading.together import join_recordings
 from diagnosis.replay.merge import merge_of
 from diagnosis.replay.replayer import replayer_of
 from machine.effects.layout import neutral_sets
@@ -47,7 +47,7 @@ def test_an_effect_next_to_the_true_one_leaves_the_rival_apart():
 
 
 def test_without_reference_and_command_link_controller_and_actuator_are_one_cell():
-    whole = examine(draw("lag-delay", 0).first, Path("made up"))
+    whole = examine_recording(draw("lag-delay", 0).first, Path("made up"))
     merge = merge_of(whole.stretches)
     assert merge is not None
     assert merge.stages == ("link", "controller", "actuator")
@@ -70,7 +70,7 @@ def test_a_pose_comes_back_from_one_marker_in_one_eye():
 
 def test_together_lays_recordings_end_to_end():
     first = draw("sag-bias", 2).first
-    both = together([first, first])
+    both = join_recordings([first, first])
     indices = [row.pose_index for row in both.of(StaticPoint)]
     assert len(indices) == 2 * len(first.of(StaticPoint))
     assert len(set(indices)) == len(indices)
@@ -80,11 +80,11 @@ def test_together_refuses_another_machine():
     first = draw("sag-bias", 2).first
     other = replace(first, machine_toml=first.machine_toml + "\n# changed\n")
     with pytest.raises(DiagnosisError, match=r"another machine\.toml"):
-        together([first, other])
+        join_recordings([first, other])
 
 
 def test_together_refuses_clocks_known_in_one_only():
     first = draw("sag-bias", 2).first
     other = replace(first, run=replace(first.run, plc_to_pc_offset_s=None))
     with pytest.raises(DiagnosisError, match="plc_to_pc_offset_s is missing in recording 2"):
-        together([first, other])
+        join_recordings([first, other])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from diagnosis.errors import DiagnosisError
-from diagnosis.experiments.described import described, experiment_of, splined
-from diagnosis.experiments.library import MARGIN_RAD, PER_S, SAMPLE_S, SPEED_SHARE, Motion, Postures, motions
-from diagnosis.experiments.postures import extremes, looks, pool
+from diagnosis.experiments.described import describe_motions, experiment_of, spline_course
+from diagnosis.experiments.library import MARGIN_RAD, PER_S, SAMPLE_S, SPEED_SHARE, Motion, Postures, library_motions
+from diagnosis.experiments.postures import candidate_postures, gravity_extremes, look_posture_choices
 from diagnosis.log.nominal import nominal_of
 from machine.effects.layout import neutral_sets
 
@@ -26,9 +26,9 @@ def nominal():
 @pytest.fixture(scope="module")
 def library(nominal):
     sets = neutral_sets(nominal.n)
-    loaded = extremes(nominal, sets, pool(nominal, CENTRE, np.random.default_rng(1)), (1, 2))
+    loaded = gravity_extremes(nominal, sets, candidate_postures(nominal, CENTRE, np.random.default_rng(1)), (1, 2))
     assert loaded is not None
-    return motions(nominal, CENTRE, (1, 2), loaded)
+    return library_motions(nominal, CENTRE, (1, 2), loaded)
 
 
 def test_motions_keep_range_speed_and_acceleration(nominal, library):
@@ -51,8 +51,8 @@ def test_they_keep_the_range_wherever_it_was_recorded_and_however_small_it_is(no
     sets = neutral_sets(nominal.n)
     for _ in range(4):
         centre = rng.uniform(low - 0.05, high + 0.05)
-        loaded = extremes(narrow, sets, pool(narrow, centre, rng), (1, 2, 4))
-        for one in motions(narrow, centre, (1, 2, 4), loaded):
+        loaded = gravity_extremes(narrow, sets, candidate_postures(narrow, centre, rng), (1, 2, 4))
+        for one in library_motions(narrow, centre, (1, 2, 4), loaded):
             assert (one.q >= low - 1e-9).all(), one.name
             assert (one.q <= high + 1e-9).all(), one.name
 
@@ -73,7 +73,7 @@ def test_the_library_holds_what_the_task_names(library):
 
 def test_descriptions_survive_json_to_half_a_milliradian(library):
     for one in library:
-        back = experiment_of(json.loads(json.dumps(described(one))))
+        back = experiment_of(json.loads(json.dumps(describe_motions(one))))
         assert isinstance(back, Motion)
         rows = len(back.q)
         assert np.abs(back.q - one.q[:rows]).max() < 5e-4, one.name
@@ -82,7 +82,7 @@ def test_descriptions_survive_json_to_half_a_milliradian(library):
 
 def test_postures_survive_json():
     one = Postures("two distances", np.array([[0.1, 0.2], [0.3, 0.4]]))
-    back = experiment_of(json.loads(json.dumps(described(one))))
+    back = experiment_of(json.loads(json.dumps(describe_motions(one))))
     assert isinstance(back, Postures)
     assert np.array_equal(back.q, one.q)
 
@@ -94,15 +94,15 @@ def test_what_is_no_description_is_refused():
 
 def test_the_spline_meets_its_knots_and_rests_at_both_ends():
     knots = np.random.default_rng(3).normal(size=(7, 2))
-    course = splined(knots, 10)
+    course = spline_course(knots, 10)
     assert np.allclose(course[::10], knots, atol=1e-12)
     assert np.abs(course[1] - course[0]).max() < 0.1 * np.abs(course[5] - course[0]).max()
 
 
 def test_looks_differ_in_what_they_are_called_by(nominal):
     sets = neutral_sets(nominal.n)
-    qs = pool(nominal, CENTRE, np.random.default_rng(2))
-    found = {one.name: one.q for one in looks(nominal, sets, qs, None)}
+    qs = candidate_postures(nominal, CENTRE, np.random.default_rng(2))
+    found = {one.name: one.q for one in look_posture_choices(nominal, sets, qs, None)}
     near, far = found["postures near each other"], found["postures across the range"]
     assert np.ptp(far, axis=0).max() > 2.0 * np.ptp(near, axis=0).max()
 
@@ -111,8 +111,8 @@ def test_extremes_are_where_gravity_loads_most_and_least(nominal):
     from machine.effects.structure import gravity_torques
 
     sets = neutral_sets(nominal.n)
-    qs = pool(nominal, CENTRE, np.random.default_rng(1))
-    both = extremes(nominal, sets, qs, (1,))
+    qs = candidate_postures(nominal, CENTRE, np.random.default_rng(1))
+    both = gravity_extremes(nominal, sets, qs, (1,))
     assert both is not None
     high, low = (float(abs(gravity_torques(nominal.arm, sets, q[None])[0, 1])) for q in both)
     assert high > 1.3 * low

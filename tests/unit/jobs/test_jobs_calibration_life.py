@@ -18,7 +18,7 @@ from server.jobs.calibration_store import CalibrationStore, machine_id_of
 from server.jobs.knowledge import Knowledge
 from server.jobs.plans import assurance
 from server.jobs.plans.assurance import assured_preview
-from server.jobs.plans.living import validity
+from server.jobs.plans.living import calibration_validity
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.moving import execute, preview
 from server.jobs.plans.positioning import position
@@ -179,7 +179,7 @@ def test_what_the_papers_method_believes_of_its_mount_is_no_calibration_of_ours(
     world, ctx = Counted(), context(local_map="rigid")
     run(position(ctx.with_method("paper"), True, lambda: world.t_ns), world)
     paths = world.paths
-    assert validity(ctx, world.perform(Settle())).status is ValidityStatus.OTHER_METHOD
+    assert calibration_validity(ctx, world.perform(Settle())).status is ValidityStatus.OTHER_METHOD
     run(retract(ctx, 400.0), world)
     result, story = again(world, ctx)
     assert world.paths > paths
@@ -372,5 +372,5 @@ def test_oil_that_became_much_warmer_ends_it():
     world, ctx = positioned()
     ctx.knowledge.life = replace(ctx.knowledge.life, made=replace(ctx.knowledge.life.made, oil_temperature_c=30.0))
     cool = replace(world.perform(Settle()), oil_temperature_c=50.0)
-    assert validity(ctx, cool).ok
-    assert validity(ctx, replace(cool, oil_temperature_c=60.0)).status is ValidityStatus.TEMPERATURE
+    assert calibration_validity(ctx, cool).ok
+    assert calibration_validity(ctx, replace(cool, oil_temperature_c=60.0)).status is ValidityStatus.TEMPERATURE

@@ -34,7 +34,7 @@ class Desk:
 
 def planned(ctx, world, desk, resume=False, wall_free=False):
     body = PlanIdentifyRequest(kind="plan_identify", minutes=MINUTES, resume=resume, wall_free=wall_free)
-    plan = plan_identification(ctx, MINUTES, wall_free, desk.unfinished(body), desk.keep, lambda: world.t_ns)
+    plan = plan_identification(ctx, MINUTES, wall_free, desk.drive_to_resume(body), desk.keep, lambda: world.t_ns)
     told, _ = run(plan, world)
     return told
 
@@ -66,7 +66,7 @@ def test_a_plan_moves_nothing_and_its_hash_drives_every_part_once(stage, tmp_pat
     assert [one.kind for one in requests if isinstance(one, BeginSegment)] == ["static"]
     assert driven.looks_good == sum(isinstance(one, TakeLook) for one in requests) == told.looks
     job = Job("a" * 12, "identify", "anna", JobState.DONE, result=driven)
-    stage.desk.follow(job, tmp_path / "one.mcap")
+    stage.desk.after_drive(job, tmp_path / "one.mcap")
     assert stage.diagnoses.asked == [(tmp_path / "one.mcap",)]
     assert job.result.followed_by == "d" * 12
     with pytest.raises(PlanRefusedError, match="no identification was planned"):
@@ -82,14 +82,14 @@ def test_a_pause_keeps_what_was_driven_and_only_the_rest_is_planned(stage, tmp_p
         reply = stage.world.perform(request) if moves < 3 else None
     plan.close()
     stopped = Job("a" * 12, "identify", "anna", JobState.STOPPED, reason="button up")
-    stage.desk.follow(stopped, tmp_path / "one.mcap")
+    stage.desk.after_drive(stopped, tmp_path / "one.mcap")
     assert stage.desk.session.done == ["repeats", "slow passes"]
     assert "6 of 8 parts remain (multisine" in stage.desk.next_step
     assert stage.diagnoses.asked == []
     rest = planned(stage.ctx, stage.world, stage.desk, resume=True)
     assert [part.name for part in rest.parts] == list(ALL_PARTS[2:])
     _, driven = performed(driving(stage.ctx, stage.world, stage.desk, rest), stage.world)
-    stage.desk.follow(Job("b" * 12, "identify", "anna", JobState.DONE, result=driven), tmp_path / "two.mcap")
+    stage.desk.after_drive(Job("b" * 12, "identify", "anna", JobState.DONE, result=driven), tmp_path / "two.mcap")
     assert stage.diagnoses.asked == [(tmp_path / "one.mcap", tmp_path / "two.mcap")]
     assert stage.desk.next_step == ""
     with pytest.raises(JobFailedError, match="no identification is paused"):
@@ -179,7 +179,9 @@ def test_two_hundred_interruptions_leave_whole_parts_and_a_next_step(stage, tmp_
         if failed is None:
             assert done == list(ALL_PARTS)
             continue
-        stage.desk.follow(Job("a" * 12, "identify", "anna", JobState.FAILED, reason=str(failed)), tmp_path / "x.mcap")
+        stage.desk.after_drive(
+            Job("a" * 12, "identify", "anna", JobState.FAILED, reason=str(failed)), tmp_path / "x.mcap"
+        )
         assert "plan the rest with resume" in stage.desk.next_step
         assert stage.desk.session.left == tuple(name for name in ALL_PARTS if name not in done)
 

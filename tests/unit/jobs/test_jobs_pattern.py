@@ -8,7 +8,7 @@ from test_jobs_plans import World, context, run
 
 from machine.poses import pose
 from server.errors import JobFailedError
-from server.jobs.plans.pattern import marks_of, visit
+from server.jobs.plans.pattern import marks_of, visit_marks
 from server.jobs.requests import UseTarget
 from server.vision.contracts import LookStatus
 
@@ -41,7 +41,7 @@ def marked(monkeypatch):
 
 def test_marks_are_reached_in_the_given_order_with_one_calibration(marked) -> None:
     world, ctx = marked
-    result, _ = run(visit(ctx, marks_of(ctx, [2, 0, 1]), lambda: world.t_ns), world)
+    result, _ = run(visit_marks(ctx, marks_of(ctx, [2, 0, 1]), lambda: world.t_ns), world)
     assert result.reached, result.reason
     assert (result.target_ids, world.used) == ((2, 0, 1), [2, 0, 1])
     assert [("calibrate" in dict(one.seconds_by_step)) for one in result.visits] == [True, False, False]
@@ -55,7 +55,7 @@ def test_a_failed_look_ends_the_pattern(marked) -> None:
     world, ctx = marked
     world.look_status = LookStatus.OOI_NOT_SEEN
     with pytest.raises(JobFailedError, match="cover is on"):
-        run(visit(ctx, marks_of(ctx, [0, 1]), lambda: world.t_ns), world)
+        run(visit_marks(ctx, marks_of(ctx, [0, 1]), lambda: world.t_ns), world)
     assert world.used == [0]
 
 

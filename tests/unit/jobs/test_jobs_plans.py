@@ -35,7 +35,7 @@ from server.jobs.requests import (
     TakeLook,
     TimePairs,
 )
-from server.motion.contracts import evaluate
+from server.motion.contracts import evaluate_trajectory
 from server.settings import ServerSettings
 from server.vision.contracts import Look, LookStatus
 
@@ -90,7 +90,7 @@ class World:
         assert np.abs(trajectory.q[0] - self.q_ref).max() < 1e-12
         self.moved += 1
         times = np.arange(0.0, trajectory.duration_s, 0.05)
-        motion = evaluate(trajectory, times)
+        motion = evaluate_trajectory(trajectory, times)
         for t, q_ref in zip(times, motion.q, strict=True):
             self.follow(q_ref)
             self.trace.append((self.t_ns + int(t * 1e9), self.q.copy()))

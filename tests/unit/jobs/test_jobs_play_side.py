@@ -40,7 +40,7 @@ def hear(performer, link, qs, t_from_s=1.0):
             q_ref_rad=(0.0,) * 6,
             oil_temperature_c=0.0,
         )
-        performer.heard(link.latest)
+        performer.observe_plc_sample(link.latest)
     reading = asyncio.run(performer.perform(ReadMachine()))
     assert isinstance(reading, MachineReading)
     return reading.side[PLAYED]

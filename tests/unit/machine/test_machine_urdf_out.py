@@ -7,7 +7,7 @@ from machine_cases import MACHINE
 from machine.effects.arm import Arm, DhRow, arm_from_dh, arm_of
 from machine.effects.arm_urdf import arm_from_urdf
 from machine.effects.encoders import true_angles
-from machine.effects.entries import pack, parse_entries
+from machine.effects.entries import pack_effects, parse_entries
 from machine.effects.seen import camera_mount
 from machine.effects.structure import tcp_poses
 from machine.errors import MachineError
@@ -46,7 +46,7 @@ def largest_miss(text: str, arm: Arm, entries: list[dict], tip: str) -> float:
     """Between Pinocchio's tip and ours, entry by entry of the pose."""
     model = pinocchio.buildModelFromXML(text)
     data, frame = model.createData(), model.getFrameId(tip)
-    sets = pack(parse_entries(entries, arm.n), arm.n)
+    sets = pack_effects(parse_entries(entries, arm.n), arm.n)
     readings = postures(arm.n)
     ours = tcp_poses(arm, sets, true_angles(sets, readings))
     worst = 0.0
@@ -65,7 +65,7 @@ def test_the_crane_with_and_without_its_effects(entries):
     data = model.createData()
     pinocchio.framesForwardKinematics(model, data, np.zeros(6))
     tcp, cam = (data.oMf[model.getFrameId(name)].homogeneous for name in ("tcp", "cam_left"))
-    mount = camera_mount(pack(held, 6), MACHINE.T_tcp_cam_left)
+    mount = camera_mount(pack_effects(held, 6), MACHINE.T_tcp_cam_left)
     assert np.abs(np.linalg.inv(tcp) @ cam - mount).max() < 1e-9
 
 

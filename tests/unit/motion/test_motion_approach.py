@@ -6,7 +6,7 @@ from motion_scenes import Q_USUAL, chain, machine, ooi_ahead, posture, shifted, 
 
 from machine.kinematics import tcp_pose
 from server.motion.approach import offset_goal, plan_approach, play_of
-from server.motion.contracts import PlanStatus, sample
+from server.motion.contracts import PlanStatus, sample_trajectory
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -23,7 +23,7 @@ def test_backlash_joints_end_forward_by_their_play(seed):
     travel = trajectory.q[-1] - trajectory.q[last_rest]
     np.testing.assert_allclose(travel, play_of(6), atol=1e-9)  # rad
     assert trajectory.t_s[-1] - trajectory.t_s[last_rest] >= 2.0 - 1e-9  # s
-    t, motion = sample(trajectory, 0.01)
+    t, motion = sample_trajectory(trajectory, 0.01)
     rising = np.diff(motion.q[t >= trajectory.t_s[last_rest]], axis=0)
     assert rising.min() >= -1e-12  # rad: the reference itself never turns back
 

@@ -17,7 +17,7 @@ from server.motion.calibration_paths import (
     paper_corners,
     plan_calibration_path,
 )
-from server.motion.contracts import PlanStatus, sample
+from server.motion.contracts import PlanStatus, sample_trajectory
 from server.motion.settings import MotionInputError
 
 
@@ -68,7 +68,7 @@ def test_folded_path_moves_away_from_the_wall_only():
     plan = plan_calibration_path(machine(), Q_USUAL, wall=wall_of(ooi), T_base_ooi_estimate=ooi)
     assert plan.trajectory is not None
     assert plan.clearance_m == pytest.approx(0.66, abs=1e-3)  # that of its start
-    _, motion = sample(plan.trajectory, 0.05)
+    _, motion = sample_trajectory(plan.trajectory, 0.05)
     tips = tcp_poses(chain(), motion.q)[:, :3, 3]
     assert (tips @ ooi[:3, 2]).min() >= tips[0] @ ooi[:3, 2] - 0.01
 

@@ -10,7 +10,7 @@ from test_motion_point_to_point import assert_obeys_limits
 from machine.kinematics import tcp_poses
 from server.motion.calibration_paths import plan_calibration_path
 from server.motion.camera_pace import CameraNeeds, camera_paced
-from server.motion.contracts import PlanStatus, sample
+from server.motion.contracts import PlanStatus, sample_trajectory
 
 NEEDS = CameraNeeds(shift_max_px=4.0, focal_px=700.0, depth_m=0.8, chord_m=0.08, chords_min=12)
 
@@ -24,7 +24,7 @@ def plan():
 
 def unforeseen_px(plan, pair_s):
     """By how much a point at the depth is off the place that constant speed predicts, at the worst pair [px]."""
-    t_s, motion = sample(plan.trajectory, pair_s)
+    t_s, motion = sample_trajectory(plan.trajectory, pair_s)
     places = tcp_poses(chain(), motion.q)[:, :3, 3]
     off_m = np.linalg.norm(places[2:] - 2.0 * places[1:-1] + places[:-2], axis=1)
     return float(off_m.max()) * NEEDS.focal_px / NEEDS.depth_m * (pair_s / (t_s[1] - t_s[0])) ** 2

@@ -5,11 +5,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from machine.chain import chain_of
-from server.motion.contracts import JointTrajectory, PlanStatus, evaluate
+from server.motion.contracts import JointTrajectory, PlanStatus, evaluate_trajectory
 from server.motion.identification_courses import Course, course_trajectory, fitted_course
 from server.motion.refusal import Refusal
 from server.motion.settings import PAPER_PLAN_SETTINGS
-from server.motion.timing import excess
+from server.motion.timing import limit_excess
 from server.settings import read_machine
 
 MACHINE = read_machine("hiab033")
@@ -31,7 +31,7 @@ def test_the_plc_plays_the_spline_that_was_foretold():
     made = course_trajectory(course)
     t = np.linspace(0.3, 19.7, 1777)
     wanted = CubicSpline(0.1 * np.arange(len(course.q)), course.q, bc_type="clamped")(t)
-    assert np.abs(evaluate(made, t).q - wanted).max() < 1e-12
+    assert np.abs(evaluate_trajectory(made, t).q - wanted).max() < 1e-12
     assert np.abs(made.qd[[0, -1]]).max() == 0.0
     assert np.abs(made.qdd[[0, -1]]).max() == 0.0
     assert np.array_equal(made.q[0], START)
@@ -39,11 +39,11 @@ def test_the_plc_plays_the_spline_that_was_foretold():
 
 def test_too_fast_a_course_is_made_smaller():
     course = waves(0.3)  # slewing so at 3 m: far beyond the TCP's 0.15 m/s
-    plain = excess(MACHINE, CHAIN, course_trajectory(course), PAPER_PLAN_SETTINGS, 0.9)
+    plain = limit_excess(MACHINE, CHAIN, course_trajectory(course), PAPER_PLAN_SETTINGS, 0.9)
     assert plain.factor > 2.0
     found = fitted_course(MACHINE, CHAIN, course, PAPER_PLAN_SETTINGS)
     assert isinstance(found, JointTrajectory)
-    assert excess(MACHINE, CHAIN, found, PAPER_PLAN_SETTINGS, 0.9).factor <= 1.0
+    assert limit_excess(MACHINE, CHAIN, found, PAPER_PLAN_SETTINGS, 0.9).factor <= 1.0
     assert np.ptp(found.q[:, 0]) < 0.5 * np.ptp(course.q[:, 0])
     assert found.duration_s == pytest.approx(20.0)
 

@@ -16,7 +16,7 @@ from server.motion.contracts import JointTrajectory, Wall
 from server.motion.identification_courses import PARTS, fitted_course, part_course, part_marks
 from server.motion.identification_postures import SeenObject, choose_postures
 from server.motion.settings import PlanSettings
-from server.motion.timing import excess
+from server.motion.timing import limit_excess
 from server.motion.wall_clearance import clearances
 
 MACHINE = parse_machine_toml((files("machine") / "machines" / "hiab033.toml").read_text(encoding="utf-8"))
@@ -39,7 +39,7 @@ def test_every_part_is_inside_all_limits_and_comes_back_to_rest(machine, part):
     home = HOME[: chain.n]
     driven = fitted_course(machine, chain, part_course(machine, chain, part, home, SETTINGS), SETTINGS)
     assert isinstance(driven, JointTrajectory)
-    assert excess(machine, chain, driven, SETTINGS, SETTINGS.limit_share).factor <= 1.0
+    assert limit_excess(machine, chain, driven, SETTINGS, SETTINGS.limit_share).factor <= 1.0
     for end in (0, -1):
         assert np.allclose(driven.q[end], home, atol=1e-9)
         assert not driven.qd[end].any()

@@ -8,7 +8,7 @@ from motion_scenes import Q_USUAL, chain, machine, ooi_ahead, posture, wall_of
 
 from machine.kinematics import sigma_min, tcp_jacobian, tcp_pose, tcp_poses
 from machine.rotations import rotvec_from_rotation
-from server.motion.contracts import PlanStatus, sample
+from server.motion.contracts import PlanStatus, sample_trajectory
 from server.motion.jog import PRESS_S, JogSpeed, jog_axes, plan_jog
 from server.motion.settings import DEFAULT_PLAN_SETTINGS
 from server.motion.wall_clearance import clearances
@@ -31,7 +31,7 @@ def test_it_keeps_ranges_speed_and_its_own_axis(axis, direction):
         if plan.trajectory is None:
             assert plan.status in (PlanStatus.JOINT_LIMIT, PlanStatus.SINGULAR, PlanStatus.OUT_OF_REACH), plan.reason
             continue
-        _, motion = sample(plan.trajectory, 0.02)
+        _, motion = sample_trajectory(plan.trajectory, 0.02)
         assert (motion.q >= chain().q_min - 1e-9).all()
         assert (motion.q <= chain().q_max + 1e-9).all()
         Ts = tcp_poses(chain(), motion.q)
@@ -71,7 +71,7 @@ def test_towards_the_wall_it_ends_at_the_clearance(distance_m):
         assert planned.path.status is PlanStatus.WALL
         return
     assert planned.path.trajectory is not None, planned.path.reason
-    _, motion = sample(planned.path.trajectory, 0.02)
+    _, motion = sample_trajectory(planned.path.trajectory, 0.02)
     nearest = clearances(tcp_poses(chain(), motion.q), machine().T_tcp_tool, wall).min()
     assert nearest >= wall.clearance_min_m - 1e-6
     if planned.ends_by:
@@ -103,7 +103,7 @@ def test_the_tool_does_not_enter_a_singularity_and_a_single_joint_leaves_it():
     entering = jogged(Q_USUAL, "ry", 1, speed=replace(SPEED, turn_rad_s=0.08))
     assert "singularity" in entering.ends_by
     assert entering.path.trajectory is not None
-    _, motion = sample(entering.path.trajectory, 0.02)
+    _, motion = sample_trajectory(entering.path.trajectory, 0.02)
     assert np.abs(motion.q[:, SETTINGS.wrist_pitch_index]).min() >= bound - 5e-3  # a leading reference overshoots
     q = Q_USUAL.copy()
     q[SETTINGS.wrist_pitch_index] = 0.0

@@ -8,7 +8,7 @@ from motion_scenes import Q_USUAL, chain, machine, shifted
 
 from machine.kinematics import tcp_pose
 from server.motion.approach import plan_approach, play_of
-from server.motion.contracts import PlanStatus, Wall, sample
+from server.motion.contracts import PlanStatus, Wall, sample_trajectory
 from server.motion.lost_motion import (
     first_stall,
     last_direction,
@@ -26,7 +26,7 @@ PLAY = play_of(6)
 def rest_after(q_start, trajectory, stall):
     """Where joints with a dead band rest: each follows its reference at its stall, like a dragged weight."""
     q = q_start.copy()
-    for q_ref in sample(trajectory, 0.01)[1].q:
+    for q_ref in sample_trajectory(trajectory, 0.01)[1].q:
         q = np.clip(q, q_ref - stall, q_ref + stall)
     return q
 
@@ -54,7 +54,7 @@ def test_with_the_right_stall_a_path_ends_where_it_was_planned(seed):
 def test_the_moved_reference_is_as_smooth_as_its_derivatives_say(seed):
     plan, q_ref = planned(seed)
     reference = onto_reference(plan.trajectory, q_ref, STALL)
-    t, motion = sample(reference, 0.002)
+    t, motion = sample_trajectory(reference, 0.002)
     steps = np.diff(motion.q, axis=0) / np.diff(t)[:, None]
     middle = (motion.qd[1:] + motion.qd[:-1]) / 2.0
     assert np.abs(steps - middle).max() < 1e-3  # rad/s

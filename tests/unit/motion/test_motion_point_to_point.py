@@ -9,7 +9,7 @@ from motion_scenes import Q_USUAL, chain, machine, ooi_ahead, posture, shifted, 
 from machine.kinematics import tcp_pose, tcp_poses
 from machine.poses import pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec
-from server.motion.contracts import JointTrajectory, PlanStatus, sample
+from server.motion.contracts import JointTrajectory, PlanStatus, sample_trajectory
 from server.motion.point_to_point import plan_joint_move, plan_move, plan_through
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS, MotionInputError
 
@@ -28,7 +28,7 @@ def limits():
 
 def assert_obeys_limits(trajectory: JointTrajectory, tcp_share: float):
     qd_max, qdd_max, q_min, q_max = limits()
-    t, motion = sample(trajectory, 0.003)
+    t, motion = sample_trajectory(trajectory, 0.003)
     assert (np.abs(motion.qd) <= qd_max).all()
     assert (np.abs(motion.qdd) <= qdd_max).all()
     assert (motion.q >= q_min).all()
@@ -68,7 +68,7 @@ def test_path_is_a_straight_line_with_an_even_turn():
     goal = goal_near(Q_USUAL, 3)
     plan = plan_move(machine(), Q_USUAL, goal, PAPER_PLAN_SETTINGS)
     assert plan.trajectory is not None
-    _, motion = sample(plan.trajectory, 0.02)
+    _, motion = sample_trajectory(plan.trajectory, 0.02)
     points = tcp_poses(chain(), motion.q)[:, :3, 3]
     along = goal[:3, 3] - points[0]
     off = np.linalg.norm(np.cross(points - points[0], along / np.linalg.norm(along)), axis=1)
@@ -182,7 +182,7 @@ def test_near_a_joint_limit_the_reference_does_not_lead_beyond_it():
     goal = q + np.deg2rad([0.0, 0.0, 0.0, 0.0, 0.0, 39.0])
     plan = plan_joint_move(machine(), q, goal)
     assert plan.trajectory is not None, plan.reason
-    _, motion = sample(plan.trajectory, 0.003)
+    _, motion = sample_trajectory(plan.trajectory, 0.003)
     assert np.rad2deg(motion.q[:, 5].max()) <= 170.0
 
 

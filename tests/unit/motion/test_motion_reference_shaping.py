@@ -5,7 +5,13 @@ import pytest
 from motion_scenes import Q_USUAL, machine, posture, shifted
 from scipy.integrate import cumulative_simpson
 
-from server.motion.contracts import JointTrajectory, evaluate, hold, join, sample
+from server.motion.contracts import (
+    JointTrajectory,
+    evaluate_trajectory,
+    hold_trajectory,
+    join_trajectories,
+    sample_trajectory,
+)
 from server.motion.point_to_point import plan_move
 from server.motion.settings import PAPER_PLAN_SETTINGS
 from server.motion.timing import CruiseLaw, QuinticLaw, servo_lag_of
@@ -31,11 +37,11 @@ def test_interpolation_meets_knots_and_is_smooth():
     plan = plan_move(machine(), Q_USUAL, shifted(Q_USUAL, [0.1, 0.05, -0.1]))
     trajectory = plan.trajectory
     assert trajectory is not None
-    at = evaluate(trajectory, trajectory.t_s)
+    at = evaluate_trajectory(trajectory, trajectory.t_s)
     np.testing.assert_allclose(at.q, trajectory.q, atol=1e-12)
     np.testing.assert_allclose(at.qd, trajectory.qd, atol=1e-10)
     np.testing.assert_allclose(at.qdd, trajectory.qdd, atol=1e-8)
-    t, motion = sample(trajectory, 0.001)
+    t, motion = sample_trajectory(trajectory, 0.001)
     np.testing.assert_allclose(np.gradient(motion.q, t, axis=0)[2:-2], motion.qd[2:-2], atol=1e-5)
 
 
@@ -44,7 +50,7 @@ def follow(trajectory: JointTrajectory, after_s: float) -> tuple[np.ndarray, np.
     lag = servo_lag_of(machine())
     dt = 0.001
     t = np.arange(0.0, trajectory.duration_s + after_s, dt)
-    reference = evaluate(trajectory, t).q
+    reference = evaluate_trajectory(trajectory, t).q
     q, rate = trajectory.q[0].copy(), np.zeros(6)
     out = np.empty((len(t), 6))
     for k, q_ref in enumerate(reference):
@@ -81,7 +87,7 @@ def test_start_with_a_static_offset_keeps_the_offset():
 def test_join_and_hold():
     plan = plan_move(machine(), Q_USUAL, shifted(Q_USUAL, [0.05, 0.0, 0.0]))
     assert plan.trajectory is not None
-    both = join([plan.trajectory, hold(plan.q_end, 0.5, 0.05)])
+    both = join_trajectories([plan.trajectory, hold_trajectory(plan.q_end, 0.5, 0.05)])
     assert both.duration_s == pytest.approx(plan.duration_s + 0.5)
     assert (np.diff(both.t_s) > 0.0).all()
     np.testing.assert_array_equal(both.q[-1], plan.q_end)

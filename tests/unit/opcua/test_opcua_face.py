@@ -15,8 +15,8 @@ from protocol.codes import FaultBit
 from recording.clock import mono_ns
 from server.errors import SettingsError
 from server.faces import opcua as face_module
-from server.faces.opcua import OperationalMode, Shown, check_opcua, opcua_face, shown
-from server.faces.shell import CONNECTIONS_MAX, running
+from server.faces.opcua import OpcUaValue, OperationalMode, check_opcua, opcua_face, opcua_values
+from server.faces.shell import CONNECTIONS_MAX, running_face
 from server.link.contracts import LinkHealth, LinkPhase, PlcSample
 from server.settings import OpcUaSettings
 
@@ -43,8 +43,8 @@ def service(tmp_path):
     made.keeper.database.close()
 
 
-def by_path(service) -> dict[tuple[str, ...], Shown]:
-    return {one.path: one for one in shown(service)}
+def by_path(service) -> dict[tuple[str, ...], OpcUaValue]:
+    return {one.path: one for one in opcua_values(service)}
 
 
 def test_axes_are_in_degrees_with_their_names(service):
@@ -59,7 +59,9 @@ def test_axes_are_in_degrees_with_their_names(service):
 
 def test_what_the_plc_has_not_told_lately_is_not_fresh(service):
     now_ns = service.cell.link.latest.t_mono_ns
-    at = {age_s: {one.path: one.fresh for one in shown(service, now_ns + int(age_s * 1e9))} for age_s in (0.2, 0.3)}
+    at = {
+        age_s: {one.path: one.fresh for one in opcua_values(service, now_ns + int(age_s * 1e9))} for age_s in (0.2, 0.3)
+    }
     assert at[0.2][POSITION_2] is True
     assert at[0.3][POSITION_2] is False
     assert at[0.3][(*PARAMETERS, "Model")] is True  # nothing of the PLC's
@@ -86,9 +88,9 @@ def test_faults_are_told_as_the_companion_specification_names_them(service):
 
 
 def test_the_paths_never_change(service):
-    before = [one.path for one in shown(service)]
+    before = [one.path for one in opcua_values(service)]
     service.cell.link.latest = None
-    assert [one.path for one in shown(service)] == before
+    assert [one.path for one in opcua_values(service)] == before
     assert len(set(before)) == len(before)
 
 
@@ -190,7 +192,7 @@ async def test_a_client_reads_everything_and_changes_nothing(service, monkeypatc
             return (await position.read_data_value(raise_on_bad_status=False)).StatusCode.is_good()
 
         await until(good)
-        for one in shown(service):
+        for one in opcua_values(service):
             assert await (await node(client, one.path)).read_value() == one.value, one.path
         assert (
             await (await position.get_child([f"{position.nodeid.NamespaceIndex}:EngineeringUnits"])).read_value()
@@ -204,7 +206,7 @@ async def test_a_client_reads_everything_and_changes_nothing(service, monkeypatc
 
         await until(followed)
 
-        for one in shown(service):
+        for one in opcua_values(service):
             variable = await node(client, one.path)
             with pytest.raises(ua.UaStatusCodeError):
                 await variable.write_value(one.value)
@@ -226,7 +228,7 @@ async def test_a_face_that_dies_is_told(service, caplog):
     async def dies():
         raise RuntimeError("gone")
 
-    async with running("face", dies(), "values are no longer updated"):
+    async with running_face("face", dies(), "values are no longer updated"):
         await asyncio.sleep(0.01)
     assert "values are no longer updated" in caplog.text
 

@@ -11,7 +11,7 @@ from export_parts import PARAMETERS, constants, declaration
 from protocol import codes, layout, timeouts
 from protocol.codes import PlcState
 from protocol.limits import cfg_id
-from protocol.plc_events import Effect
+from protocol.plc_events import PlcAction
 from protocol.plc_states import TRANSITIONS, PlcEvent
 from protocol.twincat.bundle import next_state_source
 
@@ -98,7 +98,7 @@ def test_wire_enumerations_have_their_numbers_and_base_type(name: str, base: str
     ("name", "labels"),
     [
         ("E_HmEvent", [event.name for event in PlcEvent]),
-        ("E_HmEffect", [effect.name for effect in Effect]),
+        ("E_HmEffect", [effect.name for effect in PlcAction]),
         ("E_HmMotion", ["FOLLOW", "HOLD", "PLAY", "PATH_STOP", "JOINT_STOP", "SERVO"]),
     ],
 )

@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.client_events import ClientPhase, Closed, Dropped, GateRefused, RejectSeen, StateReceived, TrajectoryEnded
+from protocol.client_events import (
+    ClientPhase,
+    DatagramDropped,
+    GateRefused,
+    LinkClosed,
+    RejectSeen,
+    StateReceived,
+    TrajectoryEnded,
+)
 from protocol.client_link import ClientLink
 from protocol.codec import decode_command, encode_state
 from protocol.codes import LinkState, Mode, PlcState, RejectCode
@@ -99,7 +107,7 @@ def test_reset_only_in_fault_and_disarm_until_the_session_is_gone() -> None:
     pc.feed(plc_state=PlcState.HOLD)
     pc.link.request_disarm()
     assert pc.next().mode is Mode.DISARM
-    assert pc.feed(session=0, plc_state=PlcState.DISARMED)[-1] == Closed("disarmed")
+    assert pc.feed(session=0, plc_state=PlcState.DISARMED)[-1] == LinkClosed("disarmed")
     assert pc.link.send(pc.t_ns) is None
     assert pc.feed() == []
 
@@ -148,7 +156,7 @@ def test_states_are_taken_once_and_in_order() -> None:
     pc.feed(seq=pc.state.seq + 4)
     assert (pc.link.counters.lost, pc.link.counters.stale) == (3, 2)
     far = pc.feed(seq=pc.state.seq + 5000)
-    assert far == [Dropped(RejectCode.SEQ_JUMP, far[0].text)]
+    assert far == [DatagramDropped(RejectCode.SEQ_JUMP, far[0].text)]
 
 
 def test_a_late_state_from_before_the_session_does_not_end_it() -> None:
@@ -185,7 +193,7 @@ def test_without_states_first_no_knots_then_a_stop_then_the_end() -> None:
     assert pc.next().mode is Mode.STOP
     assert pc.link.phase(pc.t_ns) is ClientPhase.OFFLINE
     events = pc.wait(750)
-    assert [type(event) for event in events] == [TrajectoryEnded, Closed]
+    assert [type(event) for event in events] == [TrajectoryEnded, LinkClosed]
     assert not events[0].reached
 
 
@@ -303,4 +311,4 @@ def test_a_pc_that_wants_the_session_is_named_as_such_and_no_command_of_ours_is_
 @given(st.binary(max_size=700))
 def test_any_bytes_give_a_dropped_event(data: bytes) -> None:
     pc = Pc()
-    assert isinstance(pc.link.receive(data, pc.t_ns)[0], Dropped)
+    assert isinstance(pc.link.receive(data, pc.t_ns)[0], DatagramDropped)

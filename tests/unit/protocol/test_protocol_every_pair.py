@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from protocol.client_events import ClientPhase, Closed, Dropped, StateReceived
+from protocol.client_events import ClientPhase, DatagramDropped, LinkClosed, StateReceived
 from protocol.client_link import ClientLink
 from protocol.codec import decode_command, decode_state, encode_command, encode_state
 from protocol.codes import CommandFlag, Interp, LinkState, Mode, PlcState, RejectCode
@@ -19,7 +19,7 @@ from protocol.errors import IllegalTransitionError, LocalProtocolError
 from protocol.framing import RawFraming
 from protocol.limits import AxisLimits, LimitTable
 from protocol.messages import ZEROS, Command, Knot, PlcStatus, State
-from protocol.plc_events import Rejected
+from protocol.plc_events import CommandRejected
 from protocol.plc_link import PlcLink, PlcLinkSettings
 from protocol.plc_states import PlcEvent
 
@@ -180,7 +180,7 @@ def check_pair(plc: Plc, name: str, cell: str, met: PlcState, before: State) -> 
     events = plc.give(name)
     after = plc.seen()
     if cell in REFUSED:
-        assert isinstance(events[0], Rejected), name
+        assert isinstance(events[0], CommandRejected), name
         assert (events[0].code, plc.link.state) == (REFUSED[cell], met), name
         assert repr(plc.link._session) == inside, name
         assert (after.link_state, after.rx_age_us, after.nonce) == (before.link_state, before.rx_age_us, before.nonce)
@@ -188,7 +188,7 @@ def check_pair(plc: Plc, name: str, cell: str, met: PlcState, before: State) -> 
         assert after.reject_offset == (16 if cell == "s" else 48), name
         return
     expected = met if cell == "." else LETTERS[cell]
-    assert not isinstance(events[0], Rejected), (name, events)
+    assert not isinstance(events[0], CommandRejected), (name, events)
     assert plc.link.state is expected, name
     assert after.reject_count == before.reject_count, name
     if expected is PlcState.DISARMED:
@@ -317,7 +317,7 @@ def test_every_phase_with_every_state_of_another_session(phase: ClientPhase, sta
     events = pc.feed(plc_state=state, session=8)
     assert isinstance(events[0], StateReceived)
     if pc.session_open:
-        assert isinstance(events[-1], Closed)
+        assert isinstance(events[-1], LinkClosed)
         assert pc.link.phase(pc.t_ns) is ClientPhase.OFFLINE
         assert pc.link.send(pc.t_ns) is None
     else:
@@ -333,7 +333,7 @@ def test_every_phase_with_what_is_no_news(phase: ClientPhase) -> None:
     good = encode_state(pc.state)
     for junk in (b"", b"\x00", good[:-1], good + b"\x00", good[:-1] + bytes((good[-1] ^ 1,)), bytes(568)):
         events = pc.link.receive(junk, pc.t_ns)
-        assert [type(event) for event in events] == [Dropped]
+        assert [type(event) for event in events] == [DatagramDropped]
         assert pc.link.phase(pc.t_ns) is phase
     if pc.session_open:
         assert pc.link.receive(good, pc.t_ns) == []
@@ -355,5 +355,5 @@ def test_every_phase_with_silence(phase: ClientPhase) -> None:
     assert pc.sent() == ("STOP" if pc.session_open else "HELLO")
     pc.t_ns += 750 * MS
     events = pc.link.poll(pc.t_ns)
-    assert any(isinstance(event, Closed) for event in events) is pc.session_open
+    assert any(isinstance(event, LinkClosed) for event in events) is pc.session_open
     assert pc.link.closed is pc.session_open

@@ -11,7 +11,7 @@ from protocol.codes import CommandFlag, Interp, LinkState, Mode, PlcState, Rejec
 from protocol.framing import RawFraming
 from protocol.messages import Command, Knot, PlcStatus, State
 from protocol.objection import Objection
-from protocol.plc_events import Accepted, Effect, Rejected, SessionOpened, SessionVoid, StateChanged
+from protocol.plc_events import CommandAccepted, CommandRejected, PlcAction, SessionOpened, SessionVoid, StateChanged
 from protocol.plc_link import PlcLink, PlcLinkSettings
 from protocol.plc_states import PlcEvent
 
@@ -85,7 +85,7 @@ class Bench:
 
 def code_of(events: list) -> RejectCode:  # type: ignore[type-arg]
     assert len(events) >= 1
-    assert isinstance(events[0], Rejected)
+    assert isinstance(events[0], CommandRejected)
     return events[0].code
 
 
@@ -130,7 +130,7 @@ def test_every_mode_in_every_state(state: PlcState, mode: Mode) -> None:
     if state is PlcState.LINKED:
         allowed = allowed | {Mode.DISARM: PlcState.DISARMED}
     if mode in allowed:
-        assert any(isinstance(event, Accepted) for event in events)
+        assert any(isinstance(event, CommandAccepted) for event in events)
         assert bench.link.state is allowed[mode]
     else:
         expected = {PlcState.DISARMED: RejectCode.SESSION}.get(state, RejectCode.MODE_ILLEGAL)
@@ -192,7 +192,7 @@ def test_a_stop_is_taken_even_from_a_blind_pc_with_other_limits(mode: Mode) -> N
     bench = Bench().reach(PlcState.RUN)
     bench.verdict = Objection(RejectCode.LIMIT_Q, 88)
     events = bench.send(mode, t_plc_echo_ns=0, cfg_id=1)
-    assert isinstance(events[-1], Accepted)
+    assert isinstance(events[-1], CommandAccepted)
     assert bench.link.state is PlcState.STOPPING
 
 
@@ -213,7 +213,7 @@ def test_arming_needs_25_good_commands_and_the_present_nonce() -> None:
     assert code_of(bench.send(Mode.ARM, arm_nonce=bench.link.nonce + 1)) is RejectCode.NONCE
     events = bench.send(Mode.ARM)
     assert events[0] == StateChanged(PlcState.LINKED, PlcState.HOLD, PlcEvent.ARM)
-    assert events[1].effect is Effect.ARM
+    assert events[1].effect is PlcAction.ARM
 
 
 def test_silence_warns_stops_and_ends_the_session() -> None:
@@ -264,20 +264,20 @@ def test_motion_never_resumes_by_itself() -> None:
     bench.wait(251)
     bench.link.apply(PlcEvent.AT_REST, bench.t_ns)
     events = bench.send(Mode.TRAJECTORY)  # the PC is back and goes on as if nothing had been
-    assert events == [Accepted(events[0].command, Effect.KEEPALIVE)]
+    assert events == [CommandAccepted(events[0].command, PlcAction.KEEPALIVE)]
     assert bench.link.state is PlcState.HOLD
     assert code_of(bench.send(Mode.TRAJECTORY, traj_id=0)) is RejectCode.TRAJ_ID
     events = bench.send(Mode.TRAJECTORY, traj_id=2)
-    assert [type(event) for event in events] == [StateChanged, Accepted]
+    assert [type(event) for event in events] == [StateChanged, CommandAccepted]
     assert bench.link.state is PlcState.RUN
     assert code_of(bench.send(Mode.TRAJECTORY, traj_id=1)) is RejectCode.TRAJ_ID
 
 
 def test_a_prefilled_trajectory_is_void_after_silence_too() -> None:
     bench = Bench().reach(PlcState.HOLD)
-    assert bench.send(Mode.TRAJECTORY, cmd_flags=CommandFlag(0))[0].effect is Effect.LOAD
+    assert bench.send(Mode.TRAJECTORY, cmd_flags=CommandFlag(0))[0].effect is PlcAction.LOAD
     bench.wait(251)
-    assert bench.send(Mode.TRAJECTORY)[0].effect is Effect.KEEPALIVE
+    assert bench.send(Mode.TRAJECTORY)[0].effect is PlcAction.KEEPALIVE
     assert bench.link.state is PlcState.HOLD
 
 
@@ -288,7 +288,7 @@ def test_a_prefilled_motion_is_void_after_a_stop_too(mode: Mode, motion: Mode) -
     bench.send(motion, cmd_flags=CommandFlag(0))
     bench.send(mode)
     assert bench.link.state is PlcState.HOLD
-    assert bench.send(motion)[0].effect is Effect.KEEPALIVE
+    assert bench.send(motion)[0].effect is PlcAction.KEEPALIVE
     assert bench.link.state is PlcState.HOLD
     bench.send(motion, traj_id=2)
     assert bench.link.state is PlcState.RUN
@@ -298,7 +298,7 @@ def test_another_trajectory_while_one_runs_stops_and_starts_nothing() -> None:
     bench = Bench().reach(PlcState.RUN)
     events = bench.send(Mode.TRAJECTORY, traj_id=2)
     assert events[0] == StateChanged(PlcState.RUN, PlcState.STOPPING, PlcEvent.SOFT_STOP)
-    assert events[1].effect is Effect.KEEPALIVE
+    assert events[1].effect is PlcAction.KEEPALIVE
 
 
 def test_a_replayed_old_session_cannot_arm() -> None:
@@ -358,7 +358,7 @@ def test_reset_ends_the_session_so_that_hello_and_arm_are_needed() -> None:
     assert code_of(bench.send(Mode.RESET)) is RejectCode.FAULT_PRESENT
     bench.verdict = None
     events = bench.send(Mode.RESET)
-    assert [type(e) for e in events] == [StateChanged, SessionVoid, Accepted]
+    assert [type(e) for e in events] == [StateChanged, SessionVoid, CommandAccepted]
     assert (bench.link.state, bench.link.session) == (PlcState.DISARMED, 0)
 
 
@@ -385,7 +385,7 @@ def test_whatever_comes_without_arm_nothing_runs(steps: list) -> None:  # type: 
             events = bench.wait(step[1])
         else:
             events = bench.link.receive(step[1], bench.t_ns, PC)
-            assert isinstance(events[0], Rejected)
+            assert isinstance(events[0], CommandRejected)
         for event in events:
             if isinstance(event, StateChanged):
                 armed = event.new in (PlcState.HOLD, PlcState.RUN, PlcState.STOPPING)

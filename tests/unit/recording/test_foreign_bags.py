@@ -11,13 +11,13 @@ pytest.importorskip("rosbags")
 
 from foreign_logs import ARM, STEP_S, BagMaker, encoders, reference
 
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 from longreach.cli import app
 from recording.content import column
 from recording.errors import RecordingError
-from recording.foreign.assemble import Assembled
+from recording.foreign.assemble import AssembledRecording
 from recording.foreign.convert import convert_foreign
-from recording.foreign.found import Found
+from recording.foreign.found import SourceContents
 from recording.foreign.ros_bag import RosBag
 from recording.opening import read_run
 from recording.rows import PlcState, TrackerPoint
@@ -25,7 +25,7 @@ from recording.rows import PlcState, TrackerPoint
 ROWS = 300
 
 
-def yes(_: Found, __: Assembled) -> bool:
+def yes(_: SourceContents, __: AssembledRecording) -> bool:
     return True
 
 
@@ -71,7 +71,7 @@ def test_a_bag_gives_its_numbers_back_whatever_its_storage_and_distribution(
 
 def test_the_diagnosis_can_judge_a_converted_bag(tmp_path: Path, urdf: Path) -> None:
     convert_foreign(full_bag(tmp_path / "bag", "MCAP"), tmp_path / "out", urdf, None, yes)
-    whole = read(tmp_path / "out")
+    whole = read_for_diagnosis(tmp_path / "out")
     assert whole.usable, [str(one) for one in whole.findings]
     assert whole.nominal is not None
     assert whole.nominal.joint_names == ("j1", "j2")  # the fingers are no part of the arm

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 from longreach.cli import app
 from recording.content import column
 from recording.errors import RecordingError
-from recording.foreign.assemble import Assembled
+from recording.foreign.assemble import AssembledRecording
 from recording.foreign.convert import convert_foreign
-from recording.foreign.found import Found
+from recording.foreign.found import SourceContents
 from recording.opening import read_run
 from recording.rows import PlcState, TrackerPoint
 
@@ -22,7 +22,7 @@ REF = np.stack([0.5 * np.sin(T), 0.3 * np.sin(2.0 * T)], axis=1)
 ENC = np.stack([0.5 * np.sin(T - 0.05), 0.3 * np.sin(2.0 * T - 0.1)], axis=1)
 
 
-def yes(_: Found, __: Assembled) -> bool:
+def yes(_: SourceContents, __: AssembledRecording) -> bool:
     return True
 
 

@@ -18,7 +18,7 @@ from server.calibration.contracts import CalibrationStatus, CameraRotationEstima
 from server.camera.contracts import FrameReport
 from server.link.contracts import PlcSample
 from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
-from server.motion.identification_courses import Mark
+from server.motion.identification_courses import SegmentMark
 from server.recorder import Recorder
 from server.vision.contracts import Look, LookStatus, MarkerView, ObjectPose, PairObservation, PoseStatus
 
@@ -154,11 +154,11 @@ def test_segments_name_repeats(tmp_path: Path) -> None:
 
 
 def test_stretches_of_a_trajectory_count_from_one_moment_and_a_cut_repeat_is_none(tmp_path: Path) -> None:
-    marks = [Mark(f"repeats {k}", "repeat", 0.25 * k, 0.25 * (k + 1), "repeats") for k in range(3)]
+    marks = [SegmentMark(f"repeats {k}", "repeat", 0.25 * k, 0.25 * (k + 1), "repeats") for k in range(3)]
     recorder = Recorder(tmp_path, MACHINE, images=False)
     recorder.start("identify", "{}", MACHINE_TOML)
     recorder.sample(sample(0))
-    recorder.begin_marks((*marks, Mark("steps", "steps", 0.5, 9.0), Mark("rest", "hold", 9.0, 10.0)))
+    recorder.begin_marks((*marks, SegmentMark("steps", "steps", 0.5, 9.0), SegmentMark("rest", "hold", 9.0, 10.0)))
     for number in range(1, 61):  # 0.6 s: in the third repeat the machine is stopped
         recorder.sample(sample(number))
     recorder.end_marks()

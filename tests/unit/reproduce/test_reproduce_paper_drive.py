@@ -14,9 +14,9 @@ from machine.chain import chain_of
 from machine.poses import pose
 from server.errors import JobFailedError
 from server.jobs.performer import Performer
-from server.jobs.plans.driving import STEPS_MAX, drive, integrate
+from server.jobs.plans.driving import STEPS_MAX, correct_encoder_shortfall, drive_and_correct
 from server.jobs.plans.planning import plan_to
-from server.jobs.requests import MachineReading, Move, Settle, Sighted, StartWatching, StopWatching, sighted_of
+from server.jobs.requests import MachineReading, Move, SeenPairs, Settle, StartWatching, StopWatching, sighted_of
 from server.vision.object_pose import not_seen
 from sim_plc.world import rng_for
 
@@ -49,7 +49,7 @@ def test_the_papers_reference_ends_at_the_goal_itself():
 
 def integrated(ctx, plan, q: np.ndarray, follows: bool) -> tuple[int, list[np.ndarray]]:
     """Steps told and references moved to, for a machine at q that follows at once, or never does."""
-    steps, q_ref, moves = integrate(ctx, plan, "move"), plan.q_end, []
+    steps, q_ref, moves = correct_encoder_shortfall(ctx, plan, "move"), plan.q_end, []
     try:
         request = next(steps)
         while True:
@@ -104,14 +104,14 @@ def test_a_trim_is_told_of_the_wall():
     with pytest.raises(
         JobFailedError, match=r"move: correction: tool comes to \d+ mm from the wall, limit 50 mm"
     ) as failure:
-        short_of_it(drive(ctx, plan, "move"), reading(plan.q_end - 5e-3, plan.q_end))
+        short_of_it(drive_and_correct(ctx, plan, "move"), reading(plan.q_end - 5e-3, plan.q_end))
     assert failure.value.code == "trim_refused"
 
 
 def test_a_dead_band_is_integrated_away_where_the_move_is_long():
     """Lift and tilt alone carry this move; without the integration they would rest 4 mrad short."""
     ctx, cell, _, plan = paper_plan(-0.05)
-    run_plan(drive(ctx, plan, "move"), cell)
+    run_plan(drive_and_correct(ctx, plan, "move"), cell)
     lacks = np.abs(plan.q_end - cell.machine.q_encoder)
     assert lacks[1:3].max() < 3e-4
     assert cell.machine.q_ref[1] - plan.q_end[1] == pytest.approx(-4e-3, abs=2e-3)
@@ -161,7 +161,7 @@ def test_the_performer_keeps_usable_pairs_between_start_and_stop():
     report(4.0)
     sighted, encoder = asyncio.run(performer.perform(StopWatching()))
     report(5.0)
-    assert isinstance(sighted, Sighted)
+    assert isinstance(sighted, SeenPairs)
     assert vision.source == "mono"
     np.testing.assert_allclose(sighted.t_s, [2.0, 4.0])
     np.testing.assert_allclose(encoder.t_s, [3.0, 3.0])

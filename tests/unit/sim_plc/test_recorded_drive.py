@@ -8,7 +8,7 @@ import pytest
 from machine.description import parse_machine_toml
 from machine.effects.arm import arm_of
 from machine.effects.dynamics import actuators_of, drive_by_sent, simulate
-from machine.effects.entries import EffectEntry, pack
+from machine.effects.entries import EffectEntry, pack_effects
 from machine.effects.structure import tcp_poses
 from server.settings import read_machine_text
 from sim_plc.plant.tree import MOTORS
@@ -45,7 +45,7 @@ def kernel(effects, sent_s, sent):
     """The same by the kernel that diagnoses are fitted with."""
     plant = actuators_of(MACHINE)
     cycles = round(T_S[-1] / plant.cycle_s) + 1
-    return simulate(plant, pack(effects, 6), drive_by_sent(plant, sent_s, sent, 0.0, cycles))
+    return simulate(plant, pack_effects(effects, 6), drive_by_sent(plant, sent_s, sent, 0.0, cycles))
 
 
 @pytest.mark.parametrize(
@@ -105,8 +105,8 @@ def test_the_tool_goes_where_bias_and_length_put_it(plain):
 @pytest.mark.parametrize(("joint", "compliance"), [(2, 3e-7), (2, 2e-6), (3, 2e-6)])
 def test_the_arm_sags_by_what_its_entry_says_and_by_nothing_else(plain, joint, compliance):
     sag = effect("gravity_sag", compliance, joint, "compliance_rad_nm")
-    expected = tcp_poses(arm_of(MACHINE), pack((sag,), 6), Q_START[None])[0]
-    rigid = tcp_poses(arm_of(MACHINE), pack((), 6), Q_START[None])[0]
+    expected = tcp_poses(arm_of(MACHINE), pack_effects((sag,), 6), Q_START[None])[0]
+    rigid = tcp_poses(arm_of(MACHINE), pack_effects((), 6), Q_START[None])[0]
     assert at_rest(offline(plain, ()), Q_START) == pytest.approx(rigid, abs=3e-4)  # encoder counts
     made = at_rest(offline(plain, (sag,)), Q_START)
     dropped = np.linalg.norm(expected[:3, 3] - rigid[:3, 3])

@@ -10,11 +10,18 @@ from server.access.errors import LeaseLostError
 from server.access.lease import LeaseKind
 from server.access.roles import Caller
 from server.jobs.engine import JobEngine, JobState
-from server.jobs.keeper import Command, Keeper, began
+from server.jobs.keeper import Command, Keeper, job_start_rows
 from server.jobs.requests import Settle
 from server.store.audit_rows import AuditEntry, read_audit, read_operating_time
 from server.store.database import Database, StoreError
-from server.store.idempotency import Answered, KeyInProgressError, KeyReusedError, read_answer, replay_of, save_answer
+from server.store.idempotency import (
+    KeyInProgressError,
+    KeyReusedError,
+    StoredAnswer,
+    read_answer,
+    replay_of,
+    save_answer,
+)
 
 FLEET = Caller("truck 7", "fleet", "10.0.0.7")
 
@@ -65,8 +72,8 @@ async def start(engine, keeper, key=""):
     lease = engine.leases.held or engine.leases.acquire("truck 7", LeaseKind.FLEET, 60.0)
 
     async def keep(job):
-        answer = Command(FLEET, "r1", key, lambda job: Answered("hash", 202, "/v1/jobs/x", job.job_id))
-        await keeper.begin(began(job, "{}", "", lease, answer))
+        answer = Command(FLEET, "r1", key, lambda job: StoredAnswer("hash", 202, "/v1/jobs/x", job.job_id))
+        await keeper.begin(job_start_rows(job, "{}", "", lease, answer))
 
     return await engine.submit_kept("park", plan(), "truck 7", lease, keep)
 
@@ -159,7 +166,7 @@ async def test_control_lost_while_it_is_written_down_begins_nothing(tmp_path):
 
 
 def test_a_key_replays_the_same_body_only():
-    answered = Answered("same", 202, "/v1/jobs/x", "{}")
+    answered = StoredAnswer("same", 202, "/v1/jobs/x", "{}")
     assert replay_of(answered, False, "same") is answered
     assert replay_of(None, False, "same") is None
     with pytest.raises(KeyReusedError):

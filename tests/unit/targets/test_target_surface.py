@@ -9,7 +9,7 @@ from benchmarks.targets.scene import bare_rock, left_eye, true_target, view
 from machine.camera import undistort_to_rays
 from server.targets.contracts import PatchStatus
 from server.targets.surface import measure_patch, target_frame, uncertainty_95, with_roll
-from server.vision.look import deviations
+from server.vision.look import pose_deviations
 
 
 def measured(left, right, pixel=PIXEL):
@@ -22,7 +22,7 @@ def test_position_and_normal_lie_within_four_stated_sigmas(distance_m):
     patch = measured(*pair)
     assert patch.ok, patch.reason
     truth = true_target(rock().relief, machine().camera, T_ooi_cam, PIXEL)
-    error = deviations(patch.T_cam_target[None], truth)[0]
+    error = pose_deviations(patch.T_cam_target[None], truth)[0]
     assert error @ np.linalg.solve(patch.covariance, error) < 16.0 + 12.0  # chi2 of 6: 28 is exceeded once in 10 000
     assert np.linalg.norm(error[3:]) < 0.003
     assert uncertainty_95(patch.covariance)[0] < 2.0

@@ -8,7 +8,7 @@ from target_scenes import SETTINGS, anchored, machine, pair_at, pixel_of, true_i
 from server.targets.source import TargetPoseSource
 from server.targets.tracking import TargetTracker
 from server.vision.contracts import ObjectPose, PairObservation, PoseStatus
-from server.vision.look import deviations
+from server.vision.look import pose_deviations
 from server.vision.object_pose import NO_RIVAL
 
 
@@ -25,7 +25,7 @@ def test_the_same_place_is_found_from_another_distance(distance_m):
     if not fix.ok:  # the way is too long for flow, so the next one recognises
         fix = fresh.find(*pair)
     assert fix.ok, fix.reason
-    error = deviations(fix.T_cam_target[None], true_in(T_ooi_cam))[0]
+    error = pose_deviations(fix.T_cam_target[None], true_in(T_ooi_cam))[0]
     assert np.linalg.norm(error[3:]) < 0.003
     assert np.rad2deg(np.linalg.norm(error[:3])) < 2.0
     assert np.linalg.eigvalsh(fix.covariance).min() > 0.0

@@ -24,7 +24,7 @@ from machine.rotations import rotation_from_rotvec
 from server.camera.contracts import StereoFrame
 from server.vision.marker_search import dictionary_by_name, find_markers
 from server.vision.teach_contracts import TeachSettings
-from server.vision.teach_views import Offer
+from server.vision.teach_views import OfferedView
 
 NAME = "DICT_APRILTAG_36h11"
 DICTIONARY = dictionary_by_name(NAME)
@@ -277,8 +277,8 @@ def test_live_views_are_kept_until_there_are_enough(scene):
         Camera(scene[0]), search, TeachSettings(), 4, 60.0, lambda offer, view, kept: heard.append((offer, len(kept)))
     )
     assert len(views) == 4
-    assert [offer for offer, _ in heard][:3] == [Offer.MOVING, Offer.MOVING, Offer.TAKEN]
-    assert heard[-1] == (Offer.TAKEN, 4)
+    assert [offer for offer, _ in heard][:3] == [OfferedView.MOVING, OfferedView.MOVING, OfferedView.TAKEN]
+    assert heard[-1] == (OfferedView.TAKEN, 4)
 
 
 def test_a_camera_that_sends_nothing_is_told_of_after_half_a_minute_not_at_the_end(monkeypatch):

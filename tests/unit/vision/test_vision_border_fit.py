@@ -6,7 +6,7 @@ import pytest
 
 from server.vision.border_fit import CELL_MIN_PX, border_covered, printed_pattern, sides_moved_in
 from server.vision.edge_fit import SideFit
-from server.vision.marker_search import dictionary_by_name, find_markers, marker_cells, refined
+from server.vision.marker_search import dictionary_by_name, find_markers, marker_cells, refined_marker
 
 FINE = 6  # pictures are drawn finer and averaged
 NAMES = ("DICT_4X4_50", "DICT_APRILTAG_36h11")
@@ -39,7 +39,7 @@ def drawn(
 
 def fit_of(image, dictionary):
     (found,) = find_markers(image, dictionary)
-    return refined(found, image, dictionary, None)
+    return refined_marker(found, image, dictionary, None)
 
 
 @pytest.mark.parametrize("name", NAMES)

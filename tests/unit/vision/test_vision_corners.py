@@ -10,7 +10,13 @@ from machine.markers import marker_corners
 from machine.poses import transform_points
 from server.vision.edge_fit import SideFit, refine_corners, side_sags
 from server.vision.errors import UnknownDictionaryError
-from server.vision.marker_search import cells_along_side, dictionary_by_name, dictionary_names, find_markers, refined
+from server.vision.marker_search import (
+    cells_along_side,
+    dictionary_by_name,
+    dictionary_names,
+    find_markers,
+    refined_marker,
+)
 
 
 def soft_square(corners_px: np.ndarray, shape=(160, 160), blur_px=0.7) -> np.ndarray:
@@ -55,7 +61,7 @@ def test_rendered_markers_have_no_bias_and_small_noise():
             for marker in machine().markers_on("ooi"):
                 if marker.marker_id not in found:  # behind the tool
                     continue
-                one = refined(found[marker.marker_id], image, dictionary, machine().camera)
+                one = refined_marker(found[marker.marker_id], image, dictionary, machine().camera)
                 if one.fit is not SideFit.CLEAN:
                     continue
                 corners = transform_points(T_cam_ooi @ marker.T_on_marker, marker_corners(marker.side_m))
@@ -95,7 +101,7 @@ def test_markers_of_any_dictionary_are_found(name):
     assert found.marker_id == 3
     assert cells_along_side(dictionary) == dictionary.markerSize + 2
     expected = np.array([[89.5, 79.5], [229.5, 79.5], [229.5, 219.5], [89.5, 219.5]])
-    assert np.abs(refined(found, image, dictionary, None).corners_px - expected).max() < 0.15, "px"
+    assert np.abs(refined_marker(found, image, dictionary, None).corners_px - expected).max() < 0.15, "px"
 
 
 def test_an_unknown_dictionary_names_the_known_ones():

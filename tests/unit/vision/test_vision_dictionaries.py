@@ -12,7 +12,7 @@ from machine.marker_sections import dictionary_size
 from machine.markers import marker_corners
 from machine.poses import transform_points
 from server.vision.edge_fit import SideFit
-from server.vision.marker_search import dictionary_by_name, dictionary_names, find_markers, refined
+from server.vision.marker_search import dictionary_by_name, dictionary_names, find_markers, refined_marker
 from server.vision.object_pose import PoseSettings, estimate_object_pose
 from server.vision.pose_problem import Sighting
 
@@ -46,7 +46,7 @@ def test_a_printed_marker_is_found_with_id_corner_order_and_pose(name):
     for image, corners in zip(images, truth, strict=True):
         (found,) = (one for one in find_markers(image, dictionary) if one.marker_id == marker.marker_id)
         assert np.abs(found.corners_px - corners).max() < 1.5, "px: same corner first, same way round"
-        fine = refined(found, image, dictionary, machine().camera)
+        fine = refined_marker(found, image, dictionary, machine().camera)
         assert fine.fit is SideFit.CLEAN
         assert np.abs(fine.corners_px - corners).max() < 0.1, "px"
         seen.append(fine.corners_px)

@@ -8,7 +8,14 @@ from vision_scenes import machine, renderer, tcp_in_ooi
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
 from server.vision.detection import EyeDetector, MarkerFollower
-from server.vision.marker_search import NO_MATCH, dictionary_by_name, find_markers, marker_cells, refined, wrong_cells
+from server.vision.marker_search import (
+    NO_MATCH,
+    dictionary_by_name,
+    find_markers,
+    marker_cells,
+    refined_marker,
+    wrong_cells,
+)
 from sim_plc.camera.renderer import StaticPose
 
 WANTED = frozenset({1, 3, 10})  # 2 hides behind the tool here
@@ -61,7 +68,7 @@ def test_a_marker_is_followed_through_motion_with_the_corners_a_search_finds(dic
     for step in range(4):
         image = left_eye(0.6, shift_m=0.0025 * step, turn_rad=0.002 * step)
         searched = {
-            one.marker_id: refined(one, image, dictionary, machine().camera)
+            one.marker_id: refined_marker(one, image, dictionary, machine().camera)
             for one in find_markers(image, dictionary)
             if one.marker_id in WANTED
         }
@@ -76,7 +83,7 @@ def test_a_marker_is_followed_through_motion_with_the_corners_a_search_finds(dic
 def test_another_marker_in_the_same_place_is_not_followed(dictionary):
     follower = MarkerFollower(machine().camera, dictionary)
     image, _ = printed(dictionary, 7)
-    found = {one.marker_id: refined(one, image, dictionary, None) for one in find_markers(image, dictionary)}
+    found = {one.marker_id: refined_marker(one, image, dictionary, None) for one in find_markers(image, dictionary)}
     follower.remember(found)
     assert follower.follow(7, image) is not None
     other, _ = printed(dictionary, 8)

@@ -16,9 +16,9 @@ from server.vision.odometry import OdometrySettings, StereoOdometry
 from server.vision.odometry_covariance import KeyframeCovariances, readout_of
 from server.vision.odometry_features import recognise
 from server.vision.odometry_keyframe import ray_sigma, triangulated
-from server.vision.odometry_motion import Motion, moved_by_twist, row_fractions, standing
+from server.vision.odometry_motion import Motion, moved_by_twist, row_fractions, standing_motion
 from server.vision.odometry_sensitivity import Sensitivity
-from server.vision.odometry_sight import StereoMatches, flow, plausible
+from server.vision.odometry_sight import StereoMatches, optical_flow, plausible
 
 CAMERA = machine().camera
 PINHOLE = replace(CAMERA, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
@@ -46,7 +46,7 @@ def test_flow_that_does_not_come_back_is_refused():
     points = np.stack(np.meshgrid(np.arange(40.0, 380, 20), np.arange(40.0, 280, 20)), axis=-1).reshape(-1, 2)
     gone = ((points > 110) & (points < 190)).all(axis=1)
     still = ((points < 80) | (points > 220)).any(axis=1)
-    found = flow(first, second, points)
+    found = optical_flow(first, second, points)
     assert found.good[still].all()
     assert found.good[gone].mean() < 0.5
 
@@ -82,7 +82,7 @@ def test_velocity_is_carried_on_and_unknown_after_a_gap():
     def at(t_s: float) -> np.ndarray:
         return pose(np.eye(3), np.array([0.1 * t_s + 0.15 * t_s**2, 0.0, 0.0]))
 
-    motion: Motion = standing(at(0.0), 0)
+    motion: Motion = standing_motion(at(0.0), 0)
     assert not motion.steady
     for k in (1, 2, 3):
         motion = motion.moved_to(at(0.03 * k), 30_000_000 * k)

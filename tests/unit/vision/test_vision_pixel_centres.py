@@ -10,7 +10,7 @@ from machine.markers import marker_corners
 from machine.poses import transform_points
 from machine.targets import Board
 from server.vision.charuco import board_corners
-from server.vision.marker_search import dictionary_by_name, find_markers, refined
+from server.vision.marker_search import dictionary_by_name, find_markers, refined_marker
 from server.vision.odometry_align import align
 
 CAMERA = machine().camera
@@ -37,7 +37,7 @@ def test_drawn_markers_begin_half_a_pixel_before_their_first_pixel():
     image[70:190, 81:201] = cv2.aruco.generateImageMarker(dictionary, 5, 120)
     (found,) = find_markers(image, dictionary)
     exact = np.array([[80.5, 69.5], [200.5, 69.5], [200.5, 189.5], [80.5, 189.5]])
-    ours = refined(found, image, dictionary, None).corners_px
+    ours = refined_marker(found, image, dictionary, None).corners_px
     assert np.abs(ours.mean(axis=0) - exact.mean(axis=0)).max() < 0.02, "px"
     assert np.abs(ours - exact).max() < 0.05, "px"
     border = np.full_like(image, 255)
@@ -56,7 +56,7 @@ def test_the_renderer_draws_where_the_camera_projects():
                 corners = transform_points(
                     truth_of(T_ooi_tcp)["ooi"] @ marker.T_on_marker, marker_corners(marker.side_m)
                 )
-                ours = refined(found[marker.marker_id], image, dictionary, CAMERA)
+                ours = refined_marker(found[marker.marker_id], image, dictionary, CAMERA)
                 if not ours.covered:
                     errors.append(ours.corners_px - project_stereo(CAMERA, corners)[eye])
     assert len(errors) >= 4

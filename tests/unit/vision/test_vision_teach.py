@@ -13,9 +13,9 @@ from machine.rotations import rotation_from_rotvec
 from server.vision.marker_search import dictionary_by_name
 from server.vision.teach import LayoutFrame, TeachTask, teach_layout
 from server.vision.teach_contracts import TeachSettings, TeachStatus, angle_sigma_rad, position_sigma_m
-from server.vision.teach_fit import LayoutState, Priors, fit_layout, free_rows, moved, residuals_px
+from server.vision.teach_fit import LayoutState, Priors, fit_layout, free_rows, residuals_px, stepped_state
 from server.vision.teach_start import SeenViews, corners_of
-from server.vision.teach_views import Offer, ViewKeeper, teach_view
+from server.vision.teach_views import OfferedView, ViewKeeper, teach_view
 
 CAMERA = machine().camera
 SETTINGS = TeachSettings()
@@ -269,7 +269,7 @@ def test_jacobian_and_covariance_against_finite_differences():
 
     def column(step, views_step=None):
         def at(sign):
-            other = moved(fit.state, sign * step)
+            other = stepped_state(fit.state, sign * step)
             if views_step is not None:
                 Ts = other.Ts_cam_ref.copy()
                 for T, one in zip(Ts, sign * views_step, strict=True):
@@ -305,17 +305,17 @@ def test_the_keeper_takes_what_rests_and_is_new():
     def offer(T, hidden=()):
         return keeper.offer(seen_view(markers, T, rng, 0.05, hidden=hidden))
 
-    assert [offer(first) for _ in range(3)] == [Offer.MOVING, Offer.MOVING, Offer.TAKEN]
-    assert offer(first) is Offer.ALIKE
+    assert [offer(first) for _ in range(3)] == [OfferedView.MOVING, OfferedView.MOVING, OfferedView.TAKEN]
+    assert offer(first) is OfferedView.ALIKE
     moving = [offer(looking_at((x, 0.0, 0.9))) for x in np.linspace(0.02, 0.2, 6)]
-    assert set(moving) == {Offer.MOVING}
-    assert [offer(second) for _ in range(2)] == [Offer.MOVING, Offer.TAKEN]
-    assert offer(second, hidden=(2, 3, 4)) is Offer.TOO_FEW_MARKERS
-    assert offer(looking_at((0.0, 0.0, 0.9), roll_deg=20.0)) is Offer.MOVING
+    assert set(moving) == {OfferedView.MOVING}
+    assert [offer(second) for _ in range(2)] == [OfferedView.MOVING, OfferedView.TAKEN]
+    assert offer(second, hidden=(2, 3, 4)) is OfferedView.TOO_FEW_MARKERS
+    assert offer(looking_at((0.0, 0.0, 0.9), roll_deg=20.0)) is OfferedView.MOVING
     assert [offer(looking_at((0.0, 0.0, 0.9), roll_deg=20.0)) for _ in range(3)][
         -1
-    ] is Offer.ALIKE  # a roll tells nothing
-    assert [offer(looking_at((0.0, 0.0, 1.2))) for _ in range(3)][-1] is Offer.TAKEN
+    ] is OfferedView.ALIKE  # a roll tells nothing
+    assert [offer(looking_at((0.0, 0.0, 1.2))) for _ in range(3)][-1] is OfferedView.TAKEN
     assert len(keeper.views) == 3
 
 

@@ -11,16 +11,16 @@ from made_up_cell import made_up
 from scipy.signal import lfilter
 
 from diagnosis.baseline.left_over import prediction_limit
-from diagnosis.cells.behind import joined, shown_behind, without
+from diagnosis.cells.behind import cells_without, join_cells, shown_behind
 from diagnosis.log.nominal import nominal_of
 from diagnosis.noise.floor import Floor, Whitener, with_remainder
-from diagnosis.search.candidates import named, put
+from diagnosis.search.candidates import candidates_of_effects, parameter_sets_with
 from diagnosis.search.fit import Fit, entries_of
 from diagnosis.whole_model.parts import library_of
-from diagnosis.whole_model.solve import solve
+from diagnosis.whole_model.solve import fit_and_prune
 from longreach.fit_baseline import with_baseline
 from machine.description import parse_machine_toml
-from machine.effects.entries import entries_to_toml, pack, parse_entries
+from machine.effects.entries import entries_to_toml, pack_effects, parse_entries
 from machine.effects.layout import neutral_sets
 from machine.effects.registry import EFFECTS
 from machine.effects.spec import Effect
@@ -28,7 +28,9 @@ from machine.errors import MachineFileError
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
 
 REMAINDER = Remainder("actuator", 2, "", 1.5e-5, 4e-5, (0.7, -0.1))
-OF_POINTS = Remainder("structure", None, "tracker", 1e-4, 2e-4, by_axis=(1e-4, 2e-4, 3e-4), oscillation_rad=4e-4, level=1.2)
+OF_POINTS = Remainder(
+    "structure", None, "tracker", 1e-4, 2e-4, by_axis=(1e-4, 2e-4, 3e-4), oscillation_rad=4e-4, level=1.2
+)
 
 
 def test_a_machine_file_carries_its_baseline() -> None:
@@ -113,12 +115,12 @@ def test_a_joint_without_a_remainder_keeps_its_floor() -> None:
 def test_joined_cells_ask_for_an_effect_once() -> None:
     truth = (0.15, 0.0, 0.0)
     parts = [made_up(truth), made_up(truth)]
-    both = joined(parts)
+    both = join_cells(parts)
     assert both.rows.count == 2 * parts[0].rows.count
     assert len(both.candidates) == len(parts[0].candidates)
     assert len(np.unique(both.rows.block)) == 2 * len(np.unique(parts[0].rows.block))
     np.testing.assert_array_equal(both.whitened(both.base)[0, : parts[0].rows.count], parts[0].whitened(both.base)[0])
-    one, two = (solve(cell, library_of(cell)) for cell in (parts[0], both))
+    one, two = (fit_and_prune(cell, library_of(cell)) for cell in (parts[0], both))
     assert [term.effect.key for term in two.best.terms if term.present] == [
         term.effect.key for term in one.best.terms if term.present
     ]
@@ -136,19 +138,19 @@ def test_a_healthy_recording_stays_below_the_level_that_others_predict() -> None
 def test_an_effect_can_be_taken_out_of_the_library() -> None:
     cell = made_up((0.15, 0.0, 0.0))
     gone = cell.candidates[0].name
-    (less,) = without([cell], (gone,))
+    (less,) = cells_without([cell], (gone,))
     assert gone not in {one.name for one in less.candidates}
     assert len(less.candidates) < len(cell.candidates)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda one: one.name)
 def test_whatever_a_fit_names_can_be_written_to_a_machine_file_and_is_the_same_there(effect: Effect) -> None:
-    (one, *_) = named((effect.name,), (1,))
+    (one, *_) = candidates_of_effects((effect.name,), (1,))
     inside = [0.3 * slot.high if one.vector else slot.low + 0.6 * min(slot.high - slot.low, 1.0) for slot in one.slots]
     theta = np.array(inside)
     found = Fit((one,), theta, np.zeros(0), np.zeros((0, len(theta))), 0.0)
     back = parse_entries(tomllib.loads(entries_to_toml(entries_of(found))).get("effect"), 1)
-    wanted, packed = put(neutral_sets(1), (one,), theta), pack(back, 1)
+    wanted, packed = parameter_sets_with(neutral_sets(1), (one,), theta), pack_effects(back, 1)
     np.testing.assert_allclose(packed.joint, wanted.joint, rtol=1e-9)
     np.testing.assert_allclose(packed.machine, wanted.machine, rtol=1e-9)
 
@@ -157,5 +159,5 @@ def test_encoders_are_left_to_what_was_measured_behind_them_if_it_sees_them() ->
     cell = made_up((0.15, 0.0, 0.0))
     assert shown_behind([cell]) == ()
     assert shown_behind([]) == ()
-    seen = replace(cell, candidates=(*cell.candidates, *named(("encoder_scale",), (1,))))
+    seen = replace(cell, candidates=(*cell.candidates, *candidates_of_effects(("encoder_scale",), (1,))))
     assert shown_behind([seen]) == ("encoder_scale",)

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from diagnosis.baseline.left_over import cells_of, forms_of, with_baseline, with_mosts
 from diagnosis.errors import DiagnosisError
-from diagnosis.known.courses import DAMPING, RESPONSES, SWINGS_HZ, Course, responses
+from diagnosis.known.courses import DAMPING, RESPONSES, SWINGS_HZ, Course, actuator_responses
 from diagnosis.known.form import form_of, with_form
-from diagnosis.reading.read import Read, examine
+from diagnosis.reading.read import Read, examine_recording
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import neutral_fit
 from longreach.cli import app
@@ -26,7 +26,7 @@ KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
 
 @cache
 def day(seed: int, *effects: EffectEntry) -> Read:
-    return examine(recording(KINDS, effects, seed), Path(f"day {seed}"))
+    return examine_recording(recording(KINDS, effects, seed), Path(f"day {seed}"))
 
 
 def actuator(whole: Read, joint: int) -> Cell:
@@ -116,7 +116,7 @@ def test_a_swing_is_the_same_at_every_step(step_s: float) -> None:
     t = np.arange(0.0, 4.0, step_s)
     u = np.where(t > 0.2, 1.0, 0.0)
     nothing = np.zeros(len(t))
-    own = responses(Course(step_s, t, nothing, u, nothing, nothing[:, None], t))["swings"]
+    own = actuator_responses(Course(step_s, t, nothing, u, nothing, nothing[:, None], t))["swings"]
     omega = 2.0 * np.pi * SWINGS_HZ
     s = omega * (-DAMPING + 1j * np.sqrt(1.0 - DAMPING**2))
     later = t[-1] - (t[u > 0.0][0])
@@ -126,7 +126,7 @@ def test_a_swing_is_the_same_at_every_step(step_s: float) -> None:
 
 def test_one_joint_alone_has_no_others_to_answer_to() -> None:
     t = np.arange(100) * 0.01
-    found = responses(Course(0.01, t, t, np.sin(t), 0.0 * t, np.zeros((100, 0)), t))
+    found = actuator_responses(Course(0.01, t, t, np.sin(t), 0.0 * t, np.zeros((100, 0)), t))
     assert {name: one.shape for name, one in found.items()} == {
         "echoes": (100, 20),
         "catching up": (100, 35),

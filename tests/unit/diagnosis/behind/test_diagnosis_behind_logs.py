@@ -7,10 +7,10 @@ import pytest
 from diagnosis_cases import MACHINE, MACHINE_TOML, likely
 from static_points import ARM, POINTS, TRACKER, static_recording
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import examine
-from machine.effects.entries import make_entry, pack
+from diagnosis.reading.read import examine_recording
+from machine.effects.entries import make_entry, pack_effects
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.registry import effect_named
 from machine.effects.structure import link_poses, tcp_poses
@@ -36,7 +36,7 @@ def logged() -> list[Row]:
 def found_in(rows: list[Row], toml: str = MACHINE_TOML) -> list[tuple[str, int | None, dict[str, float]]]:
     segments = tuple(Segment(f"s{k}", "workcycle", 15.0 * k, 15.0 * k + 14.9) for k in range(4))
     made = Recording("folder", RunInfo("behind", "", None, 0.0, 0.0, None, segments), toml, (*logged(), *rows))
-    told = answer(budget_of(examine(made, Path("behind"))))
+    told = answer_json(budget_of(examine_recording(made, Path("behind"))))
     assert told["verdict"] == "effects", told["why"]
     first = likely(told)
     return [(one["name"], one["joint"], {k: v["value"] for k, v in one["parameters"].items()}) for one in first]
@@ -71,11 +71,13 @@ def loaded(compliance: float, mass_kg: float) -> ParameterSets:
         ("payload_error", None, {"mass_kg": mass_kg}),
     )
     effects = [(effect_named(name), joint, parameters) for name, joint, parameters in wanted]
-    return pack([make_entry(one, joint, parameters) for one, joint, parameters in effects if one is not None], 6)
+    return pack_effects(
+        [make_entry(one, joint, parameters) for one, joint, parameters in effects if one is not None], 6
+    )
 
 
 def test_a_weight_is_found_beside_what_yields_to_it() -> None:
-    told = answer(budget_of(examine(static_recording(loaded(2e-6, 80.0)), Path("loaded"))))
+    told = answer_json(budget_of(examine_recording(static_recording(loaded(2e-6, 80.0)), Path("loaded"))))
     assert told["verdict"] == "effects", told["why"]
     first = {one["name"]: one["parameters"] for one in likely(told)}
     assert set(first) == {"gravity_sag", "payload_error"}

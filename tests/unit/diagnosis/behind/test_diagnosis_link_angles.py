@@ -71,8 +71,8 @@ def test_a_course_bends_between_its_rows() -> None:
 
 def test_a_course_is_simulated_once_and_only_for_the_joint_that_changed(monkeypatch: pytest.MonkeyPatch) -> None:
     runs: list[int] = []
-    course = kernel.course
-    monkeypatch.setattr(kernel, "course", lambda *a: (runs.append(1), course(*a))[1])
+    course = kernel.link_side_course
+    monkeypatch.setattr(kernel, "link_side_course", lambda *a: (runs.append(1), course(*a))[1])
     fresh = (path(0.0),)
     before = link_angles(fresh, loose((0, 2)), 0, AT[:4], TIMES[:4])
     assert len(runs) == 2

@@ -7,7 +7,7 @@ import pytest
 from diagnosis_cases import MACHINE, MACHINE_TOML
 from static_points import ARM, NOISE_M, TRACKER, examined, packed, static_recording
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.behind.points import fit_points, rigid_fit, static_data
 from diagnosis.behind.views import triangulated, views_of
 from diagnosis.budget import budget_of
@@ -49,7 +49,7 @@ def test_a_log_of_which_nothing_is_replayed_is_said_beside_what_is_judged() -> N
     whole = examined(elsewhere)
     assert whole.usable
     assert whole.log_unused
-    assert "PLC's log" in {one["signal"] for one in answer(budget_of(whole))["missing"]}
+    assert "PLC's log" in {one["signal"] for one in answer_json(budget_of(whole))["missing"]}
 
 
 def test_a_long_link_and_a_soft_one_are_seen_in_static_poses() -> None:

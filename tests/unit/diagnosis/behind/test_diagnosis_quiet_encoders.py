@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.behind.quiet_encoders import quieted
+from diagnosis.behind.quiet_encoders import smooth_encoders
 
 SIGMA_RAD = 5e-5
 
@@ -17,7 +17,7 @@ def course(dt_s: float) -> np.ndarray:
 def test_noise_goes(dt_s: float, share: float) -> None:
     truth = course(dt_s)
     noisy = truth + np.random.default_rng(3).normal(0.0, SIGMA_RAD, truth.shape)
-    left = quieted(noisy, dt_s) - truth
+    left = smooth_encoders(noisy, dt_s) - truth
     assert np.std(left) < share * SIGMA_RAD
 
 
@@ -27,12 +27,12 @@ def test_a_jump_of_the_speed_stays() -> None:
     truth = np.where(t < 5.0, 0.0, 0.2 * (t - 5.0))[:, None]
     noisy = truth + np.random.default_rng(4).normal(0.0, SIGMA_RAD, truth.shape)
     beside = np.abs(t - 5.0) < 0.03
-    left = (quieted(noisy, dt_s) - truth)[beside]
+    left = (smooth_encoders(noisy, dt_s) - truth)[beside]
     assert np.sqrt(np.mean(left**2)) < 1.2 * SIGMA_RAD  # smoothed all over it would be 6 times that
 
 
 @pytest.mark.parametrize("dt_s", [0.005, 0.02])
 def test_encoders_without_noise_are_left_alone(dt_s: float) -> None:
     truth = course(dt_s)
-    assert np.abs(quieted(truth, dt_s) - truth).max() < 2e-6
-    assert quieted(truth[:8], dt_s) == pytest.approx(truth[:8], abs=0.0)
+    assert np.abs(smooth_encoders(truth, dt_s) - truth).max() < 2e-6
+    assert smooth_encoders(truth[:8], dt_s) == pytest.approx(truth[:8], abs=0.0)

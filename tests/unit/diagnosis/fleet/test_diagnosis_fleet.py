@@ -10,7 +10,7 @@ import pytest
 from foreign_plant import Fault, write
 from typer.testing import CliRunner
 
-from diagnosis.fleet.case import diagnosed
+from diagnosis.fleet.case import diagnose_case
 from diagnosis.fleet.page import fleet_page
 from diagnosis.fleet.run import _name, diagnose_all, recordings_below
 from diagnosis.fleet.summary import summary_of
@@ -38,7 +38,7 @@ def test_processes_and_dask_give_what_one_process_gives(recordings: Path, tmp_pa
     distributed = pytest.importorskip("distributed")
     paths = recordings_below(recordings)
     assert [one.name for one in paths] == ["a", "b", "broken"]
-    here = [diagnosed(str(one)) for one in paths]
+    here = [diagnose_case(str(one)) for one in paths]
     assert [one["status"] for one in here] == ["diagnosed", "diagnosed", "unusable"]
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         processes = diagnose_all(paths, tmp_path / "processes", pool, "1")
@@ -132,8 +132,8 @@ def test_whose_it_is_says_its_own_file_whatever_it_is_judged_by(recordings: Path
     whole = recordings / "a" / "machine.toml"
     usual = tmp_path / "usual.toml"
     usual.write_text(whole.read_text(encoding="utf-8").replace("[machine]", '[machine]\nserial = "U"', 1))
-    assert diagnosed(str(recordings / "a"), str(usual))["serial"] == ""
-    assert diagnosed(str(recordings / "a"))["folder"] == recordings.name
+    assert diagnose_case(str(recordings / "a"), str(usual))["serial"] == ""
+    assert diagnose_case(str(recordings / "a"))["folder"] == recordings.name
 
 
 def test_one_more_recording_renames_no_answer_and_none_is_lost(tmp_path: Path) -> None:

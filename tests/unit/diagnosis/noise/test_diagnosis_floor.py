@@ -6,13 +6,13 @@ from diagnosis_cases import NOISE_RAD, folder, recording
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.noise.floor import (
+    block_increments,
     block_means,
     fit_whitener,
     floor_of_repeats,
     floor_without_repeats,
-    increments,
 )
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 from diagnosis.replay.repeats import laid_over, repeat_groups
 
 
@@ -62,12 +62,12 @@ def test_without_repeats_a_bound_stands_in_and_says_so() -> None:
 def test_blocks_are_means_over_fifty_milliseconds() -> None:
     x = np.arange(23.0)[:, None]
     assert block_means(x, 0.01)[:, 0] == pytest.approx([2.0, 7.0, 12.0, 17.0])
-    assert increments(x, 0.01)[:, 0] == pytest.approx([5.0, 5.0, 5.0])
+    assert block_increments(x, 0.01)[:, 0] == pytest.approx([5.0, 5.0, 5.0])
     assert np.array_equal(block_means(x, 0.2), x)
 
 
 def test_the_floor_of_a_recording_is_its_encoder_noise(tmp_path) -> None:
-    groups = repeat_groups(read(folder(tmp_path, recording(seed=5))).stretches)
+    groups = repeat_groups(read_for_diagnosis(folder(tmp_path, recording(seed=5))).stretches)
     assert {name: len(members) for name, members in groups.items()} == {"A": 4}
     enc = laid_over(groups["A"], "enc")
     assert enc is not None

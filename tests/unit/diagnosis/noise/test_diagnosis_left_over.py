@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from diagnosis.baseline.left_over import common_process, moments
+from diagnosis.baseline.left_over import common_process, lagged_products
 from diagnosis.noise.excess import common_excess
 
 DOF = 60
@@ -52,8 +52,8 @@ def made_moments(noise_sigmas: list[float], seed: int) -> tuple[np.ndarray, np.n
     totals, noises = [], []
     for sigma in noise_sigmas:
         swing = lfilter([1.0], np.concatenate([[1.0], -SWING]), rng.normal(size=3000))
-        totals.append(moments([swing + sigma * rng.normal(size=3000)]))
-        noises.append(moments([sigma * rng.normal(size=1500)]))
+        totals.append(lagged_products([swing + sigma * rng.normal(size=3000)]))
+        noises.append(lagged_products([sigma * rng.normal(size=1500)]))
     return np.array(totals), np.array(noises)
 
 
@@ -85,6 +85,6 @@ def test_moments_that_no_process_has_are_made_those_of_one() -> None:
 
 
 def test_runs_too_short_for_the_filter_leave_nothing() -> None:
-    totals = moments([np.ones(3)])
+    totals = lagged_products([np.ones(3)])
     assert (totals == 0.0).all()
     assert common_process(totals[None], totals[None])[1] == 0.0

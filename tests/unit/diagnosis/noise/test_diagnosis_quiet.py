@@ -8,14 +8,14 @@ from diagnosis_cases import folder, recording
 
 from diagnosis.baseline.left_over import cells_of, with_baseline
 from diagnosis.noise.floor import Whitener
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 from diagnosis.replay.stage_floor import SILENT_SHARE
 from diagnosis.replay.stage_replay import Replay
 from machine.remainder import Remainder
 
 
 def test_a_link_without_noise_is_as_quiet_as_its_repeats(tmp_path: Path) -> None:
-    whole = read(folder(tmp_path, recording(("repeat", "repeat", "steps"), (), 3)))
+    whole = read_for_diagnosis(folder(tmp_path, recording(("repeat", "repeat", "steps"), (), 3)))
     known = tuple(Remainder("link", joint, "", 0.0, 0.0) for joint in (1, 2, 3))
     link = next(cell for cell in cells_of(with_baseline(whole, (), known)) if cell.stage == "link")
     assert link.floor_known
@@ -24,7 +24,7 @@ def test_a_link_without_noise_is_as_quiet_as_its_repeats(tmp_path: Path) -> None
 
 @pytest.mark.parametrize(("sigma", "share"), [(0.0, SILENT_SHARE), (1e-9, 1.0)])
 def test_a_controller_that_never_left_anything_is_held_to_a_quarter(tmp_path: Path, sigma: float, share: float) -> None:
-    whole = read(folder(tmp_path, recording(("repeat", "repeat", "steps"), (), 3)))
+    whole = read_for_diagnosis(folder(tmp_path, recording(("repeat", "repeat", "steps"), (), 3)))
     known = tuple(Remainder("controller", joint, "", sigma, sigma) for joint in (1, 2, 3))
     cells = cells_of(with_baseline(whole, (), known))
     (replay,) = (cell.whitened for cell in cells if cell.label == "controller 2")

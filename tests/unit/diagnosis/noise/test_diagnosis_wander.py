@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from diagnosis_cases import recording
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.baseline.baseline import Baseline
 from diagnosis.baseline.left_over import cells_of, remainders_of, with_baseline, with_wanders
 from diagnosis.budget import budget_of
 from diagnosis.known.wander import wander_of
 from diagnosis.noise.of_a_day import day_noise
-from diagnosis.reading.read import Read, examine
+from diagnosis.reading.read import Read, examine_recording
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import neutral_fit
 from diagnosis.whole_model.parts import library_of
-from diagnosis.whole_model.solve import solve
+from diagnosis.whole_model.solve import fit_and_prune
 from longreach.fit_baseline import report_of
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
@@ -39,7 +39,7 @@ def days() -> list[Read]:
     rng, out = np.random.default_rng(5), []
     for seed in range(8):
         made = recording(KINDS, (gain(WANDER * float(rng.normal())),), seed)
-        out.append(examine(made, Path(f"day {seed}")))
+        out.append(examine_recording(made, Path(f"day {seed}")))
     return out
 
 
@@ -62,15 +62,15 @@ def test_the_number_that_wanders_is_named_with_its_size_and_its_neighbours_are_n
 
 def names(whole: Read, known: tuple[Remainder, ...]) -> list[str]:
     cell = actuator(with_baseline(whole, (), known), 2)
-    return [term.effect.name for term in solve(cell, library_of(cell)).best.terms if term.present]
+    return [term.effect.name for term in fit_and_prune(cell, library_of(cell)).best.terms if term.present]
 
 
 def test_a_day_within_the_wander_has_no_name_and_a_fault_beyond_it_has(known: tuple[Remainder, ...]) -> None:
     plain = tuple(Remainder(one.stage, one.joint, one.on, one.sigma, one.rms, one.ar) for one in known)
-    usual = examine(recording(KINDS, (gain(1.2 * WANDER),), 20), Path("usual"))
+    usual = examine_recording(recording(KINDS, (gain(1.2 * WANDER),), 20), Path("usual"))
     assert names(usual, plain) == ["flow_gain_error"]
     assert names(usual, known) == []
-    broken = examine(recording(KINDS, (gain(0.12),), 21), Path("broken"))
+    broken = examine_recording(recording(KINDS, (gain(0.12),), 21), Path("broken"))
     assert names(broken, known) == ["flow_gain_error"]
 
 
@@ -107,8 +107,8 @@ def test_an_experiment_is_foretold_with_the_wander_along(known: tuple[Remainder,
     effect = effect_named("valve_asymmetry")
     assert effect is not None
     small = make_entry(effect, 2, {"gain_frac": 0.04})
-    whole = examine(recording(KINDS, (small,), 22), Path("small"))
-    said = answer(budget_of(with_baseline(whole, (), known)))
+    whole = examine_recording(recording(KINDS, (small,), 22), Path("small"))
+    said = answer_json(budget_of(with_baseline(whole, (), known)))
     assert said["next_experiment"] is not None
 
 

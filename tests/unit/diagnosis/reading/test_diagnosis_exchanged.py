@@ -10,7 +10,7 @@ from static_points import POINTS, TRACKER, examined, packed, static_recording
 
 from diagnosis.log.pairing import pairing_findings
 from diagnosis.log.tables import tables_of
-from diagnosis.reading.read import examine
+from diagnosis.reading.read import examine_recording
 from machine.effects.layout import ParameterSets, neutral_sets
 from recording.content import Recording
 from recording.rows import PlcState, StaticPoint
@@ -66,7 +66,7 @@ def reversed_in(segment: Segment, field: str, j: int) -> Recording:
     ],
 )
 def test_it_is_named_and_nothing_is_judged(made: Recording, code: str, told: str) -> None:
-    whole = examine(made, Path("made_up"))
+    whole = examine_recording(made, Path("made_up"))
     fatal = [one for one in whole.findings if one.severity == "fatal"]
     assert fatal, whole.findings
     assert {one.code for one in fatal} == {code}
@@ -75,7 +75,9 @@ def test_it_is_named_and_nothing_is_judged(made: Recording, code: str, told: str
 
 def test_rows_written_twice_are_counted() -> None:
     rows = [one for row in MADE.rows for one in ((row, row) if isinstance(row, PlcState) else (row,))]
-    (finding,) = [one for one in examine(replace(MADE, rows=tuple(rows)), Path("twice")).findings if one.count == 6000]
+    (finding,) = [
+        one for one in examine_recording(replace(MADE, rows=tuple(rows)), Path("twice")).findings if one.count == 6000
+    ]
     assert finding.code == "duplicate_rows"
 
 

@@ -11,10 +11,10 @@ from diagnosis_cases import likely
 from foreign_plant import Fault, write
 from static_points import examined, static_recording
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
 from diagnosis.log.findings import Finding
-from diagnosis.reading.read import Read, read
+from diagnosis.reading.read import Read, read_for_diagnosis
 from machine.effects.layout import neutral_sets
 from recording.rows import StaticPoint
 
@@ -65,10 +65,10 @@ def springs(rows: Rows) -> None:
 def test_lost_rows_are_left_out_and_the_rest_tells_what_it_told(
     tmp_path: Path, change: Callable[[Rows], None], count: int, frame: bool
 ) -> None:
-    whole = read(spoiled(made(tmp_path, frame=frame), change))
+    whole = read_for_diagnosis(spoiled(made(tmp_path, frame=frame), change))
     (finding,) = lost(whole)
     assert finding.count == count
-    found = answer(budget_of(whole))
+    found = answer_json(budget_of(whole))
     assert found["verdict"] in ("effects", "partly"), found["why"]
     (effect,) = likely(found)
     assert (effect["name"], effect["joint"]) == ("backlash", 2)
@@ -86,13 +86,13 @@ def test_lost_rows_are_left_out_and_the_rest_tells_what_it_told(
     ],
 )
 def test_what_an_arm_does_is_never_left_out(tmp_path: Path, fault: Fault) -> None:
-    assert not lost(read(made(tmp_path, fault)))
+    assert not lost(read_for_diagnosis(made(tmp_path, fault)))
 
 
 @pytest.mark.parametrize("left", [0, 1, 3, 4, 5, 9])
 def test_a_handful_of_rows_is_read(tmp_path: Path, left: int) -> None:
     folder = spoiled(made(tmp_path, frame=False), lambda rows: rows[:left])
-    assert not lost(read(folder))
+    assert not lost(read_for_diagnosis(folder))
 
 
 def test_a_static_row_at_the_origin_is_no_place() -> None:

@@ -8,7 +8,7 @@ from diagnosis_cases import MACHINE_TOML, recording
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.nominal import nominal_of
-from diagnosis.reading.read import examine
+from diagnosis.reading.read import examine_recording
 from machine.errors import MachineError
 from recording.rows import MarkerCorners
 
@@ -45,7 +45,9 @@ def test_a_sound_file_has_no_odd_key() -> None:
 def test_a_key_that_nobody_reads_is_said(given: str, spoilt: str, severity: str, text: str) -> None:
     found = told(MACHINE_TOML.replace(given, spoilt))
     assert any(one[0] == severity and text in one[1] for one in found), found
-    whole = examine(replace(recording(("steps",)), machine_toml=MACHINE_TOML.replace(given, spoilt)), Path("made"))
+    whole = examine_recording(
+        replace(recording(("steps",)), machine_toml=MACHINE_TOML.replace(given, spoilt)), Path("made")
+    )
     assert whole.usable
     assert "unknown_key" in {one.code for one in whole.findings}
 
@@ -79,7 +81,7 @@ def test_the_markers_of_a_grid_are_markers() -> None:
     seen = MarkerCorners(0.1, "left", 33, 0, 0, 9, 0, 9, 9, 0, 9)
     made = recording(("steps",))
     made = replace(made, machine_toml=with_board(), rows=(*made.rows, seen))
-    assert not [one for one in examine(made, Path("made")).findings if "not in machine.toml" in one.text]
+    assert not [one for one in examine_recording(made, Path("made")).findings if "not in machine.toml" in one.text]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from diagnosis_cases import MACHINE_TOML, likely
 from static_points import POINTS, examined, packed, static_recording
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
 from machine.effects.layout import ParameterSets, neutral_sets
 from recording.content import Recording
@@ -35,7 +35,7 @@ def test_two_wrong_rows_are_named_and_the_rest_tells_what_it_told(toml: str) -> 
     assert finding.count == 2
     assert "elbow in pose 5 by 0." in finding.text
     assert "tip in pose 25 by 0." in finding.text
-    found = answer(budget_of(whole))
+    found = answer_json(budget_of(whole))
     assert found["verdict"] == "effects", found["why"]
     (effect,) = likely(found)
     assert (effect["name"], effect["joint"]) == ("link_length_error", 2)

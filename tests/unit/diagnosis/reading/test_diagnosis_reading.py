@@ -9,7 +9,7 @@ import pytest
 from diagnosis_cases import MACHINE_TOML, OFFSET_S, PLANT, changed, folder, permuted, recording
 
 from diagnosis.log.findings import CODES, by_channel
-from diagnosis.reading.read import Read, examine, read, stages_present
+from diagnosis.reading.read import Read, examine_recording, read_for_diagnosis, stages_present
 from recording.content import Recording
 from recording.convert import write_mcap
 from recording.rows import NAN, MarkerCorners, PlcState, Row, Sent, StaticPoint
@@ -28,7 +28,7 @@ def codes(result: Read, *severities: str) -> set[str]:
 
 
 def test_a_sound_recording_has_no_findings_and_its_stages(tmp_path) -> None:
-    result = read(folder(tmp_path, MADE))
+    result = read_for_diagnosis(folder(tmp_path, MADE))
     assert result.findings == ()
     assert result.usable
     assert stages_present(result) == ("link", "controller", "actuator")
@@ -46,7 +46,7 @@ def test_mcap_reads_the_same(tmp_path) -> None:
     """A hole in both, told of the channel in the one and of the file in the other."""
     made = drop(MADE, 300, 340)
     write_mcap(made, tmp_path / "run.mcap")
-    one, two = read(tmp_path / "run.mcap"), read(folder(tmp_path, made))
+    one, two = read_for_diagnosis(tmp_path / "run.mcap"), read_for_diagnosis(folder(tmp_path, made))
     assert one.findings == tuple(by_channel(finding) for finding in two.findings)
     assert ("/plc", "plc.csv") in {(a.subject, b.subject) for a, b in zip(one.findings, two.findings, strict=True)}
     for a, b in zip(one.stretches, two.stretches, strict=True):
@@ -54,7 +54,7 @@ def test_mcap_reads_the_same(tmp_path) -> None:
 
 
 def examined(made: Recording) -> Read:
-    return examine(made, Path("made_up"))
+    return examine_recording(made, Path("made_up"))
 
 
 def drop(made, first: int, last: int):
@@ -319,7 +319,7 @@ def test_spoilt_text_is_named(tmp_path, file: str, old: str, new: str, code: str
     content = (path / file).read_text(encoding="utf-8")
     assert old in content
     (path / file).write_text(content.replace(old, new, 1), encoding="utf-8")
-    result = read(path)
+    result = read_for_diagnosis(path)
     assert any(one.code == code and text in str(one) for one in result.findings), [str(one) for one in result.findings]
     assert not result.usable
 
@@ -337,21 +337,21 @@ def test_a_spreadsheets_export_is_named(tmp_path, spoil, code: str, text: str) -
     path = folder(tmp_path, recording(("steps",)))
     content = (path / "plc.csv").read_text(encoding="utf-8")
     (path / "plc.csv").write_text(spoil(content), encoding="utf-8")
-    result = read(path)
+    result = read_for_diagnosis(path)
     assert [one.code for one in result.findings] == [code], [str(one) for one in result.findings]
     assert text in str(result.findings[0])
     (path / "plc.csv").write_text(content.split("\n")[0] + "\n", encoding="utf-8")
-    assert any(one.code == "no_rows" and one.severity == "problem" for one in read(path).findings)
+    assert any(one.code == "no_rows" and one.severity == "problem" for one in read_for_diagnosis(path).findings)
 
 
 def test_a_missing_run_or_a_text_cell_is_a_finding(tmp_path) -> None:
-    assert codes(read(tmp_path / "nowhere.mcap")) == {"unreadable"}
-    assert codes(read(tmp_path)) == {"unreadable"}
+    assert codes(read_for_diagnosis(tmp_path / "nowhere.mcap")) == {"unreadable"}
+    assert codes(read_for_diagnosis(tmp_path)) == {"unreadable"}
     path = folder(tmp_path, recording(("steps",)))
     lines = (path / "plc.csv").read_text(encoding="utf-8").splitlines()
     lines[5] = lines[5].replace(lines[5].split(",")[3], "broken", 1)
     (path / "plc.csv").write_text("\n".join(lines), encoding="utf-8")
-    assert any("line 6" in str(one) for one in read(path).findings)
+    assert any("line 6" in str(one) for one in read_for_diagnosis(path).findings)
 
 
 def test_a_broken_log_is_cut_and_its_pieces_are_even() -> None:
@@ -438,7 +438,7 @@ def test_absurd_numbers_are_findings(word: str, tmp_path) -> None:
         cells[place] = word
         lines[k] = ",".join(cells)
     (path / "plc.csv").write_text("\n".join(lines), encoding="utf-8")
-    assert any(one.code == "missing_column" and "q_2_rad" in str(one) for one in read(path).findings)
+    assert any(one.code == "missing_column" and "q_2_rad" in str(one) for one in read_for_diagnosis(path).findings)
 
 
 def test_an_infinite_count_is_a_finding(tmp_path) -> None:
@@ -447,4 +447,4 @@ def test_an_infinite_count_is_a_finding(tmp_path) -> None:
     cells = lines[3].split(",")
     lines[3] = ",".join([cells[0], "inf", *cells[2:]])
     (path / "sent.csv").write_text("\n".join(lines), encoding="utf-8")
-    assert codes(read(path)) == {"unreadable"}
+    assert codes(read_for_diagnosis(path)) == {"unreadable"}

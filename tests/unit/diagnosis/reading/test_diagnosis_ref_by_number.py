@@ -9,11 +9,11 @@ import pytest
 from diagnosis_cases import likely
 from foreign_plant import Fault, rewritten, write
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
 from diagnosis.datagrams.ref_by_number import with_reference
 from diagnosis.log.tables import Tables
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 
 KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
 
@@ -22,7 +22,7 @@ KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
 def logged(tmp_path_factory: pytest.TempPathFactory) -> Tables:
     place = tmp_path_factory.mktemp("numbers") / "run"
     write(place, Fault(), seed=5, seconds=4.0, kinds=KINDS)
-    tables = read(place).tables
+    tables = read_for_diagnosis(place).tables
     assert tables is not None
     return tables
 
@@ -34,7 +34,7 @@ def unlogged(tables: Tables, **changed: Any) -> Tables:
 
 def told(place: Path, fault: Fault) -> tuple[dict[str, Any], list[tuple[str, int | None]]]:
     write(place, fault, seed=5, seconds=8.0, kinds=KINDS)
-    found = answer(budget_of(read(rewritten(place, without=("q_ref",)))))
+    found = answer_json(budget_of(read_for_diagnosis(rewritten(place, without=("q_ref",)))))
     best = likely(found)
     return found, [(one["name"], one["joint"]) for one in best]
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from diagnosis_cases import recording
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import Read, examine
+from diagnosis.reading.read import Read, examine_recording
 from recording.run import Segment
 
 MADE = recording(("repeat", "repeat", "repeat", "repeat", "steps", "sweep"))
@@ -17,7 +17,7 @@ SEGMENTS = MADE.run.segments
 
 
 def examined(*segments: Segment) -> Read:
-    return examine(replace(MADE, run=replace(MADE.run, segments=segments)), Path("made_up"))
+    return examine_recording(replace(MADE, run=replace(MADE.run, segments=segments)), Path("made_up"))
 
 
 def rows_used(whole: Read) -> int:
@@ -43,7 +43,7 @@ def test_windows_that_slide_over_a_motion_hold_each_row_once() -> None:
     windows = [Segment(f"w{k}", "workcycle", start, start + 3.0) for k, start in enumerate(starts)]
     whole = examined(*windows)
     assert rows_used(whole) > 1000
-    assert answer(budget_of(whole))["verdict"] in ("none", "undecided")  # nobody measured its noise
+    assert answer_json(budget_of(whole))["verdict"] in ("none", "undecided")  # nobody measured its noise
 
 
 @pytest.mark.parametrize("shared_s", [0.0, 0.01])

@@ -7,11 +7,11 @@ import pytest
 from diagnosis_cases import likely
 from foreign_plant import Fault, rewritten, write
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
 from diagnosis.log.quality import GAP_STEPS, too_long
 from diagnosis.log.stamps import even_grid, taken_evenly
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 
 STEP_S = 0.01
 
@@ -63,9 +63,9 @@ def logged(place: Path, fault: Fault, seconds: float = 20.0) -> Path:
 @pytest.mark.parametrize("gain", [0.0, -0.2])
 def test_a_log_stamped_by_a_pc_is_judged_by_its_machine(tmp_path: Path, gain: float) -> None:
     """Its stamps moved a command's jumps: a healthy machine was refused for what its controller seemed to do."""
-    whole = read(rewritten(logged(tmp_path / "run", Fault(gain=(gain, 0.0)), 10.0), jittered))
+    whole = read_for_diagnosis(rewritten(logged(tmp_path / "run", Fault(gain=(gain, 0.0)), 10.0), jittered))
     assert [one.code for one in whole.findings if one.code in ("uneven_stamps", "gap")] == ["uneven_stamps"]
-    found = answer(budget_of(whole))
+    found = answer_json(budget_of(whole))
     assert found["verdict"] == ("effects" if gain else "none"), found["why"]
     named = [(one["name"], one["joint"]) for one in likely(found)]
     assert named == ([("flow_gain_error", 1)] if gain else [])
@@ -73,5 +73,7 @@ def test_a_log_stamped_by_a_pc_is_judged_by_its_machine(tmp_path: Path, gain: fl
 
 def test_where_no_reference_was_logged_its_steps_are_no_gain(tmp_path: Path) -> None:
     """A row shows a command some way up the tooth that each new reference makes: 0.45 % of gain on every joint."""
-    found = answer(budget_of(read(rewritten(logged(tmp_path / "run", Fault()), without=("q_ref", "seq")))))
+    found = answer_json(
+        budget_of(read_for_diagnosis(rewritten(logged(tmp_path / "run", Fault()), without=("q_ref", "seq"))))
+    )
     assert (found["verdict"], likely(found)) == ("none", []), found["why"]

@@ -9,7 +9,7 @@ import pytest
 from diagnosis_cases import recording
 
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import examine
+from diagnosis.reading.read import examine_recording
 from diagnosis.replay.stretches import Stretch, stood_still
 
 T_S = 0.01 * np.arange(400)
@@ -54,8 +54,8 @@ def test_holes_in_a_column_are_no_motion() -> None:
 
 def test_a_recording_that_moves_is_judged_and_the_same_one_standing_is_not() -> None:
     made = recording()
-    assert budget_of(examine(made, Path("moves"))).verdict == "none"
-    moving = examine(made, Path("stands"))
+    assert budget_of(examine_recording(made, Path("moves"))).verdict == "none"
+    moving = examine_recording(made, Path("stands"))
     found = budget_of(replace(moving, stretches=tuple(_frozen(one) for one in moving.stretches)))
     assert found.verdict == "undecided"
     assert "no joint moved" in found.why

@@ -7,7 +7,7 @@ import pytest
 from diagnosis_cases import MACHINE_TOML, changed, recording
 
 from diagnosis.errors import DiagnosisError
-from diagnosis.reading.together import read_together, together
+from diagnosis.reading.together import join_recordings, read_together
 from recording.content import Recording
 from recording.convert import write_mcap
 from recording.folder import write_folder
@@ -69,7 +69,7 @@ def test_rows_without_a_number_stay_without_one() -> None:
     sent, nothing = (Sent(0.0, 5, (0.1,)), Sent(0.1, -1, (0.1,))), 2**64 - 1
     plc, static = (row_of(7, 0.2), row_of(nothing, 0.3)), StaticPoint(-1, (0.1,), "p", 0.0, 0.0, 0.0)
     first = Recording("folder", RunInfo("a"), "", (*sent, *plc, static))
-    both = together([first, first])
+    both = join_recordings([first, first])
     assert [row.seq for row in both.of(Sent)] == [5, -1, 13, -1]
     assert [row.seq_received for row in both.of(PlcState)][2:] == [15, nothing]
     assert [row.pose_index for row in both.of(StaticPoint)] == [-1, -1]
@@ -80,5 +80,5 @@ def test_other_numbers_of_joints_do_not_go_together() -> None:
     two = replace(one, rows=(replace(row_of(1, 0.0), q_rad=(0.1, 0.2)),))
     empty = replace(one, rows=())
     with pytest.raises(DiagnosisError, match="recording 3 has 2 joints, recording 2 has 1; give recordings of one"):
-        together([empty, one, two])
-    assert len(together([one, empty]).rows) == 1
+        join_recordings([empty, one, two])
+    assert len(join_recordings([one, empty]).rows) == 1

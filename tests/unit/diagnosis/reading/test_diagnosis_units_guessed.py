@@ -8,7 +8,7 @@ import pytest
 from diagnosis_cases import MACHINE_TOML
 from one_joint_cases import Machine, recorded
 
-from diagnosis.reading.read import Read, examine, read
+from diagnosis.reading.read import Read, examine_recording, read_for_diagnosis
 from recording.content import Recording
 from recording.rows import StaticPoint
 from recording.run import RunInfo
@@ -33,13 +33,13 @@ def slid(place: Path, scale: float, shift: float) -> Path:
 
 
 def test_a_long_telescope_is_not_in_degrees(tmp_path: Path) -> None:
-    result = read(slid(tmp_path, 1.0, 9.0))
+    result = read_for_diagnosis(slid(tmp_path, 1.0, 9.0))
     assert "degrees" not in codes(result)
     assert result.usable
 
 
 def test_a_telescope_in_millimetres_is(tmp_path: Path) -> None:
-    result = read(slid(tmp_path, 1e3, 9e3))
+    result = read_for_diagnosis(slid(tmp_path, 1e3, 9e3))
     (one, other) = [one for one in result.findings if one.code == "millimetres"]
     assert one.severity == other.severity == "fatal"
     assert "q_1_m reaches 9" in str(other)
@@ -49,7 +49,7 @@ def test_limits_of_what_slides_are_told_in_metres(tmp_path: Path) -> None:
     path = slid(tmp_path, 1.0, 2.0)
     text = (path / "machine.toml").read_text(encoding="utf-8")
     (path / "machine.toml").write_text(text.replace("[plc]", "q_min_m = 0.0\nq_max_m = 1.0\n[plc]"), encoding="utf-8")
-    (one,) = [one for one in read(path).findings if one.code == "machine_mismatch"]
+    (one,) = [one for one in read_for_diagnosis(path).findings if one.code == "machine_mismatch"]
     assert "q_1_m lies at 1." in one.text
     assert "m, outside its limits 0 .. 1 m" in one.text
 
@@ -62,7 +62,7 @@ def commanded(tmp_path: Path, change: Callable[[np.ndarray], np.ndarray]) -> Rea
     u = change(np.array([float(last) for _, last in cut]))
     lines = [f"{rest},{number:.9f}" for (rest, _), number in zip(cut, u, strict=True)]
     (path / "plc.csv").write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")
-    return read(path)
+    return read_for_diagnosis(path)
 
 
 def test_a_spike_of_a_command_is_no_percent(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def seen(toml: str, scale: float, shift: tuple[float, float, float]) -> Read:
     places = scale * rng.uniform(-2.0, 2.0, (20, 3)) + np.array(shift)
     rows = [StaticPoint(k, (0.01 * k,) * 6, "p", *place) for k, place in enumerate(places.tolist())]
     rows.append(StaticPoint(99, (0.0,) * 6, "p", 0.0, 0.0, 0.0))  # a prism that was lost
-    return examine(
+    return examine_recording(
         Recording("folder", RunInfo("x"), f"{toml}\n[points]\np = {{ joint = 6 }}\n", tuple(rows)), Path("x")
     )
 

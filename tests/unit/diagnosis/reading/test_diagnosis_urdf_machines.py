@@ -8,7 +8,7 @@ import pytest
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.nominal import Nominal, nominal_of
 from diagnosis.log.urdf_files import UrdfFiles
-from diagnosis.reading.read import Read, examine, read
+from diagnosis.reading.read import Read, examine_recording, read_for_diagnosis
 from recording.content import Attachment, Recording
 from recording.folder import write_folder
 from recording.rows import StaticPoint
@@ -140,11 +140,11 @@ def poses(urdf: str = "") -> Recording:
 def test_a_urdf_beside_the_machine_file_that_is_given_is_found(tmp_path: Path) -> None:
     write_folder(poses(), tmp_path / "run")
     (tmp_path / "mine.toml").write_text(poses().machine_toml, encoding="utf-8")
-    result = read(tmp_path / "run", tmp_path / "mine.toml")
+    result = read_for_diagnosis(tmp_path / "run", tmp_path / "mine.toml")
     assert not result.usable
     assert "not in the recording or next to the machine file; put it there" in fatal(result)
     (tmp_path / "a.urdf").write_text(URDF, encoding="utf-8")
-    result = read(tmp_path / "run", tmp_path / "mine.toml")
+    result = read_for_diagnosis(tmp_path / "run", tmp_path / "mine.toml")
     assert result.nominal is not None
     assert result.nominal.arm is not None
 
@@ -152,7 +152,9 @@ def test_a_urdf_beside_the_machine_file_that_is_given_is_found(tmp_path: Path) -
 def test_a_spoilt_urdf_is_a_finding_with_its_joint() -> None:
     spoilt = attached("a.urdf", URDF.replace('xyz="2 0 0"', 'xyz="2 0"'))
     made = poses()
-    result = examine(Recording("folder", made.run, made.machine_toml, made.rows, attachments=(spoilt,)), Path("x"))
+    result = examine_recording(
+        Recording("folder", made.run, made.machine_toml, made.rows, attachments=(spoilt,)), Path("x")
+    )
     assert "joint 'j2': xyz='2 0' has 2 numbers" in fatal(result)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from diagnosis_cases import MACHINE_TOML, changed, folder, recording
 
-from diagnosis.reading.read import Read, examine, read, stages_present
+from diagnosis.reading.read import Read, examine_recording, read_for_diagnosis, stages_present
 from recording.content import Recording
 from recording.rows import NAN, MarkerCorners, OdometryRow, PlcState, Row, StaticPoint, TrackerPoint
 from recording.run import RunInfo
@@ -17,7 +17,7 @@ POSES = [StaticPoint(k, (0.1 * k - 0.4,) * 6, "p", 2.0 + 0.1 * k, 0.3 * k, 1.0) 
 
 
 def alone(rows: Sequence[Row], toml: str = POINTS) -> Read:
-    return examine(Recording("folder", RunInfo("x"), toml, tuple(rows)), Path("x"))
+    return examine_recording(Recording("folder", RunInfo("x"), toml, tuple(rows)), Path("x"))
 
 
 def texts(result: Read, code: str) -> str:
@@ -50,7 +50,7 @@ def test_a_column_that_a_folder_lacks_is_named(tmp_path: Path) -> None:
     lines = (path / "static.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0].endswith(",z_m")
     (path / "static.csv").write_text("\n".join(line.rsplit(",", 1)[0] for line in lines), encoding="utf-8")
-    result = read(path)
+    result = read_for_diagnosis(path)
     assert "static.csv: z_m: missing" in texts(result, "missing_column")
     assert not result.usable
 
@@ -110,7 +110,7 @@ def test_odometry_without_a_path_is_none() -> None:
 def test_segments_on_another_clock_are_said() -> None:
     made = recording(("steps",))
     later = changed(made, PlcState, lambda _, row: replace(row, t_plc_s=row.t_plc_s + 1.7e9))
-    result = examine(later, Path("x"))
+    result = examine_recording(later, Path("x"))
     assert not result.usable
     assert "segments lie at 0 .. " in texts(result, "no_data")
     assert "the log at 1700000000 .. " in texts(result, "no_data")

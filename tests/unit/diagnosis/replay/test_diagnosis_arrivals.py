@@ -8,12 +8,12 @@ import pytest
 from diagnosis_cases import confirmed
 
 from benchmarks.diagnosis.links.recorded import Link, arrived, over
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.datagrams.arrivals import Arrivals, arrivals
+from diagnosis.datagrams.arrivals import Arrivals, arrival_times
 from diagnosis.datagrams.lost import never_received
 from diagnosis.datagrams.sent import by_value
-from diagnosis.reading.read import examine
+from diagnosis.reading.read import examine_recording
 
 CYCLE_S = 1e-3
 NUMBER = np.arange(15000)
@@ -30,11 +30,11 @@ def logged(link: Link, seed: int = 1) -> tuple[np.ndarray, Arrivals, np.ndarray]
     stamps = t_s * (1.0 + link.drift)
     came = np.full(len(t_s), np.nan)
     came[which] = when
-    return stamps, arrivals((stamps, NUMBER), (ROWS_S, seen), CYCLE_S, 0.0), came
+    return stamps, arrival_times((stamps, NUMBER), (ROWS_S, seen), CYCLE_S, 0.0), came
 
 
 def diagnosed(link: Link) -> dict[str, Any]:
-    return answer(budget_of(examine(over(link), Path("link"))))
+    return answer_json(budget_of(examine_recording(over(link), Path("link"))))
 
 
 def test_what_comes_on_the_dot_is_left_as_it_was_sent() -> None:
@@ -108,7 +108,7 @@ def test_what_may_be_late_is_not_called_lost() -> None:
 @pytest.mark.parametrize("seq", [np.full(5989, -1), np.zeros(5989, dtype=int) + 10**9, np.arange(5989)[::-1]])
 def test_numbers_that_tell_nothing_change_nothing(seq: np.ndarray) -> None:
     stamps = 0.004 * NUMBER
-    found = arrivals((stamps, NUMBER), (ROWS_S, seq), CYCLE_S, 0.0)
+    found = arrival_times((stamps, NUMBER), (ROWS_S, seq), CYCLE_S, 0.0)
     np.testing.assert_array_equal(found.t_s, stamps)
     assert found.lost is None
 
@@ -141,7 +141,7 @@ def every_cycle(
     last = np.searchsorted(came[there], rows_s, side="right") - 1
     seen = np.where(last >= 0, NUMBER[:3000][there][last], -1)
     stamps = rows_s + stamps_s * np.random.default_rng(3).normal(size=len(rows_s))
-    return t_s, arrivals((t_s, NUMBER[:3000]), (stamps, seen), 0.005, 0.002)
+    return t_s, arrival_times((t_s, NUMBER[:3000]), (stamps, seen), 0.005, 0.002)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.03])
@@ -171,7 +171,7 @@ def test_where_every_cycle_has_a_row_a_pc_that_runs_fast_is_no_link_that_does(pp
     t_s, rows_s = 0.02 * NUMBER[:9000], 0.02 * np.arange(1, 9150)
     seen = np.searchsorted(t_s + 0.02, rows_s + 1e-9, side="right") - 1
     stamps = np.round(t_s * (1.0 + 1e-6 * ppm), 7)
-    found = arrivals((stamps, NUMBER[:9000]), (rows_s, NUMBER[seen]), 0.02, 0.02)
+    found = arrival_times((stamps, NUMBER[:9000]), (rows_s, NUMBER[seen]), 0.02, 0.02)
     assert found.rate == pytest.approx(-1e-6 * ppm, abs=1e-5)
     np.testing.assert_allclose(found.t_s, t_s, atol=1e-9)
 
@@ -205,7 +205,7 @@ def test_stamps_that_make_no_sense_make_no_trouble() -> None:
         (stamps, ROWS_S[::-1]),
         (stamps, np.full(len(ROWS_S), np.nan)),
     ]:
-        found = arrivals((t_sent, number), (t_row, np.maximum(seen - jitter, 0)), CYCLE_S, 0.0)
+        found = arrival_times((t_sent, number), (t_row, np.maximum(seen - jitter, 0)), CYCLE_S, 0.0)
         assert found.t_s.shape == t_sent.shape
         q = np.stack([stamps, np.full(len(stamps), np.nan)], axis=1)
         assert by_value((t_row, q[seen]), (t_sent, q)).shape == t_row.shape

@@ -7,10 +7,10 @@ import pytest
 from diagnosis_cases import likely
 from foreign_plant import OFFSET_S, Fault, write
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
 from diagnosis.datagrams.clocks import camera_to_plc_s, plc_to_pc_s
-from diagnosis.reading.read import Read, read
+from diagnosis.reading.read import Read, read_for_diagnosis
 
 
 def without_offset(place: Path, fault: Fault) -> Read:
@@ -18,7 +18,7 @@ def without_offset(place: Path, fault: Fault) -> Read:
     write(place, fault, seconds=10.0, kinds=("repeat", "repeat", "repeat", "steps", "workcycle"), camera_px=0.1)
     text = (place / "run.toml").read_text(encoding="utf-8")
     (place / "run.toml").write_text(text.replace(f"plc_to_pc_offset_s = {OFFSET_S}\n", ""), encoding="utf-8")
-    return read(place)
+    return read_for_diagnosis(place)
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,7 @@ def test_pictures_are_placed_by_how_they_move(tmp_path: Path, fault: Fault, name
     notes = [str(one) for one in whole.findings if one.code == "clock_offset_unknown"]
     assert any("a camera that stamps late cannot be found" in note for note in notes)
     assert "gap" not in {one.code for one in whole.findings}
-    found: dict[str, Any] = answer(budget_of(whole))
+    found: dict[str, Any] = answer_json(budget_of(whole))
     assert found["verdict"] == ("effects" if named else "none"), found["why"]
     assert [one["name"] for one in likely(found)] == named
     assert not {"camera_latency", "clock_offset"} & {one["name"] for one in found["detection_limits"]}

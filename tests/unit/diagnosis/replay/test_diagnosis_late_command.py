@@ -7,15 +7,15 @@ from typing import Any
 import pytest
 from diagnosis_cases import changed, confirmed, entry, recording
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import examine
+from diagnosis.reading.read import examine_recording
 from machine.effects.entries import EffectEntry
 from recording.rows import Sent
 
 
 def named(*effects: EffectEntry) -> dict[tuple[str, int | None], dict[str, Any]]:
-    found = answer(budget_of(examine(recording(effects=effects), Path("late"))))
+    found = answer_json(budget_of(examine_recording(recording(effects=effects), Path("late"))))
     assert found["verdict"] == "effects", found["why"]
     return confirmed(found)
 
@@ -43,7 +43,7 @@ def test_a_rounded_reference_is_seen_beside_a_long_delay() -> None:
 def test_an_offset_by_which_commands_arrive_before_they_were_sent_is_told_and_no_fault(off_s: float) -> None:
     """A fifth of a millisecond puts each reference a cycle late: a healthy machine was `outside`, with four names."""
     made = changed(recording(), Sent, lambda _number, row: replace(row, t_pc_s=row.t_pc_s + off_s))
-    found = answer(budget_of(examine(made, Path("early"))))
+    found = answer_json(budget_of(examine_recording(made, Path("early"))))
     assert found["verdict"] == "none", found["why"]
     (told,) = [one for one in found["findings"] if one["code"] == "clock_offset_wrong"]
     assert f"{1e3 * off_s:.2g} ms before they were sent" in told["text"]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from diagnosis_cases import entry, recording
 
-from diagnosis.localise import excess, localise, merged_stages
-from diagnosis.reading.read import examine
+from diagnosis.localise import error_above_floor, localise, merged_stages
+from diagnosis.reading.read import examine_recording
 from diagnosis.regimes import regimes_of
 from diagnosis.replay.replayer import replayer_of
 from machine.effects.entries import EffectEntry
@@ -15,7 +15,7 @@ from machine.effects.layout import neutral_sets
 
 
 def places(*effects: EffectEntry):
-    return localise(examine(recording(effects=effects), Path("made_up")))
+    return localise(examine_recording(recording(effects=effects), Path("made_up")))
 
 
 def test_nothing_is_left_of_a_nominal_machine() -> None:
@@ -61,7 +61,7 @@ def test_a_stage_is_judged_by_its_own_input_even_when_another_one_is_wrong() -> 
 
 def test_the_true_parameters_leave_the_floor() -> None:
     effect = entry("valve_deadband", 3, half_width_frac=0.05)
-    whole = examine(recording(effects=(effect,)), Path("made_up"))
+    whole = examine_recording(recording(effects=(effect,)), Path("made_up"))
     assert whole.nominal is not None
     replayer = replayer_of(whole.nominal, whole.stretches)
     assert replayer is not None
@@ -88,12 +88,12 @@ def test_regimes_part_a_motion() -> None:
 
 def test_excess_is_beyond_the_floor_and_never_below_zero() -> None:
     error = np.array([3.0, -5.0, 3.0, -5.0])
-    assert excess(error, 1.0) == pytest.approx(4.0)
-    assert excess(error, 9.0) == 0.0
+    assert error_above_floor(error, 1.0) == pytest.approx(4.0)
+    assert error_above_floor(error, 9.0) == 0.0
 
 
 def test_merged_stages_are_said_with_the_missing_signal() -> None:
-    merged = merged_stages(examine(recording(("steps",)), Path("made_up")))
+    merged = merged_stages(examine_recording(recording(("steps",)), Path("made_up")))
     assert merged == (
         (("joint", "structure", "camera"), "nothing was measured behind the encoders: no camera, no tracker"),
     )

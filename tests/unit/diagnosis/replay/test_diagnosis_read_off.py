@@ -7,12 +7,12 @@ import pytest
 from diagnosis_cases import PLANT
 
 from diagnosis.datagrams.lost import never_received
-from diagnosis.datagrams.sent import Sent
-from diagnosis.replay.read_off import comb_of, reached, read_off
+from diagnosis.datagrams.sent import SentReference
+from diagnosis.replay.read_off import candidates_within_log, comb_of, read_off
 from diagnosis.replay.stretches import Stretch
 from diagnosis.search.candidates import candidates_of
 from machine.effects.dynamics import drive_by_sent, simulate
-from machine.effects.entries import make_entry, pack
+from machine.effects.entries import make_entry, pack_effects
 from machine.effects.registry import effect_named
 
 WALK = np.cumsum(np.random.default_rng(1).normal(0.0, 1e-3, 5000))
@@ -32,7 +32,7 @@ def test_no_comb_is_seen_where_there_is_none() -> None:
 
 def stretch(ref: np.ndarray, lost: np.ndarray | None = None) -> Stretch:
     t_s = 0.005 * np.arange(len(ref))
-    sent = Sent(t_s, ref, lost)
+    sent = SentReference(t_s, ref, lost)
     return Stretch("a", "steps", "", 0.0, 0.005, t_s, ref, None, None, sent)
 
 
@@ -62,9 +62,9 @@ def test_known_losses_are_replayed_one_by_one() -> None:
     lost[0] = False
     effect = effect_named("packet_loss")
     assert effect is not None
-    lossy = pack([make_entry(effect, None, {"loss_frac": 0.01})], 6)
+    lossy = pack_effects([make_entry(effect, None, {"loss_frac": 0.01})], 6)
     replayed = simulate(PLANT, lossy, drive_by_sent(PLANT, t_s, q, 0.0, 1500, lost=lost)).ref
-    arrived = simulate(PLANT, pack((), 6), drive_by_sent(PLANT, t_s[~lost], q[~lost], 0.0, 1500)).ref
+    arrived = simulate(PLANT, pack_effects((), 6), drive_by_sent(PLANT, t_s[~lost], q[~lost], 0.0, 1500)).ref
     np.testing.assert_array_equal(replayed, arrived)
 
 
@@ -86,8 +86,8 @@ def test_a_gap_in_the_numbers_tells_only_where_every_datagram_would_be_logged(lo
 def test_a_limit_of_the_command_lies_above_all_that_was_commanded() -> None:
     (limit,) = (one for one in candidates_of("controller", (1,), False) if one.name == "controller_saturation")
     part = SimpleNamespace(u=np.array([[0.1], [-0.6], [0.3]]))
-    (narrowed,) = reached((limit,), (part,))  # pyright: ignore[reportArgumentType]
+    (narrowed,) = candidates_within_log((limit,), (part,))  # pyright: ignore[reportArgumentType]
     assert narrowed.slots[0].low == pytest.approx(0.588)
     assert narrowed.slots[0].start >= narrowed.slots[0].low
     full = SimpleNamespace(u=np.array([[1.0]]))
-    assert not [one for one in reached((limit,), (full,)) if one.slots[0].low < 0.97]  # pyright: ignore[reportArgumentType]
+    assert not [one for one in candidates_within_log((limit,), (full,)) if one.slots[0].low < 0.97]  # pyright: ignore[reportArgumentType]

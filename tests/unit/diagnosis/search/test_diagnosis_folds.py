@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_up_cell import COLUMNS, GAIN, LAG, N, made_up
 
-from diagnosis.search.fit import costs, fit, neutral_fit
+from diagnosis.search.fit import fit_hypothesis, neutral_fit, soft_l1_costs
 from diagnosis.whole_model.held_out import held_out
 from machine.effects.layout import ParameterSets
 
@@ -27,8 +27,8 @@ def test_a_second_name_that_is_nothing_leaves_the_first_one_to_be_refitted() -> 
 
     cell = replace(plain, whitened=whitened)
     gain, _, lag = cell.candidates
-    alone = fit(cell, (gain,), np.array([0.01]))
-    both = fit(cell, (gain, lag), np.append(alone.theta, 0.0))
+    alone = fit_hypothesis(cell, (gain,), np.array([0.01]))
+    both = fit_hypothesis(cell, (gain, lag), np.append(alone.theta, 0.0))
     assert both.theta[1] == 0.0
     without = [held_out(cell, one) for one in (both, alone)]
     assert without[0].thetas[:, 0] == pytest.approx(without[1].thetas[:, 0], abs=1e-6)
@@ -47,10 +47,10 @@ def test_a_step_that_leads_astray_is_damped() -> None:
         return plain.whitened(plain.base) + bent + np.where(half, 8.0 * COLUMNS[0], 3.0 * COLUMNS[0])
 
     cell = replace(plain, whitened=whitened)
-    found = fit(cell, cell.candidates[:1], np.array([0.2]))
+    found = fit_hypothesis(cell, cell.candidates[:1], np.array([0.2]))
     refitted = held_out(cell, found)
     for fold, theta in zip(refitted.folds, refitted.thetas, strict=True):
         keep = cell.rows.fold != fold
         sets = ParameterSets(plain.base.joint.copy(), plain.base.machine.copy())
         sets.joint[:, 0, GAIN.column] = theta[0]
-        assert costs(whitened(sets)[0][keep]).sum() <= costs(found.residual[keep]).sum() + 1e-9
+        assert soft_l1_costs(whitened(sets)[0][keep]).sum() <= soft_l1_costs(found.residual[keep]).sum() + 1e-9

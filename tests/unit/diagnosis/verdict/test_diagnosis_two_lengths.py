@@ -7,9 +7,9 @@ import pytest
 from diagnosis_cases import MACHINE_TOML, likely
 from static_points import examined, packed, static_recording
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.report.text import lines
+from diagnosis.report.text import report_lines
 from machine.effects.arm_urdf import arm_from_urdf
 from recording.content import Recording
 from recording.rows import StaticPoint
@@ -32,7 +32,7 @@ def with_bias(made: Recording, joint: int, bias_rad: float) -> Recording:
 
 
 def told(made: Recording) -> dict[str, Any]:
-    return answer(budget_of(examined(made)))
+    return answer_json(budget_of(examined(made)))
 
 
 def names(found: dict[str, Any]) -> set[tuple[str, int | None, str | None]]:
@@ -110,6 +110,6 @@ def test_where_nothing_can_be_replayed_no_effect_is_no_answer() -> None:
     elsewhere = MACHINE_TOML + "\n[points]\nwrist = { joint = 6 }\n"
     whole = examined(static_recording(packed("link_length_error", 4, error_m=0.0, of="d"), elsewhere))
     assert any("xyz_m where it is known" in str(one) for one in whole.findings)
-    found = answer(budget_of(whole))
+    found = answer_json(budget_of(whole))
     assert (found["verdict"], found["hypotheses"]) == ("undecided", [])
-    assert not [one for one in lines(found) if "no effect" in one]
+    assert not [one for one in report_lines(found) if "no effect" in one]

@@ -12,13 +12,13 @@ from diagnosis_cases import likely
 from foreign_plant import Fault, write
 from typer.testing import CliRunner
 
-from diagnosis.answer import _number, _vector, answer
+from diagnosis.answer import _number, _vector, answer_json
 from diagnosis.budget import Budget, budget_of
 from diagnosis.fleet.summary import equals_of
-from diagnosis.reading.read import read
-from diagnosis.report.page import page
-from diagnosis.report.text import lines
-from diagnosis.search.candidates import named
+from diagnosis.reading.read import read_for_diagnosis
+from diagnosis.report.page import report_page
+from diagnosis.report.text import report_lines
+from diagnosis.search.candidates import candidates_of_effects
 from longreach.cli import app
 from machine.effects.registry import NAMES, effect_named
 from server.api.examples import FREE_FORM
@@ -46,10 +46,10 @@ FIELDS = Path(__file__).parents[4] / "docs" / "diagnosis-answer.md"
 
 
 def diagnosed(tmp_path: Path, fault: Fault, seed: int = 3, **options) -> tuple[Budget, dict]:
-    whole = read(write(tmp_path / "run", fault, seed, **(options or SHORT)))
+    whole = read_for_diagnosis(write(tmp_path / "run", fault, seed, **(options or SHORT)))
     assert whole.usable, [str(one) for one in whole.findings]
     found = budget_of(whole)
-    result = answer(found)
+    result = answer_json(found)
     assert untold(result) == set()
     return found, result
 
@@ -89,7 +89,7 @@ def test_a_printed_limit_leaves_nothing_out(limit: float) -> None:
 
 
 def test_a_base_is_tilted_about_level_axes_only() -> None:
-    (tilt,) = named(("base_tilt",), ())
+    (tilt,) = candidates_of_effects(("base_tilt",), ())
     assert [slot.index for slot in tilt.slots] == [0, 1]  # about the upright it is the bias of the first encoder
     direction = effect_named("base_tilt").direction
     told = _vector("tilt_rad", "rad", direction, np.array([[3e-3, 2e-3, 4e-3], [-4e-3, -5e-3, -3e-3]]))
@@ -145,7 +145,7 @@ def test_an_effect_outside_the_catalogue_is_refused_with_a_lead(tmp_path: Path) 
     fired = [one for one in result["unexplained"] if one["stage"] == "actuator"]
     assert {one["joint"] for one in fired} == {1}
     assert any(one["lead"] for one in fired)
-    assert any("lead" in text or "unexplained" in text for text in lines(result))
+    assert any("lead" in text or "unexplained" in text for text in report_lines(result))
 
 
 def test_gain_and_encoder_scale_are_one_class_without_a_link_side_measurement(tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def test_bad_input_is_one_clear_line_each_and_exit_code_2(tmp_path: Path, spoil:
 
 def test_the_page_escapes_what_it_shows(tmp_path: Path) -> None:
     _, result = diagnosed(tmp_path, Fault(), static=12, kinds=())
-    text = page({**result, "why": "<blink>"}, "<blink>")
+    text = report_page({**result, "why": "<blink>"}, "<blink>")
     assert "<blink>" not in text
     assert "&lt;blink&gt;" in text
 

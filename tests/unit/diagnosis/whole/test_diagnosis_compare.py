@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from diagnosis.compare import misses
-from diagnosis.reading.read import read
+from diagnosis.compare import tool_misses
+from diagnosis.reading.read import read_for_diagnosis
 from machine.description import parse_machine_toml
 from machine.effects.entries import entries_to_toml, make_entry
 from machine.effects.registry import effect_of
@@ -36,8 +36,8 @@ def test_the_file_with_the_effects_misses_least(tmp_path):
     ]
     run = RunInfo("drive", segments=(Segment("slow passes", "sweep", 100.0, 100.0 + float(t_s[-1])),))
     write_folder(Recording("folder", run, TEXT, tuple(rows)), tmp_path / "run")
-    whole = read(tmp_path / "run")
-    nominal, identified = misses(whole, [("nominal", TEXT), ("identified", TEXT + "\n" + entries_to_toml(found))])
+    whole = read_for_diagnosis(tmp_path / "run")
+    nominal, identified = tool_misses(whole, [("nominal", TEXT), ("identified", TEXT + "\n" + entries_to_toml(found))])
     assert (nominal.by, identified.by) == ("encoders", "encoders")
     assert nominal.rms_mm > 10.0
     assert identified.rms_mm < 0.1 * nominal.rms_mm

@@ -11,9 +11,9 @@ import pytest
 from diagnosis_cases import likely
 from drawn_set_ups import Named, SetUp, drawn
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 
 COUNT = int(os.environ.get("LONGREACH_SET_UPS", "34"))
 FIRST = int(os.environ.get("LONGREACH_SET_UPS_SEED", "1001"))
@@ -34,7 +34,7 @@ def test_what_is_named_is_there(tmp_path: Path) -> None:
     exact, false = [], []
     for seed in range(FIRST, FIRST + COUNT):
         one = drawn(seed)
-        found = answer(budget_of(read(one.write(tmp_path / str(seed)))))
+        found = answer_json(budget_of(read_for_diagnosis(one.write(tmp_path / str(seed)))))
         verdict, told = found["verdict"], _told(found)
         right = _right(one, found, told)
         exact.append(right)

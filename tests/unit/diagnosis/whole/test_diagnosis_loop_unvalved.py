@@ -8,9 +8,9 @@ import pytest
 from diagnosis_cases import likely
 from foreign_plant import Fault, rewritten, write
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 
 KINDS = ("steps", "workcycle", "sweep")
 MEANT = {"valve_lag": "time_constant_s", "valve_deadband": "half_width_frac"}
@@ -26,7 +26,7 @@ MEANT = {"valve_lag": "time_constant_s", "valve_deadband": "half_width_frac"}
 )
 def test_a_loop_is_judged_by_its_reference(tmp_path: Path, fault: Fault, name: str, size: float) -> None:
     place = write(tmp_path / "run", fault, seed=26, seconds=10.0, kinds=KINDS, log_s=0.005)
-    found = answer(budget_of(read(rewritten(place, without=("u_",)))))
+    found = answer_json(budget_of(read_for_diagnosis(rewritten(place, without=("u_",)))))
     first = likely(found)
     assert [(one["name"], one["joint"]) for one in first] == ([(name, 1)] if name else []), found["why"]
     assert found["verdict"] == ("effects" if name else "undecided"), found["why"]

@@ -9,16 +9,16 @@ import pytest
 from diagnosis_cases import confirmed, likely
 from one_joint_cases import Machine, recorded
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 from diagnosis.whole_model.quiet_loop import quiet_loop
 
 UNREPEATED = ("multisine", "steps", "sweep")
 
 
 def told(place: Path, machine: Machine) -> dict[str, Any]:
-    return answer(budget_of(read(recorded(place, machine))))
+    return answer_json(budget_of(read_for_diagnosis(recorded(place, machine))))
 
 
 def names(found: dict[str, Any]) -> list[tuple[str, int | None]]:
@@ -59,7 +59,7 @@ def test_what_turns_may_not(tmp_path: Path) -> None:
     place = recorded(tmp_path, Machine(prismatic=True, kinds=UNREPEATED))
     text = (place / "machine.toml").read_text(encoding="utf-8")
     (place / "machine.toml").write_text(text.replace("prismatic", "revolute"), encoding="utf-8")
-    whole = read(place)
+    whole = read_for_diagnosis(place)
     assert not whole.usable
     assert "column 'q_1_m' is in m, but joint 1 of the machine file turns" in " ".join(map(str, whole.findings))
 
@@ -69,13 +69,13 @@ def test_two_units_of_one_column_are_refused(tmp_path: Path) -> None:
     rows = (place / "plc.csv").read_text(encoding="utf-8").splitlines()
     twice = [rows[0] + ",q_1_m", *(f"{row},0.1" for row in rows[1:])]
     (place / "plc.csv").write_text("\n".join(twice), encoding="utf-8")
-    assert "there in two units" in " ".join(map(str, read(place).findings))
+    assert "there in two units" in " ".join(map(str, read_for_diagnosis(place).findings))
 
 
 def test_without_a_run_file_what_is_there_is_judged(tmp_path: Path) -> None:
     place = recorded(tmp_path, Machine(kinds=UNREPEATED))
     (place / "run.toml").unlink()
-    whole = read(place)
+    whole = read_for_diagnosis(place)
     assert whole.usable
     assert {"no_run_file", "no_segments", "no_repeats"} <= {one.code for one in whole.findings}
 
@@ -120,7 +120,7 @@ def test_a_command_that_answers_what_disturbs_a_sound_machine_is_no_fault(
     tmp_path: Path, seed: int, log_every: int
 ) -> None:
     """Each had a hysteresis, or the sign of motion foretold what is left: through a fast loop both follow the noise."""
-    found = answer(budget_of(read(recorded(tmp_path, replace(FAST, log_every=log_every), seed))))
+    found = answer_json(budget_of(read_for_diagnosis(recorded(tmp_path, replace(FAST, log_every=log_every), seed))))
     assert found["verdict"] == "none", found["why"]
 
 
@@ -135,13 +135,15 @@ def test_a_spools_play_in_a_fast_loop_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_sound_fast_loop_that_nobody_repeated_has_no_fault(tmp_path: Path, seed: int) -> None:
     """Names that follow the command took the noise away, and then stood out of what was left of it."""
-    found = answer(budget_of(read(recorded(tmp_path, replace(FAST, kinds=UNREPEATED, log_every=5), seed))))
+    found = answer_json(
+        budget_of(read_for_diagnosis(recorded(tmp_path, replace(FAST, kinds=UNREPEATED, log_every=5), seed)))
+    )
     assert (found["verdict"], likely(found)) == ("undecided", []), found["why"]
 
 
 def test_a_loop_that_something_else_commands_as_well_is_not_run(tmp_path: Path) -> None:
     """A name that is there would have gained nothing by what the controller alone gives."""
-    found = budget_of(read(recorded(tmp_path, replace(FAST, ahead=1.0, play_frac=0.03))))
+    found = budget_of(read_for_diagnosis(recorded(tmp_path, replace(FAST, ahead=1.0, play_frac=0.03))))
     cells = [one.cell for one in found.fits]
     assert [quiet_loop(one) for one in cells if one.stage == "actuator"] == [None]
 

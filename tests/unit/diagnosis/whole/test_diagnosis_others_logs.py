@@ -9,11 +9,11 @@ from diagnosis_cases import changed, entry, likely, recording
 from foreign_plant import Fault, write
 from one_joint_cases import Machine, recorded
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
 from diagnosis.localise import totals_of
 from diagnosis.noise.floor import encoder_step
-from diagnosis.reading.read import examine, read
+from diagnosis.reading.read import examine_recording, read_for_diagnosis
 from recording.rows import PlcState
 
 
@@ -34,16 +34,16 @@ def test_rows_that_are_missing_everywhere_are_filled(tmp_path: Path) -> None:
     kept = np.random.default_rng(1).uniform(size=len(rows)) > 0.05
     text = "\n".join([header, *(row for row, keep in zip(rows, kept, strict=True) if keep)])
     (place / "plc.csv").write_text(text + "\n", encoding="utf-8")
-    whole = read(place)
+    whole = read_for_diagnosis(place)
     assert whole.usable
     assert "bridged" in {one.code for one in whole.findings}
-    found = answer(budget_of(whole))
+    found = answer_json(budget_of(whole))
     assert ("flow_gain_error", 1) in [(one["name"], one["joint"]) for one in likely(found)]
 
 
 def test_shares_of_the_gap_sum_to_one() -> None:
-    found = answer(
-        budget_of(examine(recording(effects=(entry("valve_deadband", 3, half_width_frac=0.05),)), Path("x")))
+    found = answer_json(
+        budget_of(examine_recording(recording(effects=(entry("valve_deadband", 3, half_width_frac=0.05),)), Path("x")))
     )
     totals = [one for one in found["localisation"] if one["joint"] is None and one["axis"] is None]
     parts = [one for one in found["localisation"] if one["joint"] is not None and one["regime"] == "all"]
@@ -56,7 +56,7 @@ def test_shares_of_the_gap_sum_to_one() -> None:
 def test_joints_without_valve_commands_are_judged_one_by_one() -> None:
     made = recording(effects=(entry("flow_gain_error", 2, gain_frac=-0.2),))
     blind = changed(made, PlcState, lambda _number, row: replace(row, u_frac=()))
-    found = budget_of(examine(blind, Path("x")))
+    found = budget_of(examine_recording(blind, Path("x")))
     assert {fit.cell.joint for fit in found.fits} >= {1, 2, 3}
     named = [line.evidence.term.effect.key for line in found.lines if line.status != "doubtful"]
     assert named in ([("flow_gain_error", 2)], [("controller_gain_error", 2)])
@@ -68,7 +68,7 @@ def test_a_reference_between_rare_rows_is_a_curve(tmp_path: Path, lag_s: float) 
     """Straight lines through its rows cut a healthy machine's corners: a lag of 1.4 ms, and refused for the rest."""
     place = write(tmp_path / "run", Fault(lag_s=(0.0, lag_s)), log_s=0.05)
     (place / "sent.csv").unlink()
-    found = answer(budget_of(read(place)))
+    found = answer_json(budget_of(read_for_diagnosis(place)))
     assert found["verdict"] in (("effects", "partly", "undecided") if lag_s else ("none",)), found["why"]
     named = [(one["name"], one["joint"]) for one in likely(found)]
     assert named == ([("valve_lag", 2)] if lag_s else [])

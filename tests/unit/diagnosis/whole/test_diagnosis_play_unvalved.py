@@ -6,9 +6,9 @@ import pytest
 from diagnosis_cases import likely
 from foreign_plant import Fault, rewritten, write
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 
 OF_VALVES = ("velocity_gain", "valve_", "kp_frac", "pt1_tau")
 
@@ -25,7 +25,7 @@ def angles_only(place: Path) -> Path:
 @pytest.mark.parametrize("delay_s", [0.0, 0.03])
 def test_sent_and_received_references_alone_tell_of_the_link(tmp_path: Path, delay_s: float) -> None:
     place = write(tmp_path / "run", Fault(delay_s=delay_s), seconds=10.0)
-    found = answer(budget_of(read(rewritten(place, without=("q_1", "q_2", "u_")))))
+    found = answer_json(budget_of(read_for_diagnosis(rewritten(place, without=("q_1", "q_2", "u_")))))
     assert found["verdict"] == ("effects" if delay_s else "none"), found["why"]
     named = [one["name"] for one in likely(found)]
     assert named == (["transport_delay"] if delay_s else [])
@@ -35,7 +35,7 @@ def test_sent_and_received_references_alone_tell_of_the_link(tmp_path: Path, del
 @pytest.mark.parametrize(("play_rad", "wanted"), [(0.0, set()), (0.004, {("backlash", 2)})])
 def test_play_needs_no_valve(tmp_path: Path, play_rad: float, wanted: set[tuple[str, int]]) -> None:
     place = write(tmp_path / "run", Fault(backlash=(0.0, play_rad)), seconds=10.0, tracker_m=2e-4)
-    found = answer(budget_of(read(angles_only(place))))
+    found = answer_json(budget_of(read_for_diagnosis(angles_only(place))))
     first = likely(found)
     assert {(one["name"], one["joint"]) for one in first} == wanted, found["why"]
     assert found["verdict"] in (("effects", "partly") if wanted else ("none",)), found["why"]

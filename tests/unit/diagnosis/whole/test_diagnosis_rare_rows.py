@@ -6,9 +6,9 @@ from typing import Any
 from diagnosis_cases import confirmed, likely
 from foreign_plant import Fault, rewritten, write
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 
 ROWS_S, FINE = 0.02, 2**20  # seconds between rows; counts of a quiet encoder
 ONCE = ("steps", "workcycle", "sweep")
@@ -17,7 +17,7 @@ REPEATED = ("repeat", "repeat", "repeat", "repeat", "steps", "workcycle")
 
 def told(place: Path) -> tuple[dict[str, Any], list[tuple[str, int | None]]]:
     """The answer, and what its best hypothesis names."""
-    found = answer(budget_of(read(place)))
+    found = answer_json(budget_of(read_for_diagnosis(place)))
     best = likely(found)
     return found, [(one["name"], one["joint"]) for one in best]
 

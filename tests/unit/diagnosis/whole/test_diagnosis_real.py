@@ -8,12 +8,12 @@ import pytest
 from diagnosis_cases import confirmed
 from scipy.io import loadmat
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.behind.points import fit_points, static_data
 from diagnosis.budget import budget_of
 from diagnosis.localise import localise, merged_stages
 from diagnosis.log.units import measured_gains
-from diagnosis.reading.read import examine, stages_present
+from diagnosis.reading.read import examine_recording, stages_present
 from machine.effects.layout import neutral_sets
 from recording.content import Attachment, Recording
 from recording.rows import PlcState, Row, StaticPoint
@@ -42,7 +42,7 @@ def tiago() -> Recording:
 
 
 def test_poses_at_rest_of_an_arm_given_as_urdf() -> None:
-    whole = examine(tiago(), Path("tiago"))
+    whole = examine_recording(tiago(), Path("tiago"))
     assert stages_present(whole) == ("structure",)
     assert [one.code for one in whole.findings] == ["duplicate_points"]  # columns 3 and 4 of the file are the same
     found = localise(whole)
@@ -54,7 +54,9 @@ def test_a_wrong_chain_shows_as_centimetres() -> None:
     """With the torso's joint left out of the chain the hand is off by its travel."""
     made = tiago()
     toml = made.machine_toml.replace('base_link = "base_link"', 'base_link = "torso_lift_link"')
-    whole = examine(Recording("folder", made.run, toml, made.rows, attachments=made.attachments), Path("tiago"))
+    whole = examine_recording(
+        Recording("folder", made.run, toml, made.rows, attachments=made.attachments), Path("tiago")
+    )
     assert whole.nominal is not None
     assert whole.tables is not None
     assert whole.tables.static is not None
@@ -66,7 +68,7 @@ def test_a_wrong_chain_shows_as_centimetres() -> None:
 
 def test_the_offset_of_a_wrist_joint_is_named_as_its_owners_say() -> None:
     """They calibrate joint offsets, and know of play at the wrist: that play is what no name takes away here."""
-    found = answer(budget_of(examine(tiago(), Path("tiago"))))
+    found = answer_json(budget_of(examine_recording(tiago(), Path("tiago"))))
     there = [one for one in found["budget"]["effects"] if one["status"] != "doubtful"]
     assert ("encoder_bias", 6) in {(one["name"], one["joint"]) for one in there}  # arm_5, the wrist's first
     assert 0.4 < found["shrink"]["overall"]["closed_frac"] < 0.9
@@ -81,7 +83,9 @@ def test_an_oil_pressure_is_no_joint(turned: bool) -> None:
     u, p, step_s = mat["u"].ravel(), mat["p"].ravel() / mat["p"].std(), 0.05
     angle = 0.1 * (p if turned else np.cumsum(p - p.mean()) * step_s)
     command = (u - u.mean()) / np.abs(u - u.mean()).max()
-    found = answer(budget_of(examine(one_joint(step_s * np.arange(len(u)), angle, command, "revolute"), Path("oil"))))
+    found = answer_json(
+        budget_of(examine_recording(one_joint(step_s * np.arange(len(u)), angle, command, "revolute"), Path("oil")))
+    )
     assert found["verdict"] in ("outside", "undecided")
     assert not confirmed(found)
 
@@ -107,7 +111,7 @@ def test_one_cylinder_with_its_valve_signal_is_enough_for_the_actuator() -> None
     t, u, stroke = mat["t"].ravel()[::10], mat["U1"].ravel()[::10], mat["s1"].ravel()[::10]
     middle = 0.5 * (u.max() + u.min()) if u.min() > 0.0 else 0.0
     command = (u - middle) / max(float(np.abs(u - middle).max()), 1e-9)
-    whole = examine(one_joint(t, stroke, command, "prismatic"), Path("patu"))
+    whole = examine_recording(one_joint(t, stroke, command, "prismatic"), Path("patu"))
     assert stages_present(whole) == ("actuator",), [str(one) for one in whole.findings]
     assert {"no_segments", "no_repeats"} <= {one.code for one in whole.findings}
     found = localise(whole)
@@ -123,7 +127,9 @@ def test_what_a_differential_cylinder_and_its_oil_do_is_told_in_part() -> None:
     """
     mat = loadmat(DATA / "patu_lift_boom" / "lift_1dof.mat")
     t, u, stroke = (mat[name].ravel()[::10] for name in ("t", "U1", "s1"))
-    found = answer(budget_of(examine(one_joint(t, stroke, u / np.abs(u).max(), "prismatic"), Path("patu"))))
+    found = answer_json(
+        budget_of(examine_recording(one_joint(t, stroke, u / np.abs(u).max(), "prismatic"), Path("patu")))
+    )
     assert found["verdict"] in ("outside", "undecided")
     names = {one["name"] for hypothesis in found["hypotheses"] for one in hypothesis["effects"]}
     assert "valve_asymmetry" in names

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from one_joint_cases import Machine, recorded
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.experiments.described import described, experiment_of
+from diagnosis.experiments.described import describe_motions, experiment_of
 from diagnosis.experiments.library import Motion, Postures
 from diagnosis.localise import Place, totals_of
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 from diagnosis.report.chain import is_total, stage_shares
 from diagnosis.report.curves import curves_of
 from diagnosis.sliding import column_of, in_metres, unit_of
@@ -52,16 +52,18 @@ def test_units_and_columns_go_by_the_joint() -> None:
     [Motion("steps", "steps", np.linspace(0.0, 1.0, 41)[:, None] * [1.0, 0.5]), Postures("looks", np.ones((3, 2)))],
 )
 def test_a_proposal_says_what_its_numbers_are(experiment: Motion | Postures) -> None:
-    assert described(experiment, (False, True))["joint_units"] == ["rad", "m"]
-    assert "joint_units" not in described(experiment, (False, False))
-    assert np.allclose(experiment_of(described(experiment, (False, True))).q[-1], experiment.q[-1])
+    assert describe_motions(experiment, (False, True))["joint_units"] == ["rad", "m"]
+    assert "joint_units" not in describe_motions(experiment, (False, False))
+    assert np.allclose(experiment_of(describe_motions(experiment, (False, True))).q[-1], experiment.q[-1])
 
 
 def test_a_cylinder_is_told_in_metres_throughout(tmp_path: Path) -> None:
     found = budget_of(
-        read(recorded(tmp_path, Machine(prismatic=True, kinds=("multisine", "steps"), gain=lambda _t: 1.1)))
+        read_for_diagnosis(
+            recorded(tmp_path, Machine(prismatic=True, kinds=("multisine", "steps"), gain=lambda _t: 1.1))
+        )
     )
-    told = answer(found)
+    told = answer_json(found)
     places = {(one["stage"], one["unit"]) for one in told["localisation"]}
     assert ("actuator", "m/s") in places
     assert not [unit for _, unit in places if "rad" in unit]

@@ -7,9 +7,9 @@ import pytest
 from diagnosis_cases import likely
 from scipy.linalg import expm
 
-from diagnosis.answer import answer
+from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 
 SPEED, OMEGA, DAMPING = 0.5, 2.0 * np.pi * 8.0, 0.8
 CYCLE_S, EVERY, SECONDS, NOISE_RAD = 1e-3, 10, 20.0, 1e-5
@@ -74,7 +74,7 @@ def made(place: Path, gain: float) -> Path:
 
 @pytest.mark.parametrize(("gain", "verdict"), [(0.0, "none"), (0.03, "effects")])
 def test_what_a_coarse_log_cannot_tell_is_no_gap(tmp_path: Path, gain: float, verdict: str) -> None:
-    found = answer(budget_of(read(made(tmp_path, gain))))
+    found = answer_json(budget_of(read_for_diagnosis(made(tmp_path, gain))))
     assert found["verdict"] == verdict, found["why"]
     told = [(one["name"], one["joint"]) for one in likely(found)]
     assert told == ([("flow_gain_error", 1)] if gain else [])

@@ -8,8 +8,8 @@ from foreign_plant import Fault, write
 from rich.console import Console
 
 from diagnosis.budget import budget_of
-from diagnosis.reading.read import read
-from diagnosis.search.work import Work
+from diagnosis.reading.read import read_for_diagnosis
+from diagnosis.search.work import WorkProgress
 from longreach.diagnose_command import EVERY_S, Outlook, in_words, left_s, outlook
 
 SEGMENTS = ("repeat", "repeat", "repeat", "repeat", "steps", "workcycle")
@@ -18,7 +18,7 @@ SEGMENTS = ("repeat", "repeat", "repeat", "repeat", "steps", "workcycle")
 @pytest.mark.parametrize("fault", [Fault(), Fault(lag_s=(0.0, 0.03), length_m=0.01)])
 def test_work_is_told_from_the_first_candidate_to_the_end(tmp_path, fault) -> None:
     heard: list[tuple[str, float, float]] = []
-    whole = read(write(tmp_path / "run", fault, 3, seconds=6.0, kinds=SEGMENTS, tracker_m=2e-4))
+    whole = read_for_diagnosis(write(tmp_path / "run", fault, 3, seconds=6.0, kinds=SEGMENTS, tracker_m=2e-4))
     found = budget_of(whole, lambda *told: heard.append(told))
     texts, done, total = zip(*heard, strict=True)
     assert (texts[0], texts[-1]) == ("fitting structure", "held-out data")
@@ -34,7 +34,7 @@ def test_work_is_told_from_the_first_candidate_to_the_end(tmp_path, fault) -> No
 
 def test_another_fit_of_a_cell_makes_more_work_and_none_less() -> None:
     heard: list[float] = []
-    work = Work(lambda _text, done, _total: heard.append(done))
+    work = WorkProgress(lambda _text, done, _total: heard.append(done))
     for step in (lambda: work.begin("a cell"), work.again, work.end):
         step()
     work.conclude("weighing", 0.0)

@@ -5,17 +5,17 @@ from typing import Any, cast
 
 import pytest
 
-from diagnosis.shrink import Shrink
-from diagnosis.verdict import Column, Line, StageLine, stage_verdict, usual_level, verdict_of
+from diagnosis.shrink import GapClosed
+from diagnosis.verdict import BudgetColumn, EffectLine, StageLine, stage_verdict, usual_level, verdict_of
 from machine.remainder import Remainder
 
 
-def line_of(probability: float) -> Line:
-    return Line(cast(Any, None), "stands", 1.0, 0.9, 1.1, 1.0, 1.0, probability)
+def line_of(probability: float) -> EffectLine:
+    return EffectLine(cast(Any, None), "stands", 1.0, 0.9, 1.1, 1.0, 1.0, probability)
 
 
-def column_of(before_mm: float, after_mm: float) -> Column:
-    return Column("stands", before_mm, after_mm, 0.0, True)
+def column_of(before_mm: float, after_mm: float) -> BudgetColumn:
+    return BudgetColumn("stands", before_mm, after_mm, 0.0, True)
 
 
 def verdict(
@@ -77,6 +77,6 @@ def test_a_stage_is_judged_by_its_own_millimetres(
 def test_what_a_healthy_machine_leaves_is_read_from_its_baseline() -> None:
     remainders = {("structure", None, "tracker"): Remainder("structure", None, "tracker", 1e-4, 1e-4, level=1.3)}
     nominal = SimpleNamespace(remainder=lambda *place: remainders.get(place))
-    row = cast(Any, Shrink)("structure", None, "tracker", "m", 1.0, 1.0, 1.0, (None, None, None))
+    row = cast(Any, GapClosed)("structure", None, "tracker", "m", 1.0, 1.0, 1.0, (None, None, None))
     assert usual_level(cast(Any, SimpleNamespace(nominal=nominal)), row) == 1.3
     assert usual_level(cast(Any, SimpleNamespace(nominal=None)), row) == 1.0

@@ -6,8 +6,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from diagnosis.whole_model.evidence import groupings_of, scatter
-from diagnosis.whole_model.probability import FEATURES, calibration, fitted, logistic, probability_of
+from diagnosis.whole_model.evidence import groupings_of, scatter_between_groups
+from diagnosis.whole_model.probability import FEATURES, fit_logistic, logistic, probability_of, trained_calibration
 from machine.rotations import Array
 
 GROUPS, ROWS, COLUMNS = 5, 400, 3
@@ -22,7 +22,7 @@ def scatter_of(rng: np.random.Generator, sizes: Array, short: float = 0.0) -> fl
     J = rng.normal(size=(ROWS, COLUMNS)) + 0.5 * rng.normal(size=(ROWS, 1))
     y = J[:, 0] * sizes[group] + J[:, 1:] @ np.array([2.0, -1.0]) + rng.normal(size=ROWS)
     best = np.linalg.lstsq(J, y, rcond=None)[0]
-    return scatter(J, J @ (best + short) - y, np.array([0]), [group])
+    return scatter_between_groups(J, J @ (best + short) - y, np.array([0]), [group])
 
 
 def test_a_size_that_is_the_same_in_every_group_seldom_scatters() -> None:
@@ -63,7 +63,9 @@ def test_a_size_that_goes_with_the_position_or_the_time_of_one_part_is_found_out
         J = rng.normal(size=(ROWS, COLUMNS))
         y = J[:, 0] * size + rng.normal(size=ROWS)
         residual = J @ np.linalg.lstsq(J, y, rcond=None)[0] - y
-        found[name] = [scatter(J, residual, np.array([0]), groups) for groups in ([kind], groupings_of(cell))]
+        found[name] = [
+            scatter_between_groups(J, residual, np.array([0]), groups) for groups in ([kind], groupings_of(cell))
+        ]
     assert max(found["the same"]) < 0.15
     assert found["by position"][0] < 0.2 < 0.4 < found["by position"][1] < 0.8
     assert found["by time"][0] < 0.2 < found["by time"][1] < 0.8
@@ -71,7 +73,7 @@ def test_a_size_that_goes_with_the_position_or_the_time_of_one_part_is_found_out
 
 def test_one_group_alone_says_nothing() -> None:
     J = np.ones((4, 1))
-    assert scatter(J, np.ones(4), np.array([0]), [np.zeros(4, dtype=np.int64)]) == 0.0
+    assert scatter_between_groups(J, np.ones(4), np.array([0]), [np.zeros(4, dtype=np.int64)]) == 0.0
 
 
 def test_fitted_reproduces_the_logistic_that_drew_the_labels() -> None:
@@ -79,7 +81,7 @@ def test_fitted_reproduces_the_logistic_that_drew_the_labels() -> None:
     X = rng.normal(size=(8000, 3)) * np.array([1.0, 2.0, 0.5]) + np.array([0.0, 4.0, -1.0])
     intercept, weights = -3.0, np.array([1.5, 0.6, 0.0])
     right = (rng.uniform(size=len(X)) < logistic(intercept + X @ weights)).astype(float)
-    found, w = fitted(X, right)
+    found, w = fit_logistic(X, right)
     assert np.abs(logistic(found + X @ w) - logistic(intercept + X @ weights)).mean() < 0.015
     assert w == pytest.approx(weights, abs=0.15)
 
@@ -88,7 +90,7 @@ def test_fitted_is_monotone_where_the_labels_are_not() -> None:
     rng = np.random.default_rng(4)
     X = rng.normal(size=(500, 2))
     right = (X[:, 0] < 0.0).astype(float)  # the larger, the less right: against what a figure means
-    _, w = fitted(X, right)
+    _, w = fit_logistic(X, right)
     assert w[0] == 0.0
     assert (w >= 0.0).all()
 
@@ -96,14 +98,14 @@ def test_fitted_is_monotone_where_the_labels_are_not() -> None:
 def test_separable_labels_and_figures_that_never_vary_give_finite_numbers() -> None:
     X = np.stack([np.linspace(-1.0, 1.0, 40), np.ones(40)], axis=1)
     right = (X[:, 0] > 0.0).astype(float)
-    intercept, w = fitted(X, right)
+    intercept, w = fit_logistic(X, right)
     assert np.isfinite([intercept, *w]).all()
     assert w[1] == 0.0
     assert (logistic(intercept + X @ w)[right > 0.5] > 0.5).all()
 
 
 def test_the_shipped_calibration_is_monotone_and_says_what_it_was_fitted_on() -> None:
-    table = calibration()
+    table = trained_calibration()
     assert set(table["weights"]) == set(FEATURES)
     assert min(table["weights"].values()) >= 0.0
     assert table["cases"] >= 20

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.diagnosis.sealed.third_plant import draw, write_case
 from diagnosis.budget import Budget, budget_of
-from diagnosis.reading.read import read
+from diagnosis.reading.read import read_for_diagnosis
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "data" / "gap" / "many_at_once"
 SEED, NUMBER = 5, 3  # a machine with three joints and 17 effects
@@ -20,7 +20,7 @@ def key_of(effect: dict[str, Any]) -> Key:
 
 
 def budget_in(folder: Path) -> Budget:
-    return budget_of(read(folder))
+    return budget_of(read_for_diagnosis(folder))
 
 
 def found_in(budget: Budget) -> dict[Key, float]:

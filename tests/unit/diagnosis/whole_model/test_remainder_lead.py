@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from diagnosis.whole_model.remainder import explained, lead_of
+from diagnosis.whole_model.remainder import explained_share, lead_of
 
 N = 2000
 
@@ -26,4 +26,4 @@ def test_the_signal_that_a_remainder_follows_is_named_with_its_share() -> None:
 def test_noise_has_no_lead_and_a_constant_remainder_none_either() -> None:
     rng = np.random.default_rng(3)
     assert lead_of(fit_with(rng.normal(size=N), position=rng.uniform(size=N))) == ""
-    assert explained(np.ones(N), rng.normal(size=N)) == 0.0
+    assert explained_share(np.ones(N), rng.normal(size=N)) == 0.0

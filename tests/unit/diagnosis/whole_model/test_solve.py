@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from diagnosis.search.candidates import Candidate, named
-from diagnosis.search.cell import Cell, Rows
-from diagnosis.whole_model.linear import Term
-from diagnosis.whole_model.solve import WholeFit, reduced, solve
+from diagnosis.search.candidates import Candidate, candidates_of_effects
+from diagnosis.search.cell import Cell, ResidualRows
+from diagnosis.whole_model.linear import EffectTerm
+from diagnosis.whole_model.solve import WholeFit, fit_and_prune, refit_reduced
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.rotations import Array
 
@@ -18,7 +18,10 @@ Usual = tuple[tuple[str, float], ...] | None
 
 def library() -> tuple[Candidate, ...]:
     """Stiction in its first form, a gain and a leak of joint 1."""
-    return (*named(("stiction",), (1,))[:1], *named(("flow_gain_error", "internal_leakage"), (1,)))
+    return (
+        *candidates_of_effects(("stiction",), (1,))[:1],
+        *candidates_of_effects(("flow_gain_error", "internal_leakage"), (1,)),
+    )
 
 
 def cell_of(usual: Usual, seed: int = 3) -> Cell:
@@ -39,7 +42,7 @@ def cell_of(usual: Usual, seed: int = 3) -> Cell:
         return np.array(out)
 
     block = np.arange(ROWS) * BLOCKS // ROWS
-    rows = Rows(block % 4, block, np.zeros(ROWS, np.int64), np.zeros(ROWS, np.int64))
+    rows = ResidualRows(block % 4, block, np.zeros(ROWS, np.int64), np.zeros(ROWS, np.int64))
     base = neutral_sets(1)
     t_s = 0.05 * np.arange(ROWS)
     return Cell("actuator", 1, "rad", library(), base, whitened, rows, np.ones(ROWS), 1.0, True, (), t_s, usual=usual)
@@ -51,7 +54,7 @@ def names_of(fit: WholeFit) -> dict[str, float]:
 
 @pytest.mark.parametrize("usual", [None, (("stiction", 5.0),)], ids=["no baseline", "baseline"])
 def test_a_narrow_optimum_is_found_and_not_what_imitates_it(usual: Usual) -> None:
-    found = names_of(solve(cell_of(usual), library()))
+    found = names_of(fit_and_prune(cell_of(usual), library()))
     assert found.keys() == {"stiction"}
     assert found["stiction"] == pytest.approx(BREAKAWAY, abs=0.5 * WIDTH)
 
@@ -59,8 +62,10 @@ def test_a_narrow_optimum_is_found_and_not_what_imitates_it(usual: Usual) -> Non
 def test_a_fit_without_some_of_its_effects_is_fitted_again_and_trusted_less() -> None:
     cell = cell_of(None)
     there = {"stiction": BREAKAWAY, "flow_gain_error": 0.002}
-    start = tuple(Term(effect, np.array([there.get(effect.name, 0.0)]), effect.name in there) for effect in library())
-    whole = solve(cell, (), start)
-    without = reduced(whole, [term for term in whole.best.terms if term.effect.name == "flow_gain_error"])
+    start = tuple(
+        EffectTerm(effect, np.array([there.get(effect.name, 0.0)]), effect.name in there) for effect in library()
+    )
+    whole = fit_and_prune(cell, (), start)
+    without = refit_reduced(whole, [term for term in whole.best.terms if term.effect.name == "flow_gain_error"])
     assert names_of(without).keys() <= {"flow_gain_error"}
     assert np.mean(without.trust) < 0.2 * np.mean(whole.trust)
