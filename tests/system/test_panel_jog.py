@@ -13,7 +13,7 @@ playwright = pytest.importorskip("playwright.sync_api", reason="playwright is no
 pytestmark = [
     pytest.mark.system,
     pytest.mark.slow,
-    pytest.mark.timeout(600),
+    pytest.mark.timeout(1800),
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this computer: install Debian's package chromium"),
 ]
 PLUS = "#jog-buttons button[data-jog='1']"
@@ -41,7 +41,7 @@ def served(folder, settings_text=""):
 def stack(tmp_path_factory):
     stack = served(tmp_path_factory.mktemp("jog"))
     with stack, JobClient(stack.url) as client:
-        client.wait_ready(180.0)
+        client.wait_ready(900.0)
         yield stack
 
 
@@ -174,7 +174,7 @@ def test_a_click_and_a_program_move_nothing(anna, stack):
 def test_a_real_machine_without_a_commissioning_does_not_jog(browser, tmp_path):
     stack = served(tmp_path, 'mode = "REAL"\n')
     with stack, JobClient(stack.url) as client:
-        client.wait_ready(180.0)
+        client.wait_ready(900.0)
         made = person(browser, stack.url, path="/?no3d")
         made.take_control()
         made.page.wait_for_function("() => /commissioning/.test(document.getElementById('jog-why').textContent)")
