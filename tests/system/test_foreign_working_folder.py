@@ -11,7 +11,7 @@ import pytest
 from longreach.fleet_client import JobClient
 from longreach.processes import free_port
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(3600)]
 ROOT = Path(__file__).parents[2]
 NAMES = ("machine", "server", "web", "numpy", "recording", "protocol", "sim_plc", "diagnosis", "random", "selectors")
 IMPORTED = "a file of the working folder was imported"
@@ -36,7 +36,7 @@ def surroundings():
 
 def run(folder, *arguments):
     done = subprocess.run(
-        command(*arguments), cwd=folder, env=surroundings(), capture_output=True, text=True, timeout=600, check=False
+        command(*arguments), cwd=folder, env=surroundings(), capture_output=True, text=True, timeout=1800, check=False
     )
     assert IMPORTED not in done.stdout + done.stderr
     assert "Traceback" not in done.stderr, done.stderr
