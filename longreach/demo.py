@@ -119,7 +119,10 @@ def _ended(processes: Mapping[str, Popen[bytes]]) -> str:
 
 def _command() -> str:
     """How the one who started this calls longreach from here."""
-    return "longreach" if shutil.which("longreach") else os.path.relpath(sys.argv[0])
+    if shutil.which("longreach"):
+        return "longreach"
+    by_module = Path(sys.argv[0]).name == "__main__.py"  # as `python -m longreach`
+    return f"{os.path.relpath(sys.executable)} -m longreach" if by_module else os.path.relpath(sys.argv[0])
 
 
 def _wait(stack: Stack, seconds: float, logs: Path) -> None:

@@ -22,6 +22,7 @@ from server.api.application import RestServices, create_application
 from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog, PatientProtocol
 from server.api.hold_rule import why_not_commissioned
 from server.api.panel import install_panel
+from server.api.state import why_not_ready
 from server.api.state_view import result_data
 from server.camera.client import VisionClient
 from server.errors import SettingsError
@@ -36,6 +37,7 @@ from server.jobs.performer import Performer
 from server.jobs.service import JobService
 from server.link.client import LinkClient
 from server.recorder import Recorder
+from server.service_manager import ServiceManager
 from server.settings import HttpSettings, ServerSettings, read_machine_text
 from server.settings_source import machine_text_with_camera, source_and_machine
 from server.shell_settings import link_settings, vision_settings
@@ -136,6 +138,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
         redoc_url=None,
     )
     app.state.stop_motion = engine.close
+    app.state.status = lambda: "; ".join(why_not_ready(service)) or "ready"
     running = create_application(
         app, RestServices(service, keeper, gatekeeper, secure_cookie=settings.http.behind_proxy)
     )
@@ -170,7 +173,8 @@ def serve(settings: ServerSettings, listening: Callable[[], None] = lambda: None
     """
     with alone_in(Path(settings.recording.folder)):
         app = build_app(settings)
-        asyncio.run(StoppingServer(config_of(app, settings.http), app, listening).run_to_the_end())
+        manager = ServiceManager.of_environment(app.state.status)  # before any process is started
+        asyncio.run(StoppingServer(config_of(app, settings.http), app, listening, manager).run_to_the_end())
 
 
 class StoppingServer(uvicorn.Server):
@@ -179,10 +183,18 @@ class StoppingServer(uvicorn.Server):
     The application's lifespan is entered here, not by uvicorn, which would wait for the end of a start of minutes.
     """
 
-    def __init__(self, config: uvicorn.Config, app: FastAPI, listening: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self,
+        config: uvicorn.Config,
+        app: FastAPI,
+        listening: Callable[[], None] = lambda: None,
+        manager: ServiceManager | None = None,
+    ) -> None:
         super().__init__(config)
         self._app, self._listening = app, listening
+        self._manager = manager or ServiceManager("", None, str)
         self._starting: asyncio.Task[None] | None = None
+        self._alive: asyncio.Task[None] | None = None
         self._stop_motion: Callable[[], Awaitable[None]] = app.state.stop_motion
 
     async def run_to_the_end(self) -> None:
@@ -193,6 +205,8 @@ class StoppingServer(uvicorn.Server):
                 async with self._app.router.lifespan_context(self._app):
                     self._starting = None
                     await self.serve()
+                if self._alive is not None:  # to the end: recordings are closed while the watchdog still counts
+                    await ended(self._alive)
             except asyncio.CancelledError:
                 if not self.should_exit:
                     raise
@@ -225,9 +239,12 @@ class StoppingServer(uvicorn.Server):
                     same.listen(QUEUE)
         if self.started:
             self._listening()
+            self._manager.ready()
+            self._alive = asyncio.create_task(self._manager.keep_alive(), name="service-manager")
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """While the machine ramps down every caller is still answered."""
+        self._manager.stopping()
         try:
             async with asyncio.timeout(STOP_S):
                 await self._stop_motion()

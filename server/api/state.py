@@ -106,20 +106,25 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
     @router.get("/readyz", response_model=ReadyView, responses={503: {"model": ReadyView}})
     async def ready() -> JSONResponse:
         """Whether a job could start now; 503 with the reasons when not."""
-        view = state_view(service.cell, service.engine, service.context)  # the store's reason comes by itself
-        reasons = [reason for reason in [view.steps["look"]] if reason]
-        stream = service.cell.vision.stream_text
-        if (camera := camera_reason(view.camera.age_ms, stream)) is not None:
-            reasons.append(camera)
-        if service.store_problem:
-            reasons.append(f"the database cannot be written: {service.store_problem}")
-        if service.disk.problem:
-            reasons.append(f"the disk is nearly full: {service.disk.problem}: move old recordings away")
-        reasons += service.inner_faults.active.values()
+        reasons = why_not_ready(service)
         ready = ReadyView(ready=not reasons, reasons=reasons)
         return JSONResponse(ready.model_dump(), status_code=503 if reasons else 200)
 
     return router
+
+
+def why_not_ready(service: JobService) -> list[str]:
+    """Why no job could start now; empty when one could."""
+    view = state_view(service.cell, service.engine, service.context)  # the store's reason comes by itself
+    reasons = [reason for reason in [view.steps["look"]] if reason]
+    stream = service.cell.vision.stream_text
+    if (camera := camera_reason(view.camera.age_ms, stream)) is not None:
+        reasons.append(camera)
+    if service.store_problem:
+        reasons.append(f"the database cannot be written: {service.store_problem}")
+    if service.disk.problem:
+        reasons.append(f"the disk is nearly full: {service.disk.problem}: move old recordings away")
+    return [*reasons, *service.inner_faults.active.values()]
 
 
 def camera_reason(age_ms: float | None, stream: str = "") -> str | None:

@@ -8,12 +8,14 @@ from machine.chain import chain_of
 from machine.kinematics import tcp_poses
 from machine.poses import pose
 from protocol.codes import PlcState
+from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import Knowledge
 from server.jobs.plans.jogging import jog
 from server.jobs.requests import MachineReading, Move, Settle
 from server.link.samples import knots_from, knots_of
 from server.motion.jog import jog_axes
+from server.motion.settings import DEFAULT_PLAN_SETTINGS as PLAN
 from server.motion.wall_clearance import clearances
 from server.settings import ServerSettings, read_machine
 from sim_plc.draw_world import draw_world
@@ -23,6 +25,7 @@ CHAIN = chain_of(MACHINE)
 AXES = jog_axes(CHAIN.n)
 SETTINGS = ServerSettings()
 SPEED_M_S = 0.030
+PRESSES_MAX = 6
 REST_MS = 1500
 RAMP_S = 0.5 + 0.025  # longest ramp of the PLC, and one command of the link before it
 WATCHDOG_S = 0.25
@@ -127,3 +130,31 @@ def test_held_down_towards_the_wall_it_ends_in_front_of_it(seed):
     require_inside(virtual.trace(), ctx)
     T = virtual.trace().Ts_base_tcp
     assert np.linalg.norm(T[-1, :3, 3] - T[0, :3, 3]) > 0.3
+
+
+@pytest.mark.parametrize(
+    ("axis", "direction", "why"),
+    [("joint_2", 1, "lift"), ("joint_3", -1, "tilt"), ("joint_5", 1, "wrist2"), ("ry", 1, "singularity")],
+)
+def test_pressed_until_nothing_is_left_it_keeps_joint_ranges_and_the_singularity(axis, direction, why):
+    """Without a wall: press after press in one direction, until the server refuses the next one."""
+    virtual, ctx = armed_before_a_wall(seed=1)
+    ctx.knowledge.T_base_ooi = None
+    refused = ""
+    for _ in range(PRESSES_MAX):
+        try:
+            knots = knots_of_jog(virtual, ctx, axis, direction)
+        except JobFailedError as error:
+            refused = str(error)
+            break
+        ended = virtual.play(knots)
+        assert ended.reached, ended.reason
+        virtual.step(REST_MS)
+    assert why in refused
+    q = virtual.trace().q_encoder
+    assert (q >= CHAIN.q_min).all()
+    assert (q <= CHAIN.q_max).all()
+    assert np.ptp(q, axis=0).max() > np.deg2rad(5.0)  # it has moved, and not only been refused
+    if axis == "ry":
+        pitch = q[:, PLAN.wrist_pitch_index]
+        assert np.abs(pitch).min() >= PLAN.wrist_pitch_min_rad - np.deg2rad(0.5)  # a joint may rest off its reference

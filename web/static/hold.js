@@ -35,6 +35,7 @@ function take(mine, message) {
   if (message.refused !== undefined) notice(t("refused", { why: message.refused }));
   // Letting go needs no words, and no line that moves the page under the finger.
   if (message.ended === "failed" || (message.ended === "stopped" && mine.up !== "button up")) notice(t("hold_ended", { why: message.reason }));
+  else if (message.ended === "done" && mine.kind === "jog") notice(t("jog_done", { why: message.reason })); // while still held
 }
 
 function end(mine) {

@@ -30,8 +30,23 @@ export function showJog(state) {
     if (button.disabled !== disabled) button.disabled = disabled;
   }
   byId("jog-axis").disabled = heldKind() === "jog"; // what is held does not change under the finger
-  setText(byId("jog-why"), why || t("jog_about"));
-  setClass(byId("jog"), "running", state.job?.kind === "jog" && ["running", "stopping"].includes(state.job.state));
+  const running = state.job?.kind === "jog" && ["running", "stopping"].includes(state.job.state);
+  setClass(byId("jog"), "running", running);
+  setText(byId("jog-why"), running ? limit(state.job) || t("jog_running") : why || t("jog_about"));
+  setText(byId("jog-now"), range(state));
+}
+
+// What ends a held motion before the button comes up, as soon as the server has planned it.
+function limit(job) {
+  return job.events.findLast((event) => event.name === "jog_limit")?.text ?? "";
+}
+
+// Where the chosen joint is and how far it may go; nothing for an axis of the tool.
+function range(state) {
+  const i = state.joint_names.findIndex((_, n) => byId("jog-axis").value === `joint_${n + 1}`);
+  if (i < 0) return "";
+  const [now, low, high] = [state.q_deg[i], state.q_min_deg[i], state.q_max_deg[i]];
+  return now === undefined ? "" : t("jog_now", { now: now.toFixed(1), low: low.toFixed(0), high: high.toFixed(0) });
 }
 
 // The name of a button holds its axis: a screen reader says what will move.

@@ -69,9 +69,11 @@ export const TEXTS = {
   travel: "joint travel", checks: "checks", checks_text: "joint limits, speed and wall clearance checked by the planner",
   more: "Goal and options", goal_edit: "Goal", stand_off: "in front, mm", offset_x: "shift X, mm", offset_y: "shift Y, mm", set_goal: "Set", retract_mm: "Retract by, mm",
   // jog
-  jog_title: "Jog", jog_axis: "joint or axis of the tool", jog_about: "HOLD: slow, moves while held", jog_joint: "joint {n}, {joint}",
-  jog_x: "tool, along x", jog_y: "tool, along y", jog_z: "tool, along z", jog_rx: "tool, about x", jog_ry: "tool, about y", jog_rz: "tool, about z",
-  jog_hold: "Jog {axis}, {sign}: hold", jog_plus: "positive", jog_minus: "negative",
+  jog_title: "Jog: move one axis slowly", jog_axis: "joint or axis of the tool", jog_about: "HOLD − or +: moves slowly, stops when released", jog_joint: "joint {n}, {joint}",
+  jog_x: "tool x: + up in the picture", jog_y: "tool y: + left in the picture", jog_z: "tool z: + back, − towards the target",
+  jog_rx: "tool, turn about x: + to the left", jog_ry: "tool, turn about y: + down", jog_rz: "tool, roll about z: + counterclockwise",
+  jog_hold: "Jog {axis}, {sign}: hold", jog_plus: "positive", jog_minus: "negative", jog_now: "now {now}°, range {low}° to {high}°",
+  jog_running: "moving; release to stop", jog_done: "Jog has ended: {why}",
   // history
   history: "History", alarms_tab: "Alarms", joints: "Joints", story: "Log", n: "#", time: "time", after: "after", inside: "inside",
   accepted_by: "accepted by {who}", yes: "✓ yes", no: "✗ no", trend: "Distance to the goal at each look, mm, log scale; green: tolerance",

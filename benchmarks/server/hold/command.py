@@ -12,29 +12,31 @@ from rich.table import Table
 
 from benchmarks.saved_lines import add_line, open_to_add, whole_lines
 from benchmarks.server.headless import headless
-from benchmarks.server.hold.drill import LIMIT_MS, WAYS, HoldCase, HoldDrill
+from benchmarks.server.hold.drill import JOG_WAYS, LIMIT_MS, WAYS, HoldCase, HoldDrill, JogDrill
 
 console = Console(width=160)
-RETRIES = 3
+RETRIES = 30
 
 
 def hold(
-    n: Annotated[int, typer.Option(help="presses ended in each of the five ways")] = 100,
+    n: Annotated[int, typer.Option(help="presses ended in each of the five ways, jogs in four")] = 100,
     seed: Annotated[int, typer.Option(help="draws the moments")] = 1,
     folder: Annotated[Path, typer.Option(help="where every case is saved; a second run resumes")] = Path(
         "runs/bench-hold"
     ),
     chromium: Annotated[str, typer.Option(help="the browser")] = "/usr/bin/chromium",
+    jog: Annotated[bool, typer.Option("--jog", help="hold the jog buttons, not the steps")] = False,
 ) -> None:
     """Hold-to-run in a real browser: time from letting go to the ramp in the PLC's states."""
     folder.mkdir(parents=True, exist_ok=True)
-    cases = saved(folder, seed)
-    wanted = [(way, number) for number in range(n) for way in WAYS if (way, number) not in cases]
+    file = folder / f"cases-{'jog-' if jog else ''}{seed}.jsonl"
+    cases = saved(file)
+    wanted = [(way, number) for number in range(n) for way in (JOG_WAYS if jog else WAYS) if (way, number) not in cases]
     if wanted:
-        with headless(chromium) as browser, HoldDrill(folder / "stack", browser) as drill:
+        with headless(chromium) as browser, (JogDrill if jog else HoldDrill)(folder / "stack", browser) as drill:
             for way, number in wanted:
                 cases[way, number] = _tried(drill, way, number, seed)
-                _save(folder, seed, cases[way, number])
+                _save(file, cases[way, number])
     console.print(summary([case for case in cases.values() if case.number < n]))
 
 
@@ -52,14 +54,14 @@ def _tried(drill: HoldDrill, way: str, number: int, seed: int) -> HoldCase:
     raise typer.Exit(1)
 
 
-def saved(folder: Path, seed: int) -> dict[tuple[str, int], HoldCase]:
-    """The cases of earlier runs with this seed."""
-    found = whole_lines(folder / f"cases-{seed}.jsonl", lambda text: HoldCase(**json.loads(text)))
-    return {(one.way, one.number): one for one in found}
+def saved(file: Path) -> dict[tuple[str, int], HoldCase]:
+    """The cases of earlier runs."""
+    found = whole_lines(file, lambda text: HoldCase(**json.loads(text)))
+    return {(case.way, case.number): case for case in found}
 
 
-def _save(folder: Path, seed: int, case: HoldCase) -> None:
-    with open_to_add(folder / f"cases-{seed}.jsonl") as file:
+def _save(path: Path, case: HoldCase) -> None:
+    with open_to_add(path) as file:
         add_line(file, asdict(case))
 
 

@@ -86,7 +86,7 @@ def raw_to_grey(message: Any) -> Image:
         )
     rows = np.frombuffer(message.data, np.uint8, step * height).reshape(height, step)[:, : width * pixel_bytes]
     if conversion is None:
-        return rows
+        return rows.copy()  # contiguous and writable as those of the others: compiled code is of one memory layout
     return np.asarray(cv2.cvtColor(rows.reshape(height, width, pixel_bytes), conversion), np.uint8)
 
 

@@ -16,13 +16,17 @@ REMEDY = (
 
 
 def split_side_by_side(picture: Image) -> tuple[Image, Image]:
-    """Left and right grey views (h, w) of a grey or BGR picture (h, 2 w)."""
+    """Left and right grey pictures (h, w) of a grey or BGR picture (h, 2 w), each contiguous.
+
+    Contiguous as those of every other source: compiled code is of one memory layout, and a view of another one would be
+    compiled at the first picture, for a minute.
+    """
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if picture.ndim == 3 else picture
     width = grey.shape[1]
     if width % 2:
         raise StreamError(f"side-by-side picture: width {width} px is odd; two equal eyes need an even width")
     half = width // 2
-    return np.asarray(grey[:, :half], np.uint8), np.asarray(grey[:, half:], np.uint8)
+    return np.ascontiguousarray(grey[:, :half], np.uint8), np.ascontiguousarray(grey[:, half:], np.uint8)
 
 
 def decode_grey(data: bytes | NDArray[np.uint8]) -> Image:
@@ -30,7 +34,7 @@ def decode_grey(data: bytes | NDArray[np.uint8]) -> Image:
 
     Raises: StreamError when the bytes are not a picture, or a JPEG whose data are damaged (PNG has checksums).
     """
-    encoded = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data
+    encoded = np.frombuffer(memoryview(data).toreadonly(), np.uint8)  # one type for the compiled scan, whatever comes
     damage = damage_of(encoded) if encoded[: len(JPEG)].tobytes() == JPEG else ""
     if damage:
         size = f"camera picture of {encoded.size} bytes"
@@ -42,7 +46,7 @@ def decode_grey(data: bytes | NDArray[np.uint8]) -> Image:
 
 
 def decode_side_by_side(data: bytes | NDArray[np.uint8]) -> tuple[Image, Image]:
-    """Left and right grey views of a JPEG picture.
+    """Left and right grey pictures of a JPEG picture.
 
     Raises: StreamError as `decode_grey`, or an odd width.
     """

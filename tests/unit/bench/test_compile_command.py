@@ -6,11 +6,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from longreach import compile_command
 from longreach.cli import CACHE, COMPILED, app
+from longreach.compile_command import kernels_of
+from server.camera.contracts import StereoFrame, VisionSettings
+from server.camera.process import build_pipeline, made_up_pairs
+from server.camera.sources.settings import HttpSource
+from server.camera.sources.side_by_side import decode_side_by_side
+from server.settings import read_machine
 
 ROOT = Path(__file__).parents[3]
 #: Compiled when a diagnosis, an identification or a compensation first needs them, in a process of its own or at rest.
@@ -72,3 +80,18 @@ def test_after_it_no_process_of_the_system_compiles(cache: Path) -> None:
         assert done.returncode == 0, done.stderr
     missing = [place for place in json.loads(done.stdout) if not place.startswith(LATER)]
     assert missing == []
+
+
+def test_the_first_picture_of_a_live_camera_compiles_nothing() -> None:
+    """The warm-up sees pictures as each source delivers them: of the same memory layout, decoded from the same type."""
+    machine = read_machine("hiab033")
+    pipeline = build_pipeline(VisionSettings(HttpSource("http://127.0.0.1/")), machine)
+    kernels = [k for file in compile_command.kernel_files() if "server" in file.parts for k in kernels_of(file)]
+    before = {kernel.py_func.__name__: len(kernel.signatures) for kernel in kernels}
+    for number, pair in enumerate(made_up_pairs(machine)):
+        jpeg = cv2.imencode(".jpg", np.hstack(pair))[1].tobytes()
+        for left, right in (decode_side_by_side(jpeg), pair):
+            t_ns = (number + 1) * 200_000_000
+            pipeline.process(StereoFrame(left, right, t_ns, t_ns, number), 0)
+    pipeline.close()
+    assert {kernel.py_func.__name__: len(kernel.signatures) for kernel in kernels} == before

@@ -1,5 +1,7 @@
 """`longreach demo` waits as long as it takes, tells why, and gives up at once where something has ended."""
 
+import os
+import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -67,3 +69,18 @@ def test_each_stage_of_the_start_is_told_once_when_it_has_ended() -> None:
         "the numerics are loaded",
         "pictures arrive",
     ]
+
+
+@pytest.mark.parametrize(
+    ("started", "called"),
+    [
+        ("/opt/x/longreach/__main__.py", f"{os.path.relpath(sys.executable)} -m longreach"),
+        (".venv/bin/longreach", None),
+    ],
+)
+def test_the_command_that_it_names_can_be_entered_as_it_is(
+    monkeypatch: pytest.MonkeyPatch, started: str, called: str | None
+) -> None:
+    monkeypatch.setattr(demo.shutil, "which", lambda _name: None)
+    monkeypatch.setattr(sys, "argv", [started])
+    assert demo._command() == (called or started)
