@@ -206,7 +206,7 @@ class StoppingServer(uvicorn.Server):
                     self._starting = None
                     await self.serve()
                 if self._alive is not None:  # to the end: recordings are closed while the watchdog still counts
-                    await ended(self._alive)
+                    await cancel_and_wait(self._alive)
             except asyncio.CancelledError:
                 if not self.should_exit:
                     raise
