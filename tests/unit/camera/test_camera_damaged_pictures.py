@@ -144,10 +144,10 @@ def test_both_eyes_shifted_by_whole_blocks_are_found_at_rest_and_in_motion(block
     assert not any(found[9:])
 
 
-@pytest.mark.parametrize("period_ms", [150, 200, 400])
+@pytest.mark.parametrize("period_ms", [150, 200, 300])
 def test_a_slow_camera_shows_shifts_beyond_what_a_machine_can_do_in_its_interval(period_ms: int) -> None:
     least_px = JUMP_MIN_PX * (period_ms / 120) ** 2
-    for blocks in (1, 2, 6):
+    for blocks in (1, 2):  # more would meet another corner of the marker
         found = findings([0.0] * 4 + [BLOCK_PX * blocks] + [0.0] * 4, period_ns=period_ms * 1_000_000)
         assert not any(found[:4])
         assert bool(found[4]) == (BLOCK_PX * blocks > least_px)
