@@ -138,6 +138,8 @@ def _blocked(cell: Cell, engine: JobEngine) -> str:
         return cell.starting
     health = cell.link.health
     phase = health.phase.value
+    if health.other_pc and phase in ("offline", "disarmed"):  # states arrive, but the session is another PC's
+        return health.other_pc
     if phase in ("offline", "fault", "local"):
         check = health.error or "check its program, cable and address, and that no other PC holds it"
         return {

@@ -94,6 +94,7 @@ def check_scale(ratios: Sequence[SideRatio]) -> CheckFinding:
 
 
 SIGMA_TAPE_M = 1e-3  # of a distance read off a tape between two printed markers
+FOCAL_CHECKED_FRAC = 0.01  # what the settings take for granted, `sigma_focal_frac`: known less well, it is unchecked
 FOCAL_FAIL_FRAC = 0.03  # a focal length further off is another camera's, or of another image size
 UNKNOWN = LensPrior(sigma_focal_frac=0.3)  # the check takes nothing for granted: also another camera's file is found
 
@@ -106,8 +107,8 @@ class Tape:
 
 
 def check_focal(machine: Machine, seen: Sequence[PairObservation], tape: Tape | None = None) -> CheckFinding:
-    """Finding `focal`: focal length and prints by perspective, stereo and tape; what none of them shows stays OK with
-    its sigma, which the settings' `sigma_focal_frac` should hold."""
+    """Finding `focal`: focal length and prints by perspective, stereo and tape. What none of them shows to
+    FOCAL_CHECKED_FRAC stays OK, called unchecked."""
     looks = [(*poses, pair) for pair in seen if (poses := _poses(pair)) is not None]
     if not looks:
         remedy = "show tool and OOI to both eyes, one marker tilted by 45 deg"
@@ -125,6 +126,10 @@ def check_focal(machine: Machine, seen: Sequence[PairObservation], tape: Tape | 
     by = "perspective and tape" if tape is not None else "perspective"
     text = f"focal length {100 * off:+.2f} +- {100 * sigma:.2f} % against the file, by {by} of {len(looks)} pairs"
     figures = {"focal_off_frac": off, "focal_sigma_frac": sigma}
+    if not doubts and sigma > FOCAL_CHECKED_FRAC:
+        text += (
+            f"; unchecked to {100 * FOCAL_CHECKED_FRAC:g} %: tape the distance from tool to OOI, and give it by --tape"
+        )
     if not doubts:
         return CheckFinding("focal", Level.OK, text, "", figures)
     level = Level.FAIL if abs(off) > FOCAL_FAIL_FRAC + 3.0 * sigma else Level.WARN

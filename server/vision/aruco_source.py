@@ -14,7 +14,16 @@ from server.vision.ambiguity import prior_from
 from server.vision.border_fit import border_covered, printed_pattern, sides_without_margin
 from server.vision.charuco import board_sighting, why_no_corner
 from server.vision.charuco_saddle import fit_saddles
-from server.vision.contracts import NO_WHITE_MARGIN, Array, Image, MarkerView, ObjectPose, PairObservation, PoseStatus
+from server.vision.contracts import (
+    AT_TWO_PLACES,
+    NO_WHITE_MARGIN,
+    Array,
+    Image,
+    MarkerView,
+    ObjectPose,
+    PairObservation,
+    PoseStatus,
+)
 from server.vision.detection import DetectionSettings, EyeDetection, EyeDetector
 from server.vision.edge_fit import fit_corners
 from server.vision.errors import NoMarkersError
@@ -238,7 +247,7 @@ def _unused_views(found: tuple[EyeDetection, EyeDetection], known: set[int]) -> 
         reason = f"marker {number} is printed white on black; print it black on white"
         views[number] = MarkerView(number, None, None, float("nan"), False, reason)
     for number in sorted(left.repeated_ids | right.repeated_ids):
-        reason = f"marker id {number} is visible at two places; cover or remove one"
+        reason = f"marker id {number} is {AT_TWO_PLACES}; cover or remove one"
         views[number] = MarkerView(number, None, None, float("nan"), False, reason)
     return list(views.values())
 

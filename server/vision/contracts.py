@@ -21,7 +21,12 @@ class PoseStatus(Enum):
     REJECTED = "rejected"  # seen, but residual, health or geometry forbids its use
 
 
-NO_WHITE_MARGIN = "no white margin"  # in the reason of a view: its sides are no edges by which to judge a picture
+# Words in the reason of a view or pose by which others know what was found; never written out a second time.
+NO_WHITE_MARGIN = "no white margin"  # a print's sides are no edges by which to judge a picture
+AT_TWO_PLACES = "visible at two places"
+MOVED_ON_BOARD = "moved on its board"
+EYES_SWAPPED = "left and right eye are swapped"
+ROWS_DIFFER = "rows of the two eyes differ"
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from server.vision.ambiguity import (
     mirrored_pose,
     widened_covariance,
 )
-from server.vision.contracts import Array, MarkerView, ObjectPose, PoseStatus
+from server.vision.contracts import EYES_SWAPPED, MOVED_ON_BOARD, ROWS_DIFFER, Array, MarkerView, ObjectPose, PoseStatus
 from server.vision.pose_problem import PointSighting, PoseProblem, SeenGroup, Sighting, pose_problem
 from server.vision.pose_refinement import RefinedPose, distinct_minima
 
@@ -182,12 +182,10 @@ def _contradiction_of(problem: PoseProblem, settings: PoseSettings) -> str:
         return ""
     disparity = float(np.median(left[:, 0] - right[:, 0]))
     if disparity < 0.0:
-        return f"disparity {disparity:.1f} px is negative; left and right eye are swapped"
+        return f"disparity {disparity:.1f} px is negative; {EYES_SWAPPED}"
     row = float(np.median(left[:, 1] - right[:, 1]))
     if abs(row) > settings.epipolar_max_px:
-        return (
-            f"rows of the two eyes differ by {row:.1f} px (limit {settings.epipolar_max_px:g} px); recalibrate the rig"
-        )
+        return f"{ROWS_DIFFER} by {row:.1f} px (limit {settings.epipolar_max_px:g} px); recalibrate the rig"
     return ""
 
 
@@ -220,7 +218,7 @@ def _without_the_worst(
     if left_out < 0 or _rms(best[0]) > settings.residual_max_px:
         return minima, {}
     marker_id = problem.sightings[left_out].target_id
-    reason = f"marker {marker_id} contradicts the others; it has moved on its board or its layout entry is wrong"
+    reason = f"marker {marker_id} contradicts the others; it has {MOVED_ON_BOARD} or its layout entry is wrong"
     return best, {left_out: reason}
 
 

@@ -78,7 +78,10 @@ class Latch:
 
 JUMP_MIN_PX = 4.0  # half of the smallest block of a JPEG
 ALIKE_MAX_PX = 0.5  # between the eyes: blocks shift both by the same, a step in depth does not
-INTERVAL_MAX_S = 0.12  # of a 10 Hz camera; 4 px in it from rest, at 1 m with 700 px: 0.8 m/s^2, cranes have 0.5
+# Of a 10 Hz camera; 4 px in it from rest, at 1 m with 700 px: 0.8 m/s^2, cranes have 0.5. The limit of a longer
+# interval grows as the way of that acceleration does.
+INTERVAL_S = 0.12
+INTERVAL_MAX_S = 1.0  # a limit of 280 px: beyond, nothing can be said
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +96,7 @@ class JumpMonitor:
     """Compares each marker with where the speed of its last step would have taken it."""
 
     def __init__(self) -> None:
-        self._t_ns = 0
+        self._t_ns, self._interval_ns = 0, 0
         self._seen: dict[tuple[int, str], _Seen] = {}
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
@@ -103,7 +106,10 @@ class JumpMonitor:
         interval_ns = pair.frame.t_exposure_ns - self._t_ns
         comparable = not pair.first and 0 < interval_ns <= INTERVAL_MAX_S * 1e9
         before = self._seen if comparable else {}
-        self._t_ns, self._seen = pair.frame.t_exposure_ns, {}
+        # Errors of the predicted place: by the acceleration over this interval, and over the one that gave the speed.
+        way_ns2 = 0.5 * interval_ns * (interval_ns + self._interval_ns)
+        limit_px = JUMP_MIN_PX * max(1.0, way_ns2 / (INTERVAL_S * 1e9) ** 2)
+        self._t_ns, self._interval_ns, self._seen = pair.frame.t_exposure_ns, interval_ns, {}
         worst_px, worst = 0.0, ""
         for view in pair.observation.views:
             offs_px: list[Array] = []
@@ -123,10 +129,10 @@ class JumpMonitor:
             size_px = float(np.linalg.norm(offs_px[0])) if alike else 0.0  # of one eye the residual says more
             if size_px > worst_px:
                 worst_px, worst = size_px, f"marker {view.marker_id} jumped by {size_px:.1f} px"
-        if worst_px <= JUMP_MIN_PX:
+        if worst_px <= limit_px:
             return ()
         text = (
-            f"{worst} from one pair to the next (limit {JUMP_MIN_PX:g} px): the picture is damaged, or something was "
+            f"{worst} from one pair to the next (limit {limit_px:.3g} px): the picture is damaged, or something was "
             "struck; check cable, network and the camera's encoder"
         )
         return (Finding(FaultCode.JUMPED, text, forbids_odometry=False),)

@@ -8,14 +8,20 @@ from numba import njit
 from machine.description import StereoCamera
 from server.camera.contracts import StereoFrame
 from server.camera.health.findings import FaultCode, Finding, Pair
-from server.vision.contracts import Array, Image, MarkerView, ObjectPose, PoseStatus
+from server.vision.contracts import (
+    AT_TWO_PLACES,
+    EYES_SWAPPED,
+    MOVED_ON_BOARD,
+    ROWS_DIFFER,
+    Array,
+    Image,
+    MarkerView,
+    ObjectPose,
+    PoseStatus,
+)
 
-TWICE = "seen at two places"
-MOVED = "moved on its board"
-SWAPPED = "eye are swapped"
 RESIDUAL_MAX_PX = 0.3
 LAYOUT_MAX_M = 0.00075  # residual of a carefully measured layout, printed sides included
-ROWS = "rows of the two eyes differ"
 OUTSIDE_FRAC = 0.06  # of a side: half a cell outside of it, where a print has its white margin
 CLIPPED_GREY, CLIPPED_FRAC, CLIPPED_PLACES = 254, 0.8, 17
 
@@ -59,7 +65,7 @@ class MarkerMonitor:
         which = "" if worst is None else f", most of it at marker {worst.marker_id} ({worst.residual_rms_px:.2f} px)"
         text = (
             f"the {found.on}'s markers contradict their layout: residual {found.residual_rms_px:.2f} px rms (limit "
-            f"{limit_px:.2f} px){which}; a marker has moved on its board: fix it, then measure the layout again"
+            f"{limit_px:.2f} px){which}; a marker has {MOVED_ON_BOARD}: fix it, then measure the layout again"
         )
         return (Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False),)
 
@@ -123,16 +129,16 @@ def _misfit(found: ObjectPose, limit_px: float) -> Finding:
 
 def _rejected(reason: str) -> Finding:
     """Corners that fit no pose: the rig, or else the layout, is not what the machine file says."""
-    for words, code in ((SWAPPED, FaultCode.EYES_SWAPPED), (ROWS, FaultCode.ROWS_DIFFER)):
+    for words, code in ((EYES_SWAPPED, FaultCode.EYES_SWAPPED), (ROWS_DIFFER, FaultCode.ROWS_DIFFER)):
         if words in reason:
             return Finding(code, reason)
     return Finding(FaultCode.MARKER_MOVED, reason, forbids_odometry=False)
 
 
 def _of_view(view: MarkerView) -> Finding | None:
-    if TWICE in view.reason:
+    if AT_TWO_PLACES in view.reason:
         return Finding(FaultCode.MARKER_TWICE, view.reason, forbids_odometry=False)
-    if MOVED in view.reason:
+    if MOVED_ON_BOARD in view.reason:
         text = f"{view.reason}: fix it, then measure the layout again"
         return Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False)
     return None

@@ -169,6 +169,18 @@ async def test_readiness_names_its_reasons(client, service):
     assert "camera delivers no images" in answer.json()["reasons"][1]
 
 
+@pytest.mark.parametrize(
+    ("phase", "held"), [("disarmed", True), ("offline", True), ("linked", False), ("armed", False)]
+)
+async def test_a_pc_whose_plc_another_one_holds_is_not_ready(client, service, phase, held):
+    """States of the PLC arrive all the same. The one that holds the session only warns."""
+    other = "another PC holds the PLC's session 0x6f646f25; end the server there"
+    link = LinkHealth(LinkPhase(phase), 1.0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, "", 0, other_pc=other)
+    service.cell.link.health = link
+    assert (other in (await client.get("/readyz")).json()["reasons"]) is held
+    assert ((await client.get("/v1/state")).json()["steps"]["retract"] == other) is held
+
+
 async def test_no_job_begins_while_the_numerics_load(client, service):
     service.cell.starting = "the server is starting: it loads its numerics"
     assert service.cell.starting in (await client.get("/readyz")).json()["reasons"]

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from benchmarks.hand_eye.kinhec_tracks import kinhec_available
 from benchmarks.hand_eye.real_pairs import align_trajectories, hand_eye_residuals
-from machine.poses import pose
+from machine.poses import moved_pose, pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec, rotvec_from_rotation
 from server.calibration.checks import CalibrationInputError
 from server.calibration.contracts import CalibrationStatus
@@ -219,6 +220,45 @@ def test_poses_weigh_by_what_their_images_say_of_them(n):
         errors["weighted"].append(errors_of(solve_ax_yb(As, Bs, camera_covariances=covariances)))
     alike, weighted = (np.sqrt(np.mean(np.square(errors[key]), axis=0)) for key in ("alike", "weighted"))
     assert (weighted < 0.75 * alike).all(), (alike, weighted)
+
+
+FOCAL_PX, NOISE_PX = 700.0, 0.3
+BOARD = np.stack([*np.meshgrid(np.arange(-3.0, 4.0), np.arange(-2.0, 3.0)), np.zeros((5, 7))], axis=2).reshape(-1, 3)
+BOARD_M = 0.03 * BOARD
+
+
+def projected(T_cam_board):
+    points = BOARD_M @ T_cam_board[:3, :3].T + T_cam_board[:3, 3]
+    return (FOCAL_PX * points[:, :2] / points[:, 2:]).ravel()
+
+
+def test_poses_weighted_by_their_images_reach_the_optimum_of_the_reprojection():
+    """The images' covariances carry what the pixels say: a last step on the pixels themselves would change nothing."""
+    rng, n = np.random.default_rng(5), 25
+    drawn = [
+        pose(rotation_from_rotvec(rng.uniform(-0.6, 0.6, 3)), rng.uniform([-0.1, -0.1, 0.4], [0.1, 0.1, 1.4]))
+        for _ in range(n)
+    ]
+    As = np.array([Y_TRUE @ np.linalg.inv(X_TRUE @ T) for T in drawn])
+    pixels = [projected(T) + NOISE_PX * rng.normal(size=2 * len(BOARD)) for T in drawn]
+    seen, covariances = [], []
+    for T, pixel in zip(drawn, pixels, strict=True):
+        fit = least_squares(lambda d, T=T, pixel=pixel: projected(moved_pose(T, d)) - pixel, np.zeros(6))
+        seen.append(moved_pose(T, fit.x))
+        covariances.append(NOISE_PX**2 * np.linalg.inv(fit.jac.T @ fit.jac))
+
+    def misses(d, X, Y):
+        Ts = inverse_poses(As @ moved_pose(X, d[:6])) @ moved_pose(Y, d[6:])
+        return np.concatenate([projected(T) - pixel for T, pixel in zip(Ts, pixels, strict=True)])
+
+    Bs, excess = inverse_poses(np.array(seen)), {}
+    best = float(least_squares(misses, np.zeros(12), args=(X_TRUE, Y_TRUE)).cost)
+    for name, given in (("alike", None), ("weighted", np.array(covariances))):
+        found = solve_ax_yb(As, Bs, camera_covariances=given)
+        assert found.X is not None, found.reason
+        excess[name] = 0.5 * float(np.sum(misses(np.zeros(12), found.X, found.Y) ** 2)) / best - 1.0
+    assert excess["weighted"] < 0.005, excess
+    assert excess["alike"] > 2.0 * excess["weighted"], excess
 
 
 def test_angles_in_the_wrong_order_are_refused():

@@ -140,6 +140,18 @@ def test_one_taped_distance_measures_the_focal_length() -> None:
     assert right.level is Level.OK, right
 
 
+@pytest.mark.parametrize("share", [0.96, 0.99, 1.01, 1.04])
+def test_a_focal_length_off_by_a_percent_is_found_by_a_tape_and_else_called_unchecked(share: float) -> None:
+    machine = with_focal(share)
+    true = ArucoPoseSource(MACHINE).observe(*rendered(), 0)
+    tape = Tape(float(np.linalg.norm(true.tool.T_cam_object[:3, 3] - true.ooi.T_cam_object[:3, 3])))
+    seen = ArucoPoseSource(machine).observe(*rendered(), 0)
+    alone, taped = check_focal(machine, [seen]), check_focal(machine, [seen], tape)
+    assert alone.level is not Level.OK or "unchecked to 1 %" in alone.text, alone
+    assert taped.level is (Level.WARN if abs(share - 1.0) < 0.02 else Level.FAIL), taped
+    assert "unchecked" not in taped.text
+
+
 def with_focal(share: float) -> Machine:
     camera = MACHINE.camera
     return replace(MACHINE, camera=replace(camera, fx_px=share * camera.fx_px, fy_px=share * camera.fy_px))

@@ -1,6 +1,8 @@
 """Pose sources on whole images: the same contract for markers in both eyes and for a target that is no marker."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ from pose_source_contract import DotPlateSource, check_blind, check_contract, dr
 from vision_scenes import deviation, machine, renderer, tcp_in_ooi, truth_of
 
 from machine.poses import pose
+from server.camera.health.findings import FaultCode
+from server.camera.health.markers import MarkerMonitor
 from server.vision.aruco_source import ArucoPoseSource, MonoArucoPoseSource
 from server.vision.contracts import PoseStatus
 from server.vision.detection import EyeDetector
@@ -96,6 +100,29 @@ def test_a_repeated_id_is_flagged_and_not_used(pair_and_truth):
     assert observation.tool.status is PoseStatus.NOT_SEEN
     assert "two places" in observation.tool.reason
     assert any(view.marker_id == 10 and not view.used for view in observation.views)
+
+
+def test_the_cameras_health_names_by_code_what_the_pose_source_finds(pair_and_truth):
+    """It knows the finding by words that both read from the same place: a rewording cannot part them."""
+    (left, right), _ = pair_and_truth
+    seen = {
+        view.marker_id: view.corners_left_px.astype(int)
+        for view in ArucoPoseSource(machine()).observe(left, right, 0).views
+    }
+    low, high = seen[10].min(axis=0) - 25, seen[10].max(axis=0) + 25
+    doubled = left.copy()
+    doubled[20 : 20 + high[1] - low[1], 20 : 20 + high[0] - low[0]] = left[low[1] : high[1], low[0] : high[0]]
+    for eyes, code in (
+        ((left, right), None),
+        ((doubled, right), FaultCode.MARKER_TWICE),
+        ((right, left), FaultCode.EYES_SWAPPED),
+        ((left, np.roll(right, 6, axis=0)), FaultCode.ROWS_DIFFER),
+    ):
+        observation = ArucoPoseSource(machine()).observe(*eyes, 0)
+        pair: Any = SimpleNamespace(observation=observation, frame=SimpleNamespace(left=eyes[0], right=eyes[1]))
+        found = MarkerMonitor(machine().camera).check(pair)
+        assert {finding.code for finding in found} == ({code} if code else set()), found
+        assert all(finding.forbids_look for finding in found)
 
 
 def test_following_gives_the_same_corners_as_full_searches(pair_and_truth):
