@@ -31,7 +31,7 @@ from machine.rotations import Array
 
 AXES = 3  # radial, tangential, up
 NOTHING = 1e-6  # share of the mean square
-LIKELY_BELOW = 0.99  # share of healthy recordings below a level
+LIKELY_BELOW = 0.999  # share of healthy recordings below a level; a recording has about ten parts
 WHITE = 1e-3  # of the variance: the least eigenvalue of the moments
 
 
