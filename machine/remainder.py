@@ -36,7 +36,7 @@ class Remainder:
     itself is wrong by there, as a function of what drives it (actuator [rad], points [m]): families and the numbers of
     each; `form_most`: the most that it gave for a baseline recording, mean square in floors, 0 where that does not
     matter. `wander`: how far numbers of effects are off from one day to the next, in each one's own unit.
-    `level`: mean square, in floors, that one more recording of the healthy machine stays below (99.9 % prediction limit).
+    `level`: mean square, in floors, that one more healthy recording stays below (99.9 % prediction limit).
     """
 
     stage: str
