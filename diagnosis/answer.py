@@ -10,6 +10,7 @@ from diagnosis.budget import Budget
 from diagnosis.cells.points import left_out
 from diagnosis.experiments.choice import Key, Pair, experiment_for
 from diagnosis.experiments.prediction import hypothesis_at_fit
+from diagnosis.hypotheses import hypotheses_of
 from diagnosis.localise import Place, merged_stages, totals_of
 from diagnosis.search.candidates import Candidate
 from diagnosis.search.fit import Fit
@@ -196,16 +197,15 @@ def _vector(name: str, unit: str, direction: Direction, numbers: Array) -> dict[
 
 
 def _hypotheses(found: Budget) -> list[dict[str, Any]]:
-    """All effects that are more likely there than not, as one hypothesis: they do not exclude each other."""
+    """What is more likely there than not, then what the recording leaves open, until the sets hold 90 %."""
     if not found.fits:
         return []
-    likely = [line for line in found.lines if line.status != "doubtful"]
-    all_there = float(np.prod([line.probability for line in likely]))
     return [
         {
-            "effects": [_effect(line) for line in likely],
-            "probability": round_numbers(all_there),
+            "effects": [_effect_table(candidate, numbers) for candidate, numbers in one.effects],
+            "probability": round_numbers(one.probability),
         }
+        for one in hypotheses_of(found.lines, found.fits)
     ]
 
 

@@ -19,6 +19,7 @@ from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.fit import neutral_fit
 from diagnosis.search.work import WorkProgress
 from diagnosis.whole_model.guessed_noise import SETTLED, by_noise_of, noise_about
+from diagnosis.whole_model.invariant import most_invariant
 from diagnosis.whole_model.linear import EffectTerm, linearise_terms
 from diagnosis.whole_model.solve import WholeFit, fit_and_prune, fit_of, score_at, trusted_rows
 from diagnosis.whole_model.subsets import best_set
@@ -63,7 +64,7 @@ def _solved(cells: list[Cell], work: WorkProgress) -> list[WholeFit]:
     work.stage(cells)
     for cell in cells:
         work.begin(f"fitting {cell.label}")
-        out.append(_in_other_form(_solved_by_its_noise(cell, work)))
+        out.append(most_invariant(_in_other_form(_solved_by_its_noise(cell, work))))
         work.end()
     return out
 

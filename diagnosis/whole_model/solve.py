@@ -200,9 +200,20 @@ def refit_terms(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm,
 
 def refit_reduced(fit: WholeFit, terms: Sequence[EffectTerm]) -> WholeFit:
     """A fit with some of its present terms only, fitted again, trusted as far as what they leave allows."""
-    some = _with_only(fit, terms)
-    trust = trusted_rows(fit.cell, some)
-    return replace(fit, best=_fitted(fit.cell, some, trust), trust=trust, rivals={})
+    return _standing_at(fit, _with_only(fit, terms))
+
+
+def exchanged(fit: WholeFit, term: EffectTerm, others: Sequence[EffectTerm]) -> WholeFit:
+    """A fit with other terms of its library in the place of a present one, fitted again."""
+    entering = {id(other) for other in others}
+    members = np.array([(one.present and one is not term) or id(one) in entering for one in fit.best.terms])
+    chosen = _chosen(fit.best.lin, fit.best.problem, members)
+    return _standing_at(fit, refine_present_terms(fit.cell, chosen, fit.trust))
+
+
+def _standing_at(fit: WholeFit, terms: tuple[EffectTerm, ...]) -> WholeFit:
+    trust = trusted_rows(fit.cell, terms)
+    return replace(fit, best=_fitted(fit.cell, terms, trust), trust=trust, rivals={})
 
 
 def _with_only(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:

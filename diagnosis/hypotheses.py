@@ -1,0 +1,114 @@
+"""Sets of effects that a recording leaves open, the most probable first, until they hold 90 %."""
+
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.search.candidates import Candidate
+from diagnosis.verdict import EffectLine
+from diagnosis.whole_model.evidence import QUANTILE_95
+from diagnosis.whole_model.linear import EffectTerm
+from diagnosis.whole_model.solve import WholeFit
+from machine.rotations import Array
+
+HELD = 0.9  # probability that the sets hold together
+MOST = 20  # sets that are listed
+EVEN = 1.0 - 1e-9  # the largest odds of a change against what stands
+SizedEffect = tuple[Candidate, Array]  # an effect with its numbers (slots, 3): value and 90 % limits
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Effects that are there together, and how probable that is."""
+
+    effects: tuple[SizedEffect, ...]
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """What differs from the effects that are more likely there than not, and its odds against them (0 to 1)."""
+
+    odds: float
+    out: tuple[tuple[str, int | None], ...]
+    into: tuple[SizedEffect, ...]
+
+
+def hypotheses_of(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> list[Hypothesis]:
+    """The effects that are more likely there than not, and what may be there instead or besides.
+
+    Model: changes are independent. An effect of the budget may be absent, or its best rival in its place, by its
+           probability; each other effect of the catalogue may be there, by the posterior odds of the best set with it.
+    """
+    likely = [_sized(line.evidence.term, *line.evidence.limits) for line in lines if line.status != "doubtful"]
+    changes = sorted((*_of_lines(lines, fits), *_additions(fits)), key=lambda change: -change.odds)
+    standing = float(np.prod([1.0 / (1.0 + change.odds) for change in changes]))
+    out: list[Hypothesis] = []
+    for odds, chosen in _in_order(changes):
+        gone = {key for change in chosen for key in change.out}
+        into = [effect for change in chosen for effect in change.into]
+        known = [effect for effect in likely if effect[0].key not in gone]
+        keys = [effect[0].key for effect in (*known, *into)]
+        if len(set(keys)) == len(keys):
+            out.append(Hypothesis((*known, *into), standing * odds))
+        if len(out) == MOST or sum(one.probability for one in out) >= HELD:
+            break
+    return out
+
+
+def _sized(term: EffectTerm, low: Array, high: Array) -> SizedEffect:
+    return term.effect, np.stack([term.theta, low, high], axis=1)
+
+
+def _of_lines(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> Iterator[_Change]:
+    for line in lines:
+        term, p = line.evidence.term, min(line.probability, EVEN)
+        if line.status == "doubtful":
+            yield _Change(p / (1.0 - p), (), (_sized(term, *line.evidence.limits),))
+        else:
+            yield _Change(min((1.0 - p) / p, EVEN), (term.effect.key,), _rival(term, fits))
+
+
+def _rival(term: EffectTerm, fits: Sequence[WholeFit]) -> tuple[SizedEffect, ...]:
+    """What enters in the place of an effect of the best set where it is left out."""
+    for fit in fits:
+        for k, rival in fit.rivals.items():
+            if fit.best.terms[k] is term and rival is not None:
+                entered = np.nonzero(rival.present & ~fit.best.present)[0]
+                return tuple(_sized(rival.terms[t], rival.terms[t].theta, rival.terms[t].theta) for t in entered)
+    return ()
+
+
+def _additions(fits: Sequence[WholeFit]) -> Iterator[_Change]:
+    """Every absent effect, by the linear model of its part."""
+    for fit in fits:
+        problem, present, first = fit.best.problem, fit.best.present, fit.best.lin.first
+        twins = {out for _, out in fit.twins}
+        score = problem.score(present)
+        for k, term in enumerate(fit.best.terms):
+            if present[k] or k in twins or term.limits:
+                continue
+            members = present.copy()
+            members[k] = True
+            x, S = problem.estimate(members)
+            own = slice(first[k], first[k] + term.sizes)
+            theta, half = term.theta.copy(), np.zeros_like(term.theta)
+            theta[: term.sizes], half[: term.sizes] = x[own], QUANTILE_95 * np.sqrt(np.diag(S)[own])
+            odds = min(float(np.exp(min(problem.score(members) - score, 0.0))), EVEN)
+            yield _Change(odds, (), ((term.effect, np.stack([theta, theta - half, theta + half], axis=1)),))
+
+
+def _in_order(changes: Sequence[_Change]) -> Iterator[tuple[float, tuple[_Change, ...]]]:
+    """Sets of changes with the product of their odds, largest first; changes come sorted by theirs."""
+    costs = [-float(np.log(max(change.odds, 1e-300))) for change in changes]
+    yield 1.0, ()
+    waiting: list[tuple[float, tuple[int, ...]]] = [(costs[0], (0,))] if costs else []
+    while waiting:
+        cost, chosen = heapq.heappop(waiting)
+        yield float(np.exp(-cost)), tuple(changes[k] for k in chosen)
+        following = chosen[-1] + 1
+        if following < len(costs):
+            heapq.heappush(waiting, (cost + costs[following], (*chosen, following)))
+            heapq.heappush(waiting, (cost + costs[following] - costs[chosen[-1]], (*chosen[:-1], following)))

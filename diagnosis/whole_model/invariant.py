@@ -1,0 +1,33 @@
+"""Given a baseline: of sets of effects that fit alike, the one whose sizes are the same everywhere.
+
+A cause has one size in every motion and posture; what only stands in for it has not. So an effect that is doubtful for
+its scatter gives way to an equal set that is more likely there than not.
+"""
+
+from diagnosis.whole_model.evidence import evidence_of
+from diagnosis.whole_model.probability import probability
+from diagnosis.whole_model.solve import WholeFit, exchanged
+
+LIKELY = 0.5  # more likely there than not
+
+
+def most_invariant(fit: WholeFit) -> WholeFit:
+    """The fit with doubtful effects exchanged for equals that are not; as it is without a baseline.
+
+    Source: invariance as a sign of a cause: Peters, Buehlmann, Meinshausen 2016.
+    """
+    for _ in range(int(fit.best.present.sum()) if fit.cell.usual is not None else 0):
+        doubtful = [found for found in evidence_of(fit) if probability(found) < LIKELY]
+        tried = [exchanged(fit, found.term, equal) for found in doubtful for equal in found.equals]
+        likely = [other for other in tried if _least(other, fit) >= LIKELY]
+        if not likely:
+            break
+        fit = max(likely, key=lambda other: other.best.score)
+    return fit
+
+
+def _least(other: WholeFit, fit: WholeFit) -> float:
+    """The least probability of the effects that are new in another fit."""
+    known = {term.effect.variant for term in fit.best.terms if term.present}
+    new = [probability(found) for found in evidence_of(other) if found.term.effect.variant not in known]
+    return min(new, default=0.0)
