@@ -202,10 +202,10 @@ def _hypotheses(found: Budget) -> list[dict[str, Any]]:
         return []
     return [
         {
-            "effects": [_effect_table(candidate, numbers) for candidate, numbers in one.effects],
-            "probability": round_numbers(one.probability),
+            "effects": [_effect_table(candidate, numbers) for candidate, numbers in held.effects],
+            "probability": round_numbers(held.probability),
         }
-        for one in hypotheses_of(found.lines, found.fits)
+        for held in hypotheses_of(found.lines, found.fits)
     ]
 
 

@@ -53,7 +53,7 @@ def hypotheses_of(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> list
         keys = [effect[0].key for effect in (*known, *into)]
         if len(set(keys)) == len(keys):
             out.append(Hypothesis((*known, *into), standing * odds))
-        if len(out) == MOST or sum(one.probability for one in out) >= HELD:
+        if len(out) == MOST or sum(listed.probability for listed in out) >= HELD:
             break
     return out
 

@@ -206,7 +206,7 @@ def refit_reduced(fit: WholeFit, terms: Sequence[EffectTerm]) -> WholeFit:
 def exchanged(fit: WholeFit, term: EffectTerm, others: Sequence[EffectTerm]) -> WholeFit:
     """A fit with other terms of its library in the place of a present one, fitted again."""
     entering = {id(other) for other in others}
-    members = np.array([(one.present and one is not term) or id(one) in entering for one in fit.best.terms])
+    members = np.array([(mine.present and mine is not term) or id(mine) in entering for mine in fit.best.terms])
     chosen = _chosen(fit.best.lin, fit.best.problem, members)
     return _standing_at(fit, refine_present_terms(fit.cell, chosen, fit.trust))
 
