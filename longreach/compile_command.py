@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from longreach.cli import COMPILED, cache_folder
+from longreach.cli import CACHE, COMPILED, cache_folder
 
 if TYPE_CHECKING:
     from numba.core.registry import CPUDispatcher
@@ -90,10 +90,17 @@ def _mark_file() -> Path:
 
 
 def clear(_machine: str) -> None:
-    """Forget all compiled code of the product in the cache."""
-    for file in kernel_files():
-        for kernel in kernels_of(file):
-            kernel._cache.flush()  # pyright: ignore[reportAttributeAccessIssue] # numba has no public way
+    """Forget all compiled code of the product.
+
+    Why by file names: an index holds the names of types, and one that names a type which is gone cannot be loaded.
+    """
+    stems = {file.stem for file in kernel_files()}
+    given = os.environ.get(CACHE)
+    own = {file.parent / "__pycache__" for file in kernel_files()}
+    folders = {Path(given)} if given else own | {folder for folder in (cache_folder(),) if folder is not None}
+    for compiled in (file for folder in folders for file in folder.rglob("*.nb[ic]")):
+        if compiled.name.split(".")[0] in stems:
+            compiled.unlink(missing_ok=True)
 
 
 def kernels_of(file: Path) -> "list[CPUDispatcher]":

@@ -15,7 +15,6 @@ from server.jobs.plans.jogging import jog
 from server.jobs.requests import MachineReading, Move, Settle
 from server.link.samples import knots_from, knots_of
 from server.motion.jog import jog_axes
-from server.motion.settings import DEFAULT_PLAN_SETTINGS as PLAN
 from server.motion.wall_clearance import clearances
 from server.settings import ServerSettings, read_machine
 from sim_plc.draw_world import draw_world
@@ -133,10 +132,9 @@ def test_held_down_towards_the_wall_it_ends_in_front_of_it(seed):
 
 
 @pytest.mark.parametrize(
-    ("axis", "direction", "why"),
-    [("joint_2", 1, "lift"), ("joint_3", -1, "tilt"), ("joint_5", 1, "wrist2"), ("ry", 1, "singularity")],
+    ("axis", "direction", "why"), [("joint_2", 1, "lift"), pytest.param("joint_3", -1, "tilt", marks=pytest.mark.slow)]
 )
-def test_pressed_until_nothing_is_left_it_keeps_joint_ranges_and_the_singularity(axis, direction, why):
+def test_pressed_until_nothing_is_left_it_keeps_joint_ranges(axis, direction, why):
     """Without a wall: press after press in one direction, until the server refuses the next one."""
     virtual, ctx = armed_before_a_wall(seed=1)
     ctx.knowledge.T_base_ooi = None
@@ -155,6 +153,3 @@ def test_pressed_until_nothing_is_left_it_keeps_joint_ranges_and_the_singularity
     assert (q >= CHAIN.q_min).all()
     assert (q <= CHAIN.q_max).all()
     assert np.ptp(q, axis=0).max() > np.deg2rad(5.0)  # it has moved, and not only been refused
-    if axis == "ry":
-        pitch = q[:, PLAN.wrist_pitch_index]
-        assert np.abs(pitch).min() >= PLAN.wrist_pitch_min_rad - np.deg2rad(0.5)  # a joint may rest off its reference

@@ -58,6 +58,17 @@ def test_what_is_compiled_of_other_sources_another_processor_or_not_at_all_is_no
     assert not compile_command.is_compiled()
 
 
+def test_an_index_that_cannot_be_loaded_is_cleared_by_its_name(cache: Path) -> None:
+    """An older version's index that named a type which is gone ended every command, `compile` too."""
+    stale, foreign = cache / "vision_1" / "pose_refinement.f-9.py311.nbi", cache / "else_1" / "module.f-9.py311.nbi"
+    for file in (stale, foreign):
+        file.parent.mkdir()
+        file.write_bytes(b"cserver.vision.pose_refinement\nGone\n.")
+    compile_command.clear("")
+    assert not stale.exists()
+    assert foreign.exists()
+
+
 def test_a_second_call_compiles_nothing_and_a_check_answers_by_its_exit_code(
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
