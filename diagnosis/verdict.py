@@ -11,6 +11,7 @@ from diagnosis.reading.read import Read, stages_present
 from diagnosis.replay.stretches import stood_still
 from diagnosis.shrink import UNKNOWN, BlockSquares, GapClosed
 from diagnosis.whole_model.evidence import Evidence
+from diagnosis.whole_model.probability import logistic
 from diagnosis.whole_model.remainder import lead_of
 from diagnosis.whole_model.solve import WholeFit
 
@@ -133,6 +134,7 @@ def stages_of(
             seen = (
                 bool({(stage, joint), (stage, None)} & beyond_noise)
                 or matters
+                or any(_belongs(line, stage, joint) and shows_a_gap(line) for line in lines)
                 or (joint is None and not has_baseline(whole))
             )
             verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)
@@ -142,6 +144,11 @@ def stages_of(
             lead = next(map(lead_of, own), "") if verdict in ("partly", "unexplained") else ""
             out.append(StageLine(stage, joint, verdict, was, left, lead))
     return tuple(out)
+
+
+def shows_a_gap(line: EffectLine) -> bool:
+    """Given a baseline: whether an effect gains what the healthy machine does not, however doubtful a cause it is."""
+    return line.evidence.prior_nats is not None and float(logistic(line.evidence.gain_nats)) >= CONFIRMED
 
 
 def _is_sure(line: EffectLine) -> bool:

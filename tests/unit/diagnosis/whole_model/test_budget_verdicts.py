@@ -6,7 +6,7 @@ from typing import Any, cast
 import pytest
 
 from diagnosis.shrink import GapClosed
-from diagnosis.verdict import BudgetColumn, EffectLine, StageLine, stage_verdict, usual_level, verdict_of
+from diagnosis.verdict import BudgetColumn, EffectLine, StageLine, shows_a_gap, stage_verdict, usual_level, verdict_of
 from machine.remainder import Remainder
 
 
@@ -80,3 +80,13 @@ def test_what_a_healthy_machine_leaves_is_read_from_its_baseline() -> None:
     row = cast(Any, GapClosed)("structure", None, "tracker", "m", 1.0, 1.0, 1.0, (None, None, None))
     assert usual_level(cast(Any, SimpleNamespace(nominal=nominal)), row) == 1.3
     assert usual_level(cast(Any, SimpleNamespace(nominal=None)), row) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("gain_nats", "prior_nats", "shown"), [(212.0, -3.9, True), (1.0, -3.9, False), (212.0, None, False)]
+)
+def test_a_doubtful_effect_with_a_clear_gain_shows_a_gap_given_a_baseline(
+    gain_nats: float, prior_nats: float | None, shown: bool
+) -> None:
+    evidence = cast(Any, SimpleNamespace(gain_nats=gain_nats, prior_nats=prior_nats))
+    assert shows_a_gap(EffectLine(evidence, "stands", 1.0, 0.9, 1.1, 1.0, 1.0, 0.01)) is shown
