@@ -1,5 +1,7 @@
 """Side-by-side pictures: left half, right half."""
 
+from typing import cast
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +36,7 @@ def decode_grey(data: bytes | NDArray[np.uint8]) -> Image:
 
     Raises: StreamError when the bytes are not a picture, or a JPEG whose data are damaged (PNG has checksums).
     """
-    encoded = np.frombuffer(memoryview(data).toreadonly(), np.uint8)  # one type for the compiled scan, whatever comes
+    encoded = np.frombuffer(memoryview(cast(bytes, data)).toreadonly(), np.uint8)  # one type for the compiled scan
     damage = damage_of(encoded) if encoded[: len(JPEG)].tobytes() == JPEG else ""
     if damage:
         size = f"camera picture of {encoded.size} bytes"
