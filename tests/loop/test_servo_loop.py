@@ -99,7 +99,7 @@ def test_a_gap_at_rest_only_makes_it_wait_for_a_new_row():
 def test_a_camera_that_slipped_during_a_pass_ends_the_job_before_the_next_one(monkeypatch):
     cell = VirtualCell(preset="ideal", seed=1, rate_hz=20.0)
     ctx = cell.context(passes_max=3)
-    passes, asked = [], servoing.validity
+    passes, asked = [], servoing.calibration_validity
 
     def validity(ctx, reading):
         slipped = CalibrationValidity(ValidityStatus.SLIPPED, "tool marker moved by 64.2 mm")

@@ -308,7 +308,7 @@ def test_a_plc_that_was_switched_off_and_on_costs_no_recording(tmp_path: Path) -
     assert "restarted" in " ".join(entry.text for entry in found.log)
 
 
-@pytest.mark.parametrize("broken", ["plc_row", "report_rows", "finding", "urdf_text"])
+@pytest.mark.parametrize("broken", ["plc_row", "report_rows", "finding_row", "urdf_text"])
 def test_a_defect_ends_the_recording_with_a_fault_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
