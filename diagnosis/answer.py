@@ -10,7 +10,7 @@ from diagnosis.budget import Budget
 from diagnosis.cells.points import left_out
 from diagnosis.experiments.choice import Key, Pair, experiment_for
 from diagnosis.experiments.prediction import hypothesis_at_fit
-from diagnosis.hypotheses import hypotheses_of
+from diagnosis.hypotheses import hypotheses_of, sized
 from diagnosis.localise import Place, merged_stages, totals_of
 from diagnosis.search.candidates import Candidate
 from diagnosis.search.fit import Fit
@@ -125,7 +125,7 @@ def _line(line: EffectLine, machine: tuple[EffectTerm, ...]) -> dict[str, Any]:
     evidence = line.evidence
     used = next((term for term in machine if term.effect == evidence.term.effect), None)
     return {
-        **_effect(line),
+        **_effect_table(*sized(line)),
         "column": line.column,
         "tool_mm": _mm(line.mm),
         "tool_low_mm": _mm(line.low_mm),
@@ -154,11 +154,6 @@ def _used(term: EffectTerm) -> dict[str, Any]:
         name: {"value": parameter["value"], "unit": parameter["unit"]}
         for name, parameter in table["parameters"].items()
     }
-
-
-def _effect(line: EffectLine) -> dict[str, Any]:
-    term, (low, high) = line.evidence.term, line.evidence.limits
-    return _effect_table(term.effect, np.stack([term.theta, low, high], axis=1))
 
 
 def _effect_table(candidate: Candidate, numbers: Array) -> dict[str, Any]:
@@ -202,7 +197,7 @@ def _hypotheses(found: Budget) -> list[dict[str, Any]]:
         return []
     return [
         {
-            "effects": [_effect_table(candidate, numbers) for candidate, numbers in held.effects],
+            "effects": [_effect_table(*effect) for effect in held.effects],
             "probability": round_numbers(held.probability),
         }
         for held in hypotheses_of(found.lines, found.fits)

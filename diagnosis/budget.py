@@ -15,8 +15,6 @@ from diagnosis.search.fit import entries_of as entries_of_fit
 from diagnosis.search.work import Progress, WorkProgress, no_progress
 from diagnosis.shrink import gaps_closed
 from diagnosis.verdict import (
-    CONFIRMED,
-    LIKELY,
     BudgetColumn,
     Closing,
     EffectLine,
@@ -32,7 +30,7 @@ from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
 from diagnosis.whole_model.held_out import HeldOut, held_out
 from diagnosis.whole_model.linear import EffectTerm
 from diagnosis.whole_model.parts import fit_machine
-from diagnosis.whole_model.probability import probability
+from diagnosis.whole_model.probability import CONFIRMED, LIKELY, probability
 from diagnosis.whole_model.solve import WholeFit, fit_of, refit_reduced, refit_terms
 from diagnosis.whole_model.tool_error import ToolError, tool_errors
 from machine.effects.entries import EffectEntry

@@ -42,7 +42,7 @@ def hypotheses_of(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> list
     Model: changes are independent. An effect of the budget may be absent, or its best rival in its place, by its
            probability; each other effect of the catalogue may be there, by the posterior odds of the best set with it.
     """
-    likely = [_sized(line.evidence.term, *line.evidence.limits) for line in lines if line.status != "doubtful"]
+    likely = [sized(line) for line in lines if line.status != "doubtful"]
     changes = sorted((*_of_lines(lines, fits), *_additions(fits)), key=lambda change: -change.odds)
     standing = float(np.prod([1.0 / (1.0 + change.odds) for change in changes]))
     out: list[Hypothesis] = []
@@ -58,6 +58,11 @@ def hypotheses_of(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> list
     return out
 
 
+def sized(line: EffectLine) -> SizedEffect:
+    """The effect of a line with its numbers."""
+    return _sized(line.evidence.term, *line.evidence.limits)
+
+
 def _sized(term: EffectTerm, low: Array, high: Array) -> SizedEffect:
     return term.effect, np.stack([term.theta, low, high], axis=1)
 
@@ -66,7 +71,7 @@ def _of_lines(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> Iterator
     for line in lines:
         term, p = line.evidence.term, min(line.probability, EVEN)
         if line.status == "doubtful":
-            yield _Change(p / (1.0 - p), (), (_sized(term, *line.evidence.limits),))
+            yield _Change(p / (1.0 - p), (), (sized(line),))
         else:
             yield _Change(min((1.0 - p) / p, EVEN), (term.effect.key,), _rival(term, fits))
 

@@ -11,12 +11,10 @@ from diagnosis.reading.read import Read, stages_present
 from diagnosis.replay.stretches import stood_still
 from diagnosis.shrink import UNKNOWN, BlockSquares, GapClosed
 from diagnosis.whole_model.evidence import Evidence
-from diagnosis.whole_model.probability import logistic
+from diagnosis.whole_model.probability import CONFIRMED, LIKELY, logistic
 from diagnosis.whole_model.remainder import lead_of
 from diagnosis.whole_model.solve import WholeFit
 
-CONFIRMED = 0.9  # probability from which an effect is confirmed; below a half nothing is "found"
-LIKELY = 0.5
 SMALL_MM, SMALL_SHARE = 0.5, 0.05  # at the tool, of the whole miss: a remainder too small to act on
 EXPLAINED = 0.9  # of the squared miss: then the effects explain the gap
 
@@ -128,13 +126,14 @@ def stages_of(
         if stage in STAGES_OF_JOINTS:
             joints = sorted({place.joint for place in before.places if place.stage == stage and place.joint}) or [None]
         for joint in joints:
-            confirmed = any(_belongs(line, stage, joint) for line in lines if _is_sure(line))
+            here = [line for line in lines if _belongs(line, stage, joint)]
+            confirmed = any(_is_sure(line) for line in here)
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
-            matters = any(_belongs(line, stage, joint) and line.mm > SMALL_MM for line in lines if _is_sure(line))
+            matters = any(line.mm > SMALL_MM for line in here if _is_sure(line))
             seen = (
                 bool({(stage, joint), (stage, None)} & beyond_noise)
                 or matters
-                or any(_belongs(line, stage, joint) and shows_a_gap(line) for line in lines)
+                or any(shows_a_gap(line) for line in here)
                 or (joint is None and not has_baseline(whole))
             )
             verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)

@@ -11,6 +11,7 @@ import numpy as np
 from diagnosis.baseline.left_over import (
     cells_of,
     forms_of,
+    mean_square,
     remainders_of,
     with_baseline,
     with_levels,
@@ -99,11 +100,12 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     left = remainders_of(seen)
     progress("what its numbers wander by from day to day")
     left = with_wanders(left, _with_predicted(checked, entries, predicted, left))
-    left = with_levels(left, _with_predicted(checked, entries, predicted, left))
+    judged = _with_predicted(checked, entries, predicted, left)
+    left = with_levels(left, judged)
     remainders = _with_forms(left, forms)
     remainders = with_mosts(remainders, [with_baseline(recording, entries, remainders) for recording in wholes])
     progress("what each effect gains on the other recordings")
-    gains = usual_gains(_with_predicted(checked, entries, predicted, left))
+    gains = usual_gains(judged)
     return Baseline(entries, with_usual(remainders, gains, len(checked)), _judged(checked, seen, entries))
 
 
@@ -231,4 +233,4 @@ def _judged(checked: list[Read], seen: list[Read], effects: tuple[EffectEntry, .
 
 
 def _rms(cell: Cell) -> float:
-    return float(np.sqrt(np.mean(cell.whitened(cell.base)[0] ** 2)))
+    return float(np.sqrt(mean_square(cell)))

@@ -91,7 +91,7 @@ def with_mosts(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[R
 def with_levels(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[Remainder, ...]:
     """Remainders with the mean square that one more recording like these, which they belong to, stays below."""
     found = {
-        place: prediction_limit([_mean_square(cell) for cell in cells]) for place, cells in _by_place(wholes).items()
+        place: prediction_limit([mean_square(cell) for cell in cells]) for place, cells in _by_place(wholes).items()
     }
     return tuple(
         replace(remainder, level=max(1.0, found.get((remainder.stage, remainder.joint, remainder.on), 1.0)))
@@ -111,7 +111,8 @@ def prediction_limit(values: list[float]) -> float:
     return float(np.exp(logs.mean() + wide * logs.std(ddof=1)))
 
 
-def _mean_square(cell: Cell) -> float:
+def mean_square(cell: Cell) -> float:
+    """What a cell leaves of the healthy machine, in floors."""
     return float(np.mean(cell.whitened(cell.base)[0] ** 2))
 
 

@@ -5,10 +5,8 @@ its scatter gives way to an equal set that is more likely there than not.
 """
 
 from diagnosis.whole_model.evidence import evidence_of
-from diagnosis.whole_model.probability import probability
+from diagnosis.whole_model.probability import LIKELY, probability
 from diagnosis.whole_model.solve import WholeFit, exchanged
-
-LIKELY = 0.5  # more likely there than not
 
 
 def most_invariant(fit: WholeFit) -> WholeFit:

@@ -19,6 +19,8 @@ from machine.rotations import Array
 
 #: Figures of the evidence, each the better the larger.
 FEATURES = ("gain", "size", "alone", "detectable", "agreement", "remainder", "noise_known")
+CONFIRMED = 0.9  # probability from which an effect is confirmed; below a half nothing is "found"
+LIKELY = 0.5
 CAP = 1e3
 AGREES = 0.01  # a size that is the same to a hundredth is the same
 LEAST_SHARE = 1e-4  # of what is left: below, an effect is lost in it

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnosis.first_day.runner import Scored
-from diagnosis.verdict import CONFIRMED, LIKELY
-from diagnosis.whole_model.probability import FEATURES, probability_of
+from diagnosis.whole_model.probability import CONFIRMED, FEATURES, LIKELY, probability_of
 from machine.rotations import Array
 
 WIDER = 2.0  # a size is right within this many half widths of its 90 % limits, or within CLOSE of the truth

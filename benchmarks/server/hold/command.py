@@ -15,7 +15,7 @@ from benchmarks.server.headless import headless
 from benchmarks.server.hold.drill import JOG_WAYS, LIMIT_MS, WAYS, HoldCase, HoldDrill, JogDrill
 
 console = Console(width=160)
-RETRIES = 30
+RETRIES = 3
 
 
 def hold(

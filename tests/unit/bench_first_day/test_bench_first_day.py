@@ -13,8 +13,7 @@ from benchmarks.diagnosis.first_day import runner
 from benchmarks.diagnosis.first_day.figures import failures, reliability, rows, wilson
 from benchmarks.diagnosis.first_day.runner import MIXTURE, Campaign, run_campaign
 from benchmarks.diagnosis.first_day.score import score_of
-from diagnosis.verdict import CONFIRMED
-from diagnosis.whole_model.probability import FEATURES, probability_of
+from diagnosis.whole_model.probability import CONFIRMED, FEATURES, probability_of
 from longreach.cli import app
 
 STRONG = dict.fromkeys(FEATURES, 20.0)
