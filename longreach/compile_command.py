@@ -12,18 +12,14 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from importlib import import_module
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from longreach.cli import CACHE, COMPILED, cache_folder
-
-if TYPE_CHECKING:
-    from numba.core.registry import CPUDispatcher
 
 _ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("machine", "server", "sim_plc", "diagnosis")  # those of the product that hold compiled code
@@ -101,18 +97,6 @@ def clear(_machine: str) -> None:
     for compiled in (file for folder in folders for file in folder.rglob("*.nb[ic]")):
         if compiled.name.split(".")[0] in stems:
             compiled.unlink(missing_ok=True)
-
-
-def kernels_of(file: Path) -> "list[CPUDispatcher]":
-    """The compiled functions that a source file defines."""
-    from numba.core.registry import CPUDispatcher
-
-    module = import_module(".".join(file.relative_to(_ROOT).with_suffix("").parts))
-    return [
-        value
-        for value in vars(module).values()
-        if isinstance(value, CPUDispatcher) and value.py_func.__module__ == module.__name__
-    ]
 
 
 def planning(machine: str) -> None:

@@ -1,5 +1,6 @@
 """`longreach compile`: done once for these sources, this compiler and this processor, and then complete."""
 
+import inspect
 import json
 import os
 import subprocess
@@ -13,7 +14,6 @@ from typer.testing import CliRunner
 
 from longreach import compile_command
 from longreach.cli import CACHE, COMPILED, app
-from longreach.compile_command import kernels_of
 from server.camera.contracts import StereoFrame, VisionSettings
 from server.camera.process import build_pipeline, made_up_pairs
 from server.camera.sources.settings import HttpSource
@@ -23,12 +23,30 @@ from server.settings import read_machine
 ROOT = Path(__file__).parents[3]
 #: Compiled when a diagnosis, an identification or a compensation first needs them, in a process of its own or at rest.
 LATER = ("diagnosis/", "machine/effects/")
-MISSING = """
+
+
+def kernels_of(file: Path) -> list:
+    """The compiled functions that a source file defines."""
+    from importlib import import_module
+
+    from numba.core.registry import CPUDispatcher
+
+    module = import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
+    return [
+        value
+        for value in vars(module).values()
+        if isinstance(value, CPUDispatcher) and value.py_func.__module__ == module.__name__
+    ]
+
+
+MISSING = f"""
 import json
-from longreach.compile_command import kernel_files, kernels_of
+from longreach.compile_command import kernel_files
 from pathlib import Path
+ROOT = Path.cwd()
+{inspect.getsource(kernels_of)}
 print(json.dumps([
-    f"{file.relative_to(Path.cwd())}:{kernel.py_func.__name__}"
+    f"{{file.relative_to(Path.cwd())}}:{{kernel.py_func.__name__}}"
     for file in kernel_files() for kernel in kernels_of(file) if not kernel._cache._cache_file._load_index()
 ]))
 """
