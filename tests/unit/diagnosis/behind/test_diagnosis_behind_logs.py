@@ -1,4 +1,4 @@
-"""Behind the encoders, as others log it: a tracker whose clock is off, odometry alone, a weight that nobody told."""
+"""Behind the encoders, as others log it: a tracker whose clock is off, odometry alone, an unstated weight."""
 
 from pathlib import Path
 
@@ -36,9 +36,9 @@ def logged() -> list[Row]:
 def found_in(rows: list[Row], toml: str = MACHINE_TOML) -> list[tuple[str, int | None, dict[str, float]]]:
     segments = tuple(Segment(f"s{k}", "workcycle", 15.0 * k, 15.0 * k + 14.9) for k in range(4))
     made = Recording("folder", RunInfo("behind", "", None, 0.0, 0.0, None, segments), toml, (*logged(), *rows))
-    told = answer_json(budget_of(examine_recording(made, Path("behind"))))
-    assert told["verdict"] == "effects", told["why"]
-    first = likely(told)
+    answer = answer_json(budget_of(examine_recording(made, Path("behind"))))
+    assert answer["verdict"] == "effects", answer["why"]
+    first = likely(answer)
     return [(one["name"], one["joint"], {k: v["value"] for k, v in one["parameters"].items()}) for one in first]
 
 
@@ -77,8 +77,8 @@ def loaded(compliance: float, mass_kg: float) -> ParameterSets:
 
 
 def test_a_weight_is_found_beside_what_yields_to_it() -> None:
-    told = answer_json(budget_of(examine_recording(static_recording(loaded(2e-6, 80.0)), Path("loaded"))))
-    assert told["verdict"] == "effects", told["why"]
-    first = {one["name"]: one["parameters"] for one in likely(told)}
+    answer = answer_json(budget_of(examine_recording(static_recording(loaded(2e-6, 80.0)), Path("loaded"))))
+    assert answer["verdict"] == "effects", answer["why"]
+    first = {one["name"]: one["parameters"] for one in likely(answer)}
     assert set(first) == {"gravity_sag", "payload_error"}
     assert first["payload_error"]["mass_kg"]["value"] == pytest.approx(80.0, abs=8.0)

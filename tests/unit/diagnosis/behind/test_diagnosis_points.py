@@ -49,7 +49,7 @@ def test_a_log_of_which_nothing_is_replayed_is_said_beside_what_is_judged() -> N
     whole = examined(elsewhere)
     assert whole.usable
     assert whole.log_unused
-    assert "PLC's log" in {one["signal"] for one in answer_json(budget_of(whole))["missing"]}
+    assert "PLC's log" in {missing["signal"] for missing in answer_json(budget_of(whole))["missing"]}
 
 
 def test_a_long_link_and_a_soft_one_are_seen_in_static_poses() -> None:

@@ -38,7 +38,7 @@ def test_processes_and_dask_give_what_one_process_gives(recordings: Path, tmp_pa
     distributed = pytest.importorskip("distributed")
     paths = recordings_below(recordings)
     assert [one.name for one in paths] == ["a", "b", "broken"]
-    here = [diagnose_case(str(one)) for one in paths]
+    here = [diagnose_case(str(path)) for path in paths]
     assert [one["status"] for one in here] == ["diagnosed", "diagnosed", "unusable"]
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         processes = diagnose_all(paths, tmp_path / "processes", pool, "1")

@@ -76,7 +76,9 @@ def test_it_is_named_and_nothing_is_judged(made: Recording, code: str, told: str
 def test_rows_written_twice_are_counted() -> None:
     rows = [one for row in MADE.rows for one in ((row, row) if isinstance(row, PlcState) else (row,))]
     (finding,) = [
-        one for one in examine_recording(replace(MADE, rows=tuple(rows)), Path("twice")).findings if one.count == 6000
+        found
+        for found in examine_recording(replace(MADE, rows=tuple(rows)), Path("twice")).findings
+        if found.count == 6000
     ]
     assert finding.code == "duplicate_rows"
 

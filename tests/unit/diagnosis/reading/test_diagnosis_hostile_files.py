@@ -126,7 +126,7 @@ def test_a_time_beyond_all_numbers_is_told(tmp_path: Path, field: str) -> None:
 
 def test_an_offset_by_which_two_logs_never_meet_is_told() -> None:
     made = replace(MADE, run=replace(MADE.run, plc_to_pc_offset_s=1.7e9))
-    codes = {(one.code, one.severity) for one in examine_recording(made, Path("made")).findings}
+    codes = {(found.code, found.severity) for found in examine_recording(made, Path("made")).findings}
     assert ("clock_offset_wrong", "problem") in codes
 
 
@@ -211,7 +211,7 @@ def test_what_a_damaged_file_still_held_is_said(tmp_path: Path) -> None:
     write_mcap(lean, tmp_path / "lean.mcap")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((tmp_path / "lean.mcap").read_bytes()[:-40_000])
-    (finding,) = [one for one in read_for_diagnosis(cut).findings if one.code == "no_data"]
+    (finding,) = [found for found in read_for_diagnosis(cut).findings if found.code == "no_data"]
     assert "of the damaged file: " in finding.text
     assert " of sent" in finding.text
     assert "camera:" not in finding.text
@@ -240,7 +240,7 @@ def test_a_column_that_is_there_twice_is_read_as_neither(tmp_path: Path) -> None
     path = folder(tmp_path, MADE)
     text = (path / "plc.csv").read_text(encoding="utf-8")
     (path / "plc.csv").write_text(text.replace("u_1_frac", "q_1_rad", 1), encoding="utf-8")
-    told = [str(one) for one in read_for_diagnosis(path).findings if one.severity == "fatal"]
+    told = [str(found) for found in read_for_diagnosis(path).findings if found.severity == "fatal"]
     assert any("column 'q_1_rad' is there twice (columns " in one for one in told)
 
 

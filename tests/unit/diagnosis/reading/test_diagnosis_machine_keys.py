@@ -81,7 +81,9 @@ def test_the_markers_of_a_grid_are_markers() -> None:
     seen = MarkerCorners(0.1, "left", 33, 0, 0, 9, 0, 9, 9, 0, 9)
     made = recording(("steps",))
     made = replace(made, machine_toml=with_board(), rows=(*made.rows, seen))
-    assert not [one for one in examine_recording(made, Path("made")).findings if "not in machine.toml" in one.text]
+    assert not [
+        found for found in examine_recording(made, Path("made")).findings if "not in machine.toml" in found.text
+    ]
 
 
 @pytest.mark.parametrize(

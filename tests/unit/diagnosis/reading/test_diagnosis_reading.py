@@ -341,7 +341,7 @@ def test_a_spreadsheets_export_is_named(tmp_path, spoil, code: str, text: str) -
     assert [one.code for one in result.findings] == [code], [str(one) for one in result.findings]
     assert text in str(result.findings[0])
     (path / "plc.csv").write_text(content.split("\n")[0] + "\n", encoding="utf-8")
-    assert any(one.code == "no_rows" and one.severity == "problem" for one in read_for_diagnosis(path).findings)
+    assert any(found.code == "no_rows" and found.severity == "problem" for found in read_for_diagnosis(path).findings)
 
 
 def test_a_missing_run_or_a_text_cell_is_a_finding(tmp_path) -> None:
