@@ -54,7 +54,7 @@ def _place(fit: LensFit) -> tuple[Array, Array]:
     return rotation_from_rotvec(fit.rig[:3]), fit.rig[3:]
 
 
-def _rectified(fit: LensFit) -> list[tuple[Array, Array]]:
+def _rectification_per_eye(fit: LensFit) -> list[tuple[Array, Array]]:
     """Rectification and projection of each eye."""
     if fit.rig is None:
         return [(np.eye(3), np.hstack([_matrix(fit, 0), np.zeros((3, 1))]))]
@@ -66,7 +66,7 @@ def _rectified(fit: LensFit) -> list[tuple[Array, Array]]:
 
 def camera_info(fit: LensFit, eye: int) -> str:
     """sensor_msgs/CameraInfo in YAML, as ROS's camera_info_manager reads it."""
-    R, P = _rectified(fit)[eye]
+    R, P = _rectification_per_eye(fit)[eye]
     body = {
         "image_width": fit.size_px[0],
         "image_height": fit.size_px[1],

@@ -7,7 +7,10 @@ MS = 1_000_000  # nanoseconds
 
 @dataclass(frozen=True, slots=True)
 class Timeout:
-    """One time limit: who watches it, how long, what happens then and why this long."""
+    """One time limit: who watches it, how long, what happens then and why this long.
+
+    Enforced by `plc_link.py` (PLC) and `client_link.py` (PC), in their `poll`.
+    """
 
     name: str
     watched_by: str

@@ -58,7 +58,7 @@ def sets_of(cell: Cell, hypothesis: Hypothesis) -> ParameterSets:
 
 
 def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets) -> Rows | None:
-    """The cell's residuals on a motion, driven as the machine would be under `truth`; None where it cannot be run."""
+    """The cell's residuals on a motion if `truth` were the machine's parameters; None where it cannot be simulated."""
     replay = cell.whitened
     replayer = replayer_of(whole.nominal, whole.stretches) if whole.nominal is not None else None
     if not isinstance(replay, Replay) or replayer is None or not replayer.nominal.has_controller:

@@ -64,7 +64,7 @@ def _names(joints: Sequence[Mapping[str, Any]], moving: list[str]) -> tuple[str,
     if len(names) < len(joints):
         if len(joints) != len(moving):
             raise DiagnosisError(
-                f"machine.toml: {len(joints)} [[joint]], some without a name, and {len(moving)} URDF joints move "
+                f"machine.toml: {len(joints)} [[joint]], not all with a name, but {len(moving)} URDF joints move "
                 f"({', '.join(moving)}); give every [[joint]] the name of its URDF joint"
             )
         return None

@@ -124,14 +124,14 @@ def with_remainder(floor: Floor, steps: list[Array], ar: Array, sigma: Array, rm
 
 def _process(ar: Array, sigma: float, order: int) -> Array:
     """Autocovariance (order + 1,) of an autoregression, by its response to one innovation."""
-    response = _response(np.asarray(ar, dtype=float), RESPONSE)
+    response = _impulse_response(np.asarray(ar, dtype=float), RESPONSE)
     if not np.isfinite(response).all() or abs(response[-1]) > 1e-3:  # on the edge of stability: as white
         return _white(sigma, order)
     return sigma**2 * np.array([float(response[: RESPONSE - k] @ response[k:]) for k in range(order + 1)])
 
 
 @njit(cache=True)
-def _response(ar: Array, count: int) -> Array:
+def _impulse_response(ar: Array, count: int) -> Array:
     """What follows one innovation of an autoregression (count,); scipy.signal takes two seconds to import."""
     out = np.zeros(count)
     out[0] = 1.0

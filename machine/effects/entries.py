@@ -136,7 +136,7 @@ def make_entry(effect: Effect, joint: int | None, parameters: Mapping[str, objec
         for parameter in effect.parameters
     )
     return EffectEntry(
-        effect.name, joint, values, _option(effect, parameters, where), _direction(effect, parameters, where)
+        effect.name, joint, values, _chosen_option(effect, parameters, where), _direction(effect, parameters, where)
     )
 
 
@@ -163,7 +163,7 @@ def _is_number(value: float) -> bool:
         return False
 
 
-def _option(effect: Effect, parameters: Mapping[str, object], where: str) -> str:
+def _chosen_option(effect: Effect, parameters: Mapping[str, object], where: str) -> str:
     if effect.choice is None:
         return ""
     given = parameters.get(effect.choice.name, effect.choice.options[0])

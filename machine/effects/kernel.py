@@ -138,7 +138,7 @@ def _lagged(x: float, slow: float, share: float) -> float:
 
 
 @njit(cache=True, inline="always")
-def _spool_speed(speed: float, ahead: float, wn: float, zeta: float, dt: float) -> float:
+def _next_spool_speed(speed: float, ahead: float, wn: float, zeta: float, dt: float) -> float:
     """A spool's speed after one step, its command so far ahead of it."""
     return speed + dt * (wn * wn * ahead - 2.0 * zeta * wn * speed)
 
@@ -321,7 +321,7 @@ def _alone(
             for _ in range(substeps):
                 play = play_operator(u, play, hysteresis)
                 slow = _lagged(play, slow, slow_share)
-                spool_d = _spool_speed(spool_d, slow - spool, wn, zeta, dt)
+                spool_d = _next_spool_speed(spool_d, slow - spool, wn, zeta, dt)
                 spool += dt * spool_d
                 moving = _moving(moving, spool, breakaway, p[BREAKAWAY_ONCE])
                 speed = _flow(spool, deadband, gains, droop, pull) if moving != 0.0 else 0.0
@@ -402,7 +402,7 @@ def _together(
                 wn, zeta = nominal[j, WN], nominal[j, ZETA]
                 play[j] = play_operator(u[j], play[j], P[j, HYSTERESIS])
                 slow[j] = _lagged(play[j], slow[j], slow_share[j])
-                spool_d[j] = _spool_speed(spool_d[j], slow[j] - spool[j], wn, zeta, dt)
+                spool_d[j] = _next_spool_speed(spool_d[j], slow[j] - spool[j], wn, zeta, dt)
                 spool[j] += dt * spool_d[j]
                 moving[j] = _moving(moving[j], spool[j], P[j, BREAKAWAY], P[j, BREAKAWAY_ONCE])
                 speed[j] = 0.0

@@ -192,7 +192,7 @@ NAME = "F_HmNextState"
 
 def next_state_source() -> str:
     """`F_HmNextState`: FALSE, and the state unchanged, for an event that has no place there."""
-    cases = "\n".join(_state(state) for state in PlcState)
+    cases = "\n".join(_state_case_st(state) for state in PlcState)
     return f"""\
 (* The state after an event; generated from the transition table. FALSE: it has no place in this state. *)
 FUNCTION {NAME} : BOOL
@@ -214,7 +214,7 @@ END_FUNCTION
 """
 
 
-def _state(state: PlcState) -> str:
+def _state_case_st(state: PlcState) -> str:
     after: dict[PlcState, list[PlcEvent]] = {}
     for (before, event), new in TRANSITIONS.items():
         if before is state:

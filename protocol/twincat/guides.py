@@ -40,7 +40,7 @@ _WATCH_LIST = """\
 
 
 def start_page(p: PlcParameters) -> str:
-    """From unpacking to the first dry run, on one page."""
+    """The first page of the exported PLC files: steps from unpacking to the first dry run."""
     return f"""\
 # {p.machine}: the PLC end of HMLINK {VERSION}
 

@@ -142,7 +142,7 @@ class KeyRing:
 
     @property
     def problem(self) -> str:
-        """Why no key is in force although there may be some in the file; empty when all is well."""
+        """Why no access key is valid, although the key file may hold some; empty when all is well."""
         return self._problem
 
     def refresh(self, now_s: float) -> None:

@@ -27,7 +27,7 @@ MACHINE = (
 _KINDS = (
     AlarmKind("plc_silent", "high", "The PLC does not answer",
         "No state received from the PLC for 250 ms: it is off, the network is down, or another PC is connected to it.",
-        "Check the PLC's power and program, cable, [plc] address, other servers. The PLC stops the machine by itself.",
+        "Check the PLC's power, program and cable, the address in [plc], and that no other server controls it.",
         OPERATOR),
     AlarmKind("plc_estop", "high", "Emergency stop at the machine",
         "The PLC reports that its hard-wired emergency stop was pressed.",

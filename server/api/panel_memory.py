@@ -30,7 +30,7 @@ from server.api.views import StateView
 from server.jobs.engine import Job, JobEvent, JobState
 from server.jobs.hold import SILENCE_NS
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.positioning import is_look_inside_tolerance
+from server.jobs.plans.tolerance import is_look_inside_tolerance
 from server.jobs.plans.unmoved import MOVED_RAD
 from server.jobs.service import JobService
 

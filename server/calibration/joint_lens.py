@@ -84,7 +84,7 @@ def look_sensitivity(machine: Machine, T_cam_tool: Array, T_cam_ooi: Array) -> A
     for own, T_cam_object, printed in seen:
         markers = own or (STAND_IN,)
         changes = pixel_changes(machine.camera, T_cam_object, markers, printed)
-        parts.append(_pose_inverse(machine.camera, T_cam_object, corners_of(markers)) @ changes)
+        parts.append(_pose_jacobian_pinv(machine.camera, T_cam_object, corners_of(markers)) @ changes)
     return np.vstack(parts)
 
 
@@ -112,7 +112,7 @@ def layout_covariance(machine: Machine, T_cam_ooi: Array, prior: LensPrior) -> A
     OOI axes: rotation vector [rad], then position [m]. No look at the same markers takes any of it away.
     """
     markers = machine.markers_on("ooi") or (STAND_IN,)
-    inverse = _pose_inverse(machine.camera, T_cam_ooi, corners_of(markers))
+    inverse = _pose_jacobian_pinv(machine.camera, T_cam_ooi, corners_of(markers))
     R = np.kron(np.eye(2), T_cam_ooi[:3, :3].T)
     found = R @ inverse @ layout_effects(machine.camera, T_cam_ooi, markers, prior)
     return found @ found.T
@@ -177,7 +177,7 @@ def both_pixels(eyes: tuple[StereoCamera, StereoCamera], points_cam: Array) -> A
     return np.concatenate([project(eyes[0], points_cam), project(eyes[1], points_cam - shift)], axis=1).ravel()
 
 
-def _pose_inverse(camera: StereoCamera, T_cam_object: Array, corners: Array) -> Array:
+def _pose_jacobian_pinv(camera: StereoCamera, T_cam_object: Array, corners: Array) -> Array:
     """(d px / d pose)^+ (6, 4 n)."""
     return np.asarray(np.linalg.pinv(pose_jacobian(camera, T_cam_object, corners)), dtype=np.float64)
 

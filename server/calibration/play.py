@@ -22,7 +22,7 @@ def play_sides(qs: Array, widths_rad: Array, start: Array) -> Array:
     Returns: (m, n), -1 to 1.
     """
     sides = np.empty_like(qs)
-    bounds, gain = _bounds(start, widths_rad), _gain(widths_rad)
+    bounds, gain = _bounds(start, widths_rad), _side_change_per_rad(widths_rad)
     before = qs[0] if len(qs) else start
     for i, q in enumerate(qs):
         bounds = _pushed(bounds, q - before, gain)
@@ -39,7 +39,10 @@ class PlayFollower:
 
     def __init__(self, widths_rad: Array, gap_max_s: float = 0.25) -> None:
         widths, self._gap_max_s = np.array(widths_rad, dtype=np.float64), gap_max_s
-        self._nothing_known, self._gain = _bounds(np.full(len(widths), UNKNOWN), widths), _gain(widths)
+        self._nothing_known, self._per_rad = (
+            _bounds(np.full(len(widths), UNKNOWN), widths),
+            _side_change_per_rad(widths),
+        )
         self._bounds = self._nothing_known
         self._t_s, self._q = float("nan"), np.zeros(len(widths))
 
@@ -53,7 +56,7 @@ class PlayFollower:
         if not 0.0 <= t_s - self._t_s <= self._gap_max_s:
             self._bounds = self._nothing_known
         else:
-            self._bounds = _pushed(self._bounds, q - self._q, self._gain)
+            self._bounds = _pushed(self._bounds, q - self._q, self._per_rad)
         self._t_s, self._q = t_s, np.array(q, dtype=np.float64)
 
 
@@ -63,7 +66,7 @@ def _bounds(side: Array, widths_rad: Array) -> Array:
     return np.array([middle - left, middle + left])
 
 
-def _gain(widths_rad: Array) -> Array:
+def _side_change_per_rad(widths_rad: Array) -> Array:
     """How far a side goes by a turn of 1 rad (n,); 0 without play."""
     return np.divide(2.0, widths_rad, out=np.zeros_like(widths_rad), where=widths_rad > 0.0)
 

@@ -45,7 +45,7 @@ class MarkerFigures:
 
 
 @dataclass(slots=True)
-class ObjectTally:
+class CheckedObjectCounts:
     """What all pairs showed of one object."""
 
     n_pairs: int = 0
@@ -133,9 +133,9 @@ def _turn(camera: StereoCamera, corners: Mapping[str, Array], distance_m: float)
 
 def tally_markers(
     machine: Machine, pairs: Sequence[tuple[Image, Image]], seen: Sequence[PairObservation]
-) -> dict[ObjectName, ObjectTally]:
+) -> dict[ObjectName, CheckedObjectCounts]:
     """Everything that the pairs show of tool and OOI."""
-    found: dict[ObjectName, ObjectTally] = {"tool": ObjectTally(), "ooi": ObjectTally()}
+    found: dict[ObjectName, CheckedObjectCounts] = {"tool": CheckedObjectCounts(), "ooi": CheckedObjectCounts()}
     markers = {marker.marker_id: marker for marker in machine.markers}
     for images, observation in zip(pairs, seen, strict=True):
         for pose in (observation.tool, observation.ooi):
@@ -168,7 +168,7 @@ def _is_on(view: MarkerView, markers: Mapping[int, Marker], name: ObjectName) ->
     return view.marker_id in markers and markers[view.marker_id].on == name
 
 
-def check_markers(tallies: Mapping[ObjectName, ObjectTally], rig_is_sound: bool = True) -> list[CheckFinding]:
+def check_markers(tallies: Mapping[ObjectName, CheckedObjectCounts], rig_is_sound: bool = True) -> list[CheckFinding]:
     """Findings `tool`, `ooi` (seen, how well known), and `tool_view`, `ooi_view` (size, contrast, tilt, place).
 
     Args:    rig_is_sound: where it is not, poor poses come from the rig, and no other place or light helps.
@@ -182,7 +182,7 @@ def check_markers(tallies: Mapping[ObjectName, ObjectTally], rig_is_sound: bool 
     return findings
 
 
-def _seen(name: ObjectName, one: ObjectTally) -> CheckFinding:
+def _seen(name: ObjectName, one: CheckedObjectCounts) -> CheckFinding:
     share = one.n_ok / max(one.n_pairs, 1)
     figures = {"ok_frac": share}
     reason = max(one.reasons, key=lambda text: one.reasons[text], default="")
@@ -198,7 +198,7 @@ def _seen(name: ObjectName, one: ObjectTally) -> CheckFinding:
     return CheckFinding(name, level, text, remedy, figures)
 
 
-def _remedy_unseen(name: ObjectName, one: ObjectTally) -> str:
+def _remedy_unseen(name: ObjectName, one: CheckedObjectCounts) -> str:
     """What to do about an object that is rarely measured: the reason's own remedy, unless the views show more."""
     aim = _aim(one)
     if aim:
@@ -212,7 +212,7 @@ def _remedy_unseen(name: ObjectName, one: ObjectTally) -> str:
     return f"turn or move the camera until the {name}'s markers are in both pictures; light them; check their ids"
 
 
-def _view(name: ObjectName, one: ObjectTally) -> CheckFinding:
+def _view(name: ObjectName, one: CheckedObjectCounts) -> CheckFinding:
     """The worst of size, contrast, tilt and place over the object's markers."""
     cell = float(np.median([marker.cell_px for marker in one.markers]))
     contrast = float(np.median([marker.contrast_grey for marker in one.markers]))
@@ -245,14 +245,14 @@ def _view(name: ObjectName, one: ObjectTally) -> CheckFinding:
     return CheckFinding(f"{name}_view", worst, text, "; ".join(remedies), figures)
 
 
-def _closer(one: ObjectTally, share: float) -> str:
+def _closer(one: CheckedObjectCounts, share: float) -> str:
     """Of the present distance only this share may remain."""
     distance = float(np.median([marker.distance_m for marker in one.markers])) if one.markers else 0.0
     away = distance * (1.0 - share)
     return f"move {max(away, 0.1):.1f} m closer" if distance else "move closer"
 
 
-def _lamp(one: ObjectTally, contrast: float) -> str:
+def _lamp(one: CheckedObjectCounts, contrast: float) -> str:
     """Light from the side that is darker now."""
     opposite = {"left": "the right", "right": "the left", "top": "below", "bottom": "above"}
     sides = [marker.brighter for marker in one.markers if marker.brighter]
@@ -260,7 +260,7 @@ def _lamp(one: ObjectTally, contrast: float) -> str:
     return f"light from {side}: contrast {contrast:.0f} of 255"
 
 
-def _aim(one: ObjectTally) -> str:
+def _aim(one: CheckedObjectCounts) -> str:
     """How to turn the camera, where markers stand at a border or beyond it; empty where they do not."""
     single = [marker for marker in one.markers if len(marker.eyes) == 1] or one.markers
     if not single:

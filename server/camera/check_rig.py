@@ -212,7 +212,7 @@ def check_rig(camera: StereoCamera, spots: Sequence[Array], rng: np.random.Gener
         remedy = "point it at a scene with texture all over the picture, 0.5 to 3 m away, and light it"
         return [CheckFinding("eyes", Level.WARN, text, remedy, {"spots": float(len(rays))})]
     disparity_px = camera.fx_px * (rays[:, 0] - rays[:, 2])
-    eyes = _eyes(disparity_px)
+    eyes = _swapped_eyes(disparity_px)
     if eyes.level is Level.FAIL:
         return [eyes]
     fit = fit_rig(camera, rays, rng)
@@ -231,7 +231,7 @@ def _cover(camera: StereoCamera, spots: Array) -> int:
     return len(np.unique(4 * rows + columns))
 
 
-def _eyes(disparity_px: Array) -> CheckFinding:
+def _swapped_eyes(disparity_px: Array) -> CheckFinding:
     median = float(np.median(disparity_px))
     figures = {"disparity_median_px": median, "spots": float(len(disparity_px))}
     if float(np.mean(disparity_px < -PARALLEL_PX)) >= SWAPPED_SHARE:

@@ -221,8 +221,8 @@ class VisionPipeline:
             frame.left,
             frame.right,
             frame.t_exposure_ns,
-            mask_polygons_left=(*self._settings.mask_left, *self._mask.left),
-            mask_polygons_right=(*self._settings.mask_right, *self._mask.right),
+            mask_polygons_left=(*self._settings.mask_left, *self._mask.left_polygons),
+            mask_polygons_right=(*self._settings.mask_right, *self._mask.right_polygons),
         )
 
     def _rate_hz(self) -> float:

@@ -112,7 +112,7 @@ async def _trajectory(site: Site, case: StopCase) -> JointTrajectory:
     q_ref = (await read_machine(site)).q_ref
     settings = replace(FAST, speed_scale=case.speed)
     plans = (
-        _joint_plans(site, q_ref, case.joint, settings)
+        _single_joint_moves(site, q_ref, case.joint, settings)
         if case.joint is not None
         else _tool_plans(site, q_ref, settings)
     )
@@ -133,7 +133,7 @@ def _tool_plans(site: Site, q_ref: Array, settings: PlanSettings) -> Iterator[Pa
             yield plan_move(site.machine, q_ref, pose(T[:3, :3], point), settings)
 
 
-def _joint_plans(site: Site, q_ref: Array, joint: int, settings: PlanSettings) -> Iterator[PathPlan]:
+def _single_joint_moves(site: Site, q_ref: Array, joint: int, settings: PlanSettings) -> Iterator[PathPlan]:
     """Moves of one joint, towards the middle of its range first."""
     limits = site.machine.joints[joint]
     inward = 1.0 if (limits.q_min_rad + limits.q_max_rad) / 2.0 >= q_ref[joint] else -1.0

@@ -21,16 +21,6 @@ class ErrorMm:
     camera_y_mm: float
     camera_z_mm: float
 
-    def inside_as_paper(self, tolerance_mm: float) -> bool:
-        """The paper's criterion: x and y in camera axes; depth and rotation are not judged."""
-        return abs(self.camera_x_mm) <= tolerance_mm and abs(self.camera_y_mm) <= tolerance_mm
-
-    def inside(self, tolerance_mm: float, tolerance_deg: float) -> bool:
-        """Whether every axis and the rotation are inside the tolerance with two sigma to spare."""
-        axes = ((self.x_mm, self.sigma_x_mm), (self.y_mm, self.sigma_y_mm), (self.z_mm, self.sigma_z_mm))
-        position = all(abs(error) + 2.0 * sigma <= tolerance_mm for error, sigma in axes)
-        return position and self.rotation_deg + 2.0 * self.sigma_rotation_deg <= tolerance_deg
-
 
 @dataclass(frozen=True, slots=True)
 class LookRecord:

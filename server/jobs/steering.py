@@ -91,7 +91,7 @@ class Steering:
         return exposed_s - (latest.t_plc_ns + offset_ns) * 1e-9 > ENCODER_GAP_S
 
     def correct(self, request: Correct) -> None:
-        """Send a new tail; while one is on its way another is refused by its own report."""
+        """Send a new tail, the rest of the running trajectory. While one is on its way, another is refused."""
         self._tail = asyncio.create_task(self._cell.link.correct(request.trajectory, request.first), name="new-tail")
 
     async def end(self) -> None:

@@ -66,7 +66,7 @@ def read_audit(db: sqlite3.Connection, before: int, limit: int) -> list[dict[str
 
 
 def forget_old_audit(db: sqlite3.Connection) -> None:
-    """Lines older than KEPT_S of operation go."""
+    """Delete audit lines older than KEPT_S of operating time."""
     db.execute(f"DELETE FROM audit WHERE operating_s < {NOW_S} - ?", (KEPT_S,))
 
 

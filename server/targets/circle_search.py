@@ -61,7 +61,7 @@ def find_places(
     settings: TargetSettings,
     masks: tuple[Image, Image],
 ) -> list[CirclePlace] | str:
-    """Circles of the given diameters that edges vote for, best first; or why the wall's plane is not known.
+    """Circles of the given diameters that edges vote for, best first; or why the wall's plane is not known (text).
 
     Model:   corners in both eyes give the wall's mean plane; the left image is warped onto it, where a circle on the
              rock is nearly a circle of known radius. Every edge votes for centres along its gradient.

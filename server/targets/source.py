@@ -31,7 +31,7 @@ class TargetPoseSource:
     @property
     def masks_px(self) -> tuple[Sequence[Array], Sequence[Array]]:
         """Where the own tool was in the last pair, left and right."""
-        return self._mask.left, self._mask.right
+        return self._mask.left_polygons, self._mask.right_polygons
 
     def use(self, target: AnchoredTarget | TaughtObject | None) -> None:
         """Serve this target as the OOI from the next pair on; None: the OOI's markers again."""

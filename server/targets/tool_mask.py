@@ -69,11 +69,11 @@ class ToolMask:
                 polygons[view.marker_id] = plate_and_shaft(square, scale)
 
     @property
-    def left(self) -> tuple[Array, ...]:
+    def left_polygons(self) -> tuple[Array, ...]:
         """Polygons in the left image."""
         return tuple(self._left.values())
 
     @property
-    def right(self) -> tuple[Array, ...]:
+    def right_polygons(self) -> tuple[Array, ...]:
         """Polygons in the right image."""
         return tuple(self._right.values())

@@ -1,4 +1,7 @@
-"""The other orientation of a planar target: where it is, how much worse it fits, and what the last moments say."""
+"""The other orientation of a planar target: where it is, how much worse it fits, and what the last pairs say.
+
+`object_pose.py` sets the status ORIENTATION_AMBIGUOUS by it.
+"""
 
 import math
 from dataclasses import dataclass

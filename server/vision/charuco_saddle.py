@@ -96,7 +96,7 @@ def _equations(pixels: Array, count: int, p: Array, information: Array, gradient
 
 
 @njit(cache=True, nogil=True)
-def _descend(pixels: Array, count: int, p: Array) -> tuple[Array, float]:
+def _least_squares(pixels: Array, count: int, p: Array) -> tuple[Array, float]:
     """Levenberg-Marquardt from `p`: parameters and sum of squares."""
     information, gradient = np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
     new_information, new_gradient = np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
@@ -149,7 +149,7 @@ def fit_saddle(image: Image, start: Array, J: Array, dark_first: bool, gap_frac:
         if k == 0:
             low, high = pixels[:count, 2].min(), pixels[:count, 2].max()
             p[4], p[5] = 0.5 * (low + high), 0.4 * (high - low) * (-1.0 if dark_first else 1.0)
-        p, total = _descend(pixels, count, p)
+        p, total = _least_squares(pixels, count, p)
         if not (abs(p[0] - start[0]) + abs(p[1] - start[1]) < 0.7 * (abs(J[0, 0]) + abs(J[1, 0]))):
             return failed
     contrast = -2.0 * p[5] if dark_first else 2.0 * p[5]

@@ -177,7 +177,7 @@ def rig_contradiction(
 
 
 def _contradiction_of(problem: PoseProblem, settings: PoseSettings) -> str:
-    left, right = problem.seen_by_both()
+    left, right = problem.common_pixels()
     if not len(left):
         return ""
     disparity = float(np.median(left[:, 0] - right[:, 0]))

@@ -13,7 +13,7 @@ from server.vision.contracts import Array, Image, OdometryPose, OdometryStatus
 from server.vision.odometry_adjustment import adjust_keyframes
 from server.vision.odometry_covariance import KeyframeCovariances, readout_of
 from server.vision.odometry_features import allowed_mask, coverage
-from server.vision.odometry_keyframe import Keyframe, SeenHere, make_keyframe
+from server.vision.odometry_keyframe import Keyframe, SeenHere, make_keyframe, wants_keyframe
 from server.vision.odometry_motion import (
     Motion,
     Twist,
@@ -287,7 +287,10 @@ class StereoOdometry:
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
         if located.jumped:  # a step over places that look alike is not a motion
             motion = standing_motion(T_vo_cam, sight.t_exposure_ns)
-        wanted = self._wants_keyframe(inliers_px) and (motion.steady or not self._rolls) and not located.doubt
+        full = self._settings.keyframe_below_frac * np.array([self._full_points, self._full_coverage])
+        wanted = (
+            wants_keyframe(inliers_px, self._shape, *full) and (motion.steady or not self._rolls) and not located.doubt
+        )
         kept = sight.keep() if wanted else sight
         if wanted:
             seen_here = self._seen_here(located)  # by the list as it is: adding one may forget another
@@ -343,11 +346,6 @@ class StereoOdometry:
                 joint[6 * row : 6 * row + 6, 6 * row : 6 * row + 6] += gain @ gain.T
             Ts = np.array([keyframe.T_vo_cam for keyframe in window])
             self._known.replace_poses(range(first, len(self._keyframes)), joint, Ts)
-
-    def _wants_keyframe(self, inliers_px: Array) -> bool:
-        frac = self._settings.keyframe_below_frac
-        few = len(inliers_px) < frac * self._full_points
-        return few or coverage(inliers_px, self._shape) < frac * self._full_coverage
 
     def _add_keyframe(
         self, sight: Sight, motion: Motion, covariance: Array, gains: Sensitivity | None, occupied_px: Array

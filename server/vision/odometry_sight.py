@@ -214,7 +214,7 @@ class ImageSight:
 
     def find(self, kept: Sight, wanted: SearchPoints) -> tuple[Alignment, Alignment]:
         """Patches of the kept pair, warped, laid onto this one; what lies under a mask is not found."""
-        kept = _images(kept)
+        kept = _require_image_sight(kept)
         left = align(kept.left, wanted.places_left_px, wanted.warps, self.left, wanted.guesses_left_px)
         right = align(kept.right, wanted.places_right_px, wanted.warps, self.right, wanted.guesses_right_px)
         shown = right.good & inside_mask(self.masks[1], right.points_px)
@@ -226,13 +226,13 @@ class ImageSight:
 
     def flow_from(self, kept: Sight, places_left_px: Array) -> Flow:
         """Pyramidal flow from the kept left image to this one."""
-        kept = _images(kept)
+        kept = _require_image_sight(kept)
         found = optical_flow(kept.left, self.left, places_left_px)
         return Flow(found.points_px, found.good & inside_mask(self.masks[0], found.points_px))
 
     def recognise(self, kept: Sight) -> tuple[Array, Array]:
-        """By ORB features."""
-        kept = _images(kept)
+        """Match a kept pair to this one by ORB features; pixels in both."""
+        kept = _require_image_sight(kept)
         return recognise(kept.left, kept.masks[0], self.left, self.masks[0])
 
     def repeats(self) -> Array:
@@ -244,7 +244,7 @@ class ImageSight:
         return ImageSight(self.left.copy(), self.right.copy(), self.masks, self.t_exposure_ns)
 
 
-def _images(kept: Sight) -> ImageSight:
+def _require_image_sight(kept: Sight) -> ImageSight:
     if not isinstance(kept, ImageSight):
         raise TypeError(f"a pair of images is compared with images, not with {type(kept).__name__}")
     return kept

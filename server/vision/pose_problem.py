@@ -77,7 +77,7 @@ class PoseProblem:
             return self.observations
         return self.observations.some(self.rows_of(indices))
 
-    def seen_by_both(self) -> tuple[Array, Array]:
+    def common_pixels(self) -> tuple[Array, Array]:
         """Points that both eyes see, undistorted (m, 2) [px], left and right."""
         pairs: dict[int, list[Array]] = {}
         for group in self.groups:

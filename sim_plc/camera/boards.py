@@ -14,7 +14,7 @@ from machine.boards import board_marker_ids, dark_squares
 from machine.camera import project
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_about
-from sim_plc.camera.eye import EyeRays, can_project
+from sim_plc.camera.eye import EyeRays, can_project_all
 from sim_plc.camera.texture import Grey
 from sim_plc.camera.wall import pose_at_row
 
@@ -194,7 +194,7 @@ def board_region(eye: EyeRays, board: Board, Ts_board_cam: Array) -> tuple[int, 
         points = board.outline @ T_cam_board[:3, :3].T + T_cam_board[:3, 3]
         if np.all(points[:, 2] <= 0.02):
             return None
-        if not can_project(points):
+        if not can_project_all(points):
             return 0, 0, width, height
         spots.append(project(eye.camera, points))
     pixels = np.concatenate(spots)

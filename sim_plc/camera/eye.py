@@ -29,12 +29,12 @@ class EyeRays:
     corners: NDArray[np.float32]
 
 
-def can_project(points_cam: Array) -> bool:
+def can_project_all(points_cam: Array) -> bool:
     """Whether all points lie where the lens model is one to one (in front, and not far outside the field of view)."""
-    return bool(np.all(can_project_each(points_cam)))
+    return bool(np.all(projectable_mask(points_cam)))
 
 
-def can_project_each(points_cam: Array) -> NDArray[np.bool_]:
+def projectable_mask(points_cam: Array) -> NDArray[np.bool_]:
     """Which points (n, 3) lie where the lens model is one to one, (n,)."""
     depth = points_cam[:, 2]
     return np.asarray((depth > 0.02) & (np.hypot(*points_cam[:, :2].T) < _FOLD_RADIUS * depth))

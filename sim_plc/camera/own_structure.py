@@ -15,7 +15,7 @@ from machine.rotations import Array
 from sim_plc.camera.boards import Board, paint_board
 from sim_plc.camera.eye import EyeRays, eye_rays
 from sim_plc.camera.hose import paint_hose
-from sim_plc.camera.structure import backs_first, fitted_boards, hose_in_eye, hose_skin, hoses_at
+from sim_plc.camera.structure import backs_first, hose_in_eye, hose_skin, hoses_at, structure_faces
 from sim_plc.camera.texture import Grey
 
 # What is fixed to the camera: painted once, laid over every picture.
@@ -106,7 +106,7 @@ class OwnStructure:
         self._skin = hose_skin(truth.contrast_frac, np.random.default_rng([seed, 0x686F7365]))
         step, resting = eyes[0].rays.step_px, replace(truth, hoses_move=False)
         hidden = [_mask(eye, None, resting, np.eye(4))[::step, ::step] for eye in eyes]
-        self.boards = fitted_boards(truth, seed, [(eye.rays, eye.T_tcp_cam) for eye in eyes], hidden)
+        self.boards = structure_faces(truth, seed, [(eye.rays, eye.T_tcp_cam) for eye in eyes], hidden)
         self._fixed = tuple(
             fixed_patch(eye.rays, backs_first(self.boards, eye.T_tcp_cam), eye.T_tcp_cam) for eye in eyes
         )

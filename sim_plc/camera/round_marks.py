@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from machine.camera import project
 from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import Array
-from sim_plc.camera.eye import EyeRays, can_project
+from sim_plc.camera.eye import EyeRays, can_project_all
 from sim_plc.camera.texture import Field, Grey, value_noise
 from sim_plc.camera.wall import Relief, height_at, pose_at_row, wall_hit
 from sim_plc.world import RoundMark
@@ -138,7 +138,7 @@ def _region(eye: EyeRays, mark: RoundMark, Ts_ooi_cam: Array) -> tuple[int, int,
     spots = []
     for T_ooi_cam in (Ts_ooi_cam[0], Ts_ooi_cam[-1]):
         points = transform_points(inverse_pose(T_ooi_cam), transform_points(mark.T_ooi_mark, box))
-        if not can_project(points):
+        if not can_project_all(points):
             return None
         spots.append(project(eye.camera, points))
     pixels = np.concatenate(spots)

@@ -15,7 +15,7 @@ from machine.camera import project
 from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import Array
 from sim_plc.camera.boards import Board
-from sim_plc.camera.eye import EyeRays, can_project_each
+from sim_plc.camera.eye import EyeRays, projectable_mask
 from sim_plc.camera.hose import HoseInEye
 from sim_plc.camera.texture import Grey, value_noise
 
@@ -150,7 +150,7 @@ def hose_in_eye(rays: EyeRays, T_tcp_cam: Array, curve_tcp: Array) -> HoseInEye 
     T_cam_tcp = inverse_pose(T_tcp_cam)
     points = transform_points(T_cam_tcp, curve_tcp)[::-1]
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    n_seen = len(points) if np.all(seen := can_project_each(points)) else int(np.argmin(seen))
+    n_seen = len(points) if np.all(seen := projectable_mask(points)) else int(np.argmin(seen))
     if n_seen < 2:
         return None
     points, lengths = points[:n_seen], lengths[:n_seen]
@@ -186,7 +186,7 @@ def _share_at(share: float, eyes: "Sequence[tuple[EyeRays, Array]]", hidden: "Se
     return covered
 
 
-def fitted_boards(
+def structure_faces(
     truth: "StructureTruth", seed: int, eyes: "Sequence[tuple[EyeRays, Array]]", hidden: "Sequence[NDArray[np.bool_]]"
 ) -> tuple[Board, ...]:
     """Faces of housing and beams that, with all else, cover `truth.cover_frac` of the pictures, as nearly as they can.

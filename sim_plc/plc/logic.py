@@ -111,7 +111,7 @@ class PlcLogic:
         )  # fmt: skip
         return self.link.send(status, t_plc_ns)
 
-    def take_fault(self, faults: FaultBit, t_plc_ns: int) -> None:
+    def latch_faults(self, faults: FaultBit, t_plc_ns: int) -> None:
         """Latch faults: ramp down, then valves neutral until RESET and a new arming."""
         self.monitor.latch(faults)
         self._apply(PlcEvent.FAULT, t_plc_ns)
@@ -131,7 +131,7 @@ class PlcLogic:
             self._dry_run, since_s,
         ) | self._own_faults(t_plc_ns)  # fmt: skip
         if faults and faults & ~monitor.latched:
-            self.take_fault(faults, t_plc_ns)
+            self.latch_faults(faults, t_plc_ns)
 
     def _own_faults(self, t_plc_ns: int) -> FaultBit:
         """Faults of the panel and of the PLC's own task."""

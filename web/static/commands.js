@@ -1,4 +1,5 @@
 // Every command goes through here: with this page's lease, once, and its refusal shown in words.
+// Why a button is disabled: reason() in steps.js.
 import { byId, setText } from "./dom.js";
 import { t } from "./texts.js";
 

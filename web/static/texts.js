@@ -70,7 +70,7 @@ export const TEXTS = {
   more: "Goal and options", goal_edit: "Goal", stand_off: "in front, mm", offset_x: "shift X, mm", offset_y: "shift Y, mm", set_goal: "Set", retract_mm: "Retract by, mm",
   // jog
   jog_title: "Jog: move one axis slowly", jog_axis: "joint or axis of the tool", jog_about: "HOLD − or +: moves slowly, stops when released", jog_joint: "joint {n}, {joint}",
-  jog_x: "tool x: + up in the picture", jog_y: "tool y: + left in the picture", jog_z: "tool z: + back, − towards the target",
+  jog_x: "Tool x: + moves it up in the picture", jog_y: "Tool y: + moves it left in the picture", jog_z: "Tool z: + moves it back, − towards the target",
   jog_rx: "tool, turn about x: + to the left", jog_ry: "tool, turn about y: + down", jog_rz: "tool, roll about z: + counterclockwise",
   jog_hold: "Jog {axis}, {sign}: hold", jog_plus: "positive", jog_minus: "negative", jog_now: "now {now}°, range {low}° to {high}°",
   jog_running: "moving; release to stop", jog_done: "Jog has ended: {why}",

@@ -1,1 +1,1 @@
-"""`longreach bench gap`: the blind benchmark of the gap diagnosis. Its generator and judge live under tests/."""
+"""`longreach bench gap`: the blind benchmark of the gap diagnosis (generator and judge: sealed/)."""

@@ -197,7 +197,7 @@ class PlcEnd:
         elif self._rng.random() < 0.4:
             self.hot = True
         else:
-            self.plc.take_fault(FaultBit.LAG, self.t_ns)
+            self.plc.latch_faults(FaultBit.LAG, self.t_ns)
         self.pass_time(1)
         self.look()
 

@@ -35,7 +35,7 @@ class CapturedSource(LiveSource[tuple[Picture, int, int, int, int]]):
             return None
         picture, t_exposure_ns, t_receive_ns, sequence, connection = taken
         try:
-            left, right = self._eyes(picture)
+            left, right = self._split_eyes(picture)
         except StreamError as error:
             self._state = f"{self._subject}: {error}"
             return None
@@ -54,7 +54,7 @@ class CapturedSource(LiveSource[tuple[Picture, int, int, int, int]]):
         """Exposure and arrival [ns] of the picture just read."""
 
     @abstractmethod
-    def _eyes(self, picture: Picture) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    def _split_eyes(self, picture: Picture) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Left and right grey views of a picture."""
 
     def _reason(self, error: Exception) -> str:

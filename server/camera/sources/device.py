@@ -78,7 +78,7 @@ class DeviceStereoSource(CapturedSource):
         stamp_ns = driver_ns + self._suspended_ns if driver_ns > 0 else now_ns  # however old: never made younger
         return stamp_ns, now_ns
 
-    def _eyes(self, picture: Picture) -> tuple[Image, Image]:
+    def _split_eyes(self, picture: Picture) -> tuple[Image, Image]:
         wanted = self._settings
         if picture.ndim == 2 and 1 in picture.shape:  # a JPEG's bytes
             left, right = decode_side_by_side(np.ascontiguousarray(picture, np.uint8).reshape(-1))

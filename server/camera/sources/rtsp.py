@@ -85,5 +85,5 @@ class RtspStereoSource(CapturedSource):
         self._last_ns = t_ns
         return t_ns, now_ns
 
-    def _eyes(self, picture: Picture) -> tuple[Image, Image]:
+    def _split_eyes(self, picture: Picture) -> tuple[Image, Image]:
         return split_side_by_side(np.asarray(picture, np.uint8))

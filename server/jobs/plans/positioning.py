@@ -4,7 +4,6 @@ from collections.abc import Callable, Generator
 
 from recording.clock import mono_ns
 from server.calibration.calibration_life import ValidityStatus
-from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.assurance import assured_preview
@@ -14,7 +13,8 @@ from server.jobs.plans.looking import good_look, ooi_in_base
 from server.jobs.plans.moving import execute
 from server.jobs.plans.orienting import GOOD_ENOUGH_DEG, orient
 from server.jobs.plans.seeing import refuted_inputs
-from server.jobs.records import CalibrationRecord, ErrorMm, PositionResult
+from server.jobs.plans.tolerance import error_of, is_look_inside_tolerance
+from server.jobs.records import CalibrationRecord, PositionResult
 from server.jobs.requests import Progress, Request
 
 Clock = Callable[[], int]
@@ -86,21 +86,6 @@ def _move_until_inside(
         error = error_of(taken)
         yield Progress("error", error.distance_mm, goal.tolerance_mm, "mm", f"after move {number}")
     return taken
-
-
-def is_look_inside_tolerance(ctx: PlanContext, taken: LookTaken) -> bool:
-    """Whether the look puts the tool inside the tolerance, two sigma to spare."""
-    goal, error = ctx.settings.position, error_of(taken)
-    if ctx.method == "paper":
-        return error.inside_as_paper(goal.tolerance_mm)
-    return error.inside(goal.tolerance_mm, goal.tolerance_deg)
-
-
-def error_of(taken: LookTaken) -> ErrorMm:
-    """The error of a look that has one."""
-    if taken.error is None:
-        raise JobFailedError(f"look failed: {taken.record.reason}", "look_rejected")
-    return taken.error
 
 
 def _result(

@@ -17,17 +17,17 @@ from server.jobs.knowledge import LookTaken
 from server.jobs.plans.living import calibration_validity, require_valid
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.pair_gate import PairGate
-from server.jobs.plans.positioning import error_of, is_look_inside_tolerance
 from server.jobs.plans.steering_path import (
     SteeredPath,
     correction_for,
     goal_of,
     joints_near,
-    next_pair,
+    next_pair_request,
     note_tail,
     off_goal,
     path_onto_reference,
 )
+from server.jobs.plans.tolerance import error_of, is_look_inside_tolerance
 from server.jobs.records import ErrorMm, MoveRecord, ServoResult
 from server.jobs.requests import (
     Arm,
@@ -94,7 +94,7 @@ def _reliable(ctx: PlanContext) -> Generator[Request, object, None]:
     while in_a_row < wanted:
         if tries >= 3 * wanted:
             raise JobFailedError(f"vision is not reliable enough for closed-loop motion: {fault}", "vision_unreliable")
-        asked = next_pair(ctx, number)
+        asked = next_pair_request(ctx, number)
         seen = expect_reply((yield asked if in_a_row else replace(asked, silence_max_s=PATIENCE_S)), PairSeen)
         late, number = seen.number == number, seen.number
         tries += 1
@@ -159,7 +159,7 @@ def _follow(ctx: PlanContext, steered: SteeredPath) -> Generator[Request, object
     """Pair by pair until the path is at its end; the first fault stops the motion and the job."""
     gate, number = PairGate(ctx), 0
     while True:
-        seen = expect_reply((yield next_pair(ctx, number)), PairSeen)
+        seen = expect_reply((yield next_pair_request(ctx, number)), PairSeen)
         if seen.ended:
             return
         number = seen.number

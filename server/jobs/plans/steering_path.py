@@ -137,7 +137,7 @@ def _goal_seen(ctx: PlanContext, seen: PairSeen) -> tuple[Array, float, float]:
     return T_goal, PairGate(ctx).sigma_m(seen), way_m
 
 
-def next_pair(ctx: PlanContext, number: int) -> NextPair:
+def next_pair_request(ctx: PlanContext, number: int) -> NextPair:
     """The request for the pair after a number, its exposure mapped as the calibration found the clocks."""
     known = ctx.knowledge
     state = None if known.joint is None else known.joint.state

@@ -139,11 +139,11 @@ def test_mask_covers_the_tool_and_remembers_it() -> None:
     np.testing.assert_allclose(shaft[2:], [[25, 25 + SHAFT_PX], [5, 25 + SHAFT_PX]], atol=1e-9)
     mask = ToolMask([10], 2.0)
     mask.update([MarkerView(10, corners, None, 0.1, True, ""), MarkerView(1, corners, corners, 0.1, True, "")])
-    assert len(mask.left) == 1
-    assert mask.right == ()
+    assert len(mask.left_polygons) == 1
+    assert mask.right_polygons == ()
     mask.update([MarkerView(10, None, corners + 3.0, 0.1, True, "")])
-    np.testing.assert_allclose(mask.left[0], plate_and_shaft(corners, 2.0), atol=1e-12)
-    np.testing.assert_allclose(mask.right[0], plate_and_shaft(corners + 3.0, 2.0), atol=1e-12)
+    np.testing.assert_allclose(mask.left_polygons[0], plate_and_shaft(corners, 2.0), atol=1e-12)
+    np.testing.assert_allclose(mask.right_polygons[0], plate_and_shaft(corners + 3.0, 2.0), atol=1e-12)
 
 
 def test_mask_covers_a_board_on_the_tool_however_much_of_it_is_seen() -> None:
@@ -157,11 +157,11 @@ def test_mask_covers_a_board_on_the_tool_however_much_of_it_is_seen() -> None:
     seen[[3, 7]] = np.nan
     mask = ToolMask({7: 4.0 / 2.0}, 1.1)
     mask.update([MarkerView(7, seen, None, 0.1, True, "")])
-    (polygon,) = mask.left
+    (polygon,) = mask.left_polygons
     for point in printed:
         assert cv2.pointPolygonTest(polygon.astype(np.float32), tuple(map(float, point)), False) >= 0.0
     assert polygon[:, 1].max() > 2000.0, "the holder comes from below"
     few = np.full_like(corners, np.nan)
     few[:3] = corners[:3]
     mask.update([MarkerView(7, few, None, 0.1, True, "")])
-    np.testing.assert_array_equal(mask.left[0], polygon)
+    np.testing.assert_array_equal(mask.left_polygons[0], polygon)
