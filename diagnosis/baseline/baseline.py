@@ -1,6 +1,6 @@
 """The baseline of a machine: effects that it has without a fault, and what they leave of the model's form.
 
-Fitted on some recordings, judged on others. Why a remainder at all: docs/decisions/0011-baseline.md.
+Fitted on some recordings, judged on others. Why a remainder at all: docs/decisions/0011-baseline-of-effects-and-remainders.md.
 """
 
 from collections.abc import Callable

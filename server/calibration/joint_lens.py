@@ -41,7 +41,7 @@ WALL_GRID, BORDER_PX, WAY_M = (8, 6), 20.0, 0.1
 
 @dataclass(frozen=True, slots=True)
 class LensPrior:
-    """What is believed before a measurement, one sigma (docs/decisions/0008-honest-ellipses.md)."""
+    """What is believed before a measurement, one sigma (docs/decisions/0008-constant-errors-are-unknowns.md)."""
 
     sigma_focal_frac: float = 0.01  # from a data sheet, a factory or an old calibration
     sigma_principal_px: float = 1.0

@@ -37,7 +37,7 @@ class ErrorPrior:
     Compliance [rad/(N m)] acts about the joint's axis, under the weight of all that hangs on it (masses of the machine
     file). It is given for the joints whose booms bend; those of the others stay zero. Play is its whole width [rad],
     between the encoder and what it turns (`play.py`). Lengths by joint, those beyond the list like its last.
-    Source:  tolerances of the class (docs/decisions/0008-honest-ellipses.md): built lengths 3.5 mm, lengths inside the
+    Source:  tolerances of the class (docs/decisions/0008-constant-errors-are-unknowns.md): built lengths 3.5 mm, lengths inside the
              machined wrist and between neighbouring bores 0.5 mm, bores parallel to 0.1 mm in 0.3 m, zeros 0.25 deg;
              compliance and play: mean and sd of the ranges stated for springs, slew and wrists.
     """
