@@ -129,6 +129,14 @@ def simulator(machine: str) -> None:
     warm_up_all(read_machine_text(machine))
 
 
+def diagnosis(machine: str) -> None:
+    """Effects, their search and evidence: the process of a diagnosis."""
+    from diagnosis.warm_up import warm_up
+    from server.settings import read_machine
+
+    warm_up(read_machine(machine))
+
+
 @dataclass(frozen=True, slots=True)
 class Stage:
     """What one process compiles; stages of the same turn run in parallel."""
@@ -144,6 +152,7 @@ STAGES = (
     Stage("kinematics and planning", 1, planning),
     Stage("vision", 2, vision),
     Stage("simulated machine", 2, simulator),
+    Stage("diagnosis", 2, diagnosis),
 )
 
 
@@ -157,4 +166,5 @@ def _run_stages(machine: str, report: Callable[[str], None]) -> None:
                 future.result()
                 done += 1
                 del waiting[future]
-                report(f"{done} of {len(STAGES)} done, now: {', '.join(waiting.values())}")
+                if waiting:
+                    report(f"{done} of {len(STAGES)} done, now: {', '.join(waiting.values())}")

@@ -21,8 +21,8 @@ from server.camera.sources.side_by_side import decode_side_by_side
 from server.settings import read_machine
 
 ROOT = Path(__file__).parents[3]
-#: Compiled when a diagnosis, an identification or a compensation first needs them, in a process of its own or at rest.
-LATER = ("diagnosis/", "machine/effects/")
+#: Compiled when a baseline is first fitted or used, in a process of its own; when a scene has holes.
+LATER = ("diagnosis/known/courses.py", "diagnosis/noise/floor.py", "sim_plc/camera/round_marks.py")
 
 
 def kernels_of(file: Path) -> list:
@@ -35,7 +35,9 @@ def kernels_of(file: Path) -> list:
     return [
         value
         for value in vars(module).values()
-        if isinstance(value, CPUDispatcher) and value.py_func.__module__ == module.__name__
+        if isinstance(value, CPUDispatcher)
+        and value.py_func.__module__ == module.__name__
+        and value.targetoptions.get("inline") != "always"  # compiled within its callers
     ]
 
 
