@@ -32,19 +32,19 @@ DIGITS = 4
 
 def answer_json(found: Budget) -> dict[str, Any]:
     """Everything the contract asks for."""
-    hypotheses = _hypotheses(found)
+    hypotheses = _hypotheses_json(found)
     result: dict[str, Any] = {
         "format_version": FORMAT,
         "verdict": found.verdict,
         "why": found.why,
-        "budget": _budget(found),
+        "budget": _budget_json(found),
         "stages": [
             {
                 "stage": line.stage,
                 "joint": line.joint,
                 "verdict": line.verdict,
-                "before_mm": _mm(line.before_mm),
-                "after_mm": _mm(line.after_mm),
+                "before_mm": _rounded_mm(line.before_mm),
+                "after_mm": _rounded_mm(line.after_mm),
                 "would_measure": line.why if line.verdict == "not_measured" else "",
             }
             for line in found.stages
@@ -52,20 +52,22 @@ def answer_json(found: Budget) -> dict[str, Any]:
         "hypotheses": hypotheses,
         "outside_probability": 1.0 if found.verdict == "outside" else 0.0,
         "indistinguishable": [
-            [_key(line.evidence.term), *map(_key, members)] for line in found.lines for members in line.evidence.equals
+            [_effect_key(line.evidence.term), *map(_effect_key, members)]
+            for line in found.lines
+            for members in line.evidence.equals
         ],
         "credible_set_90": [
-            {"effects": _keys(row["effects"]), "probability": row["probability"]} for row in hypotheses
+            {"effects": _effect_keys(row["effects"]), "probability": row["probability"]} for row in hypotheses
         ],
-        "localisation": _localisation(found.before.places),
+        "localisation": _localisation_json(found.before.places),
         "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in merged_stages(found.whole)],
-        "shrink": _shrink(found),
+        "shrink": _shrink_json(found),
         "unexplained": [
             {
                 "test": "miss left at the tool [mm]",
                 "stage": line.stage,
                 "joint": line.joint,
-                "size": _mm(line.after_mm),
+                "size": _rounded_mm(line.after_mm),
                 "p_value": None,
                 "lead": line.why,
             }
@@ -73,9 +75,9 @@ def answer_json(found: Budget) -> dict[str, Any]:
             if line.verdict in ("partly", "unexplained")
         ],
         "detection_limits": list(_detection_limits(found)),
-        "missing": _missing(found),
+        "missing": _missing_signals(found),
         "findings": [{"code": f.code, "severity": f.severity, "text": str(f)} for f in found.whole.findings],
-        "searched": [_searched(fit) for fit in found.fits],
+        "searched": [_search_summary(fit) for fit in found.fits],
         "next_experiment": experiment_for(found.whole, _open_pairs(found), found.verdict in ("none", "effects")),
     }
     nominal = found.whole.nominal
@@ -98,44 +100,44 @@ def summary_sentence(budget: dict[str, Any]) -> str:
     return out
 
 
-def _budget(found: Budget) -> dict[str, Any]:
+def _budget_json(found: Budget) -> dict[str, Any]:
     return {
-        "miss_mm": _mm(found.miss_mm),
-        "left_mm": _mm(found.left_mm),
+        "miss_mm": _rounded_mm(found.miss_mm),
+        "left_mm": _rounded_mm(found.left_mm),
         "columns": [
             {
                 "column": column.name,
-                "before_mm": _mm(column.before_mm),
-                "after_mm": _mm(column.after_mm),
-                "floor_mm": _mm(column.floor_mm),
+                "before_mm": _rounded_mm(column.before_mm),
+                "after_mm": _rounded_mm(column.after_mm),
+                "floor_mm": _rounded_mm(column.floor_mm),
                 "measured": column.measured,
             }
             for column in found.columns
         ],
-        "effects": [_line(line, found.machine) for line in found.lines],
+        "effects": [_effect_line_json(line, found.machine) for line in found.lines],
         "unexplained_mm": [
-            {"stage": stage.stage, "joint": stage.joint, "mm": _mm(stage.after_mm)}
+            {"stage": stage.stage, "joint": stage.joint, "mm": _rounded_mm(stage.after_mm)}
             for stage in found.stages
             if stage.verdict in ("partly", "unexplained")
         ],
     }
 
 
-def _line(line: EffectLine, machine: tuple[EffectTerm, ...]) -> dict[str, Any]:
+def _effect_line_json(line: EffectLine, machine: tuple[EffectTerm, ...]) -> dict[str, Any]:
     evidence = line.evidence
     used = next((term for term in machine if term.effect == evidence.term.effect), None)
     return {
         **_effect_table(*sized(line)),
         "column": line.column,
-        "tool_mm": _mm(line.mm),
-        "tool_low_mm": _mm(line.low_mm),
-        "tool_high_mm": _mm(line.high_mm),
+        "tool_mm": _rounded_mm(line.mm),
+        "tool_low_mm": _rounded_mm(line.low_mm),
+        "tool_high_mm": _rounded_mm(line.high_mm),
         "squares_mm2": round_numbers(line.squares_mm2),
         "share_frac": round_numbers(line.share_frac),
         "probability": round_numbers(line.probability),
         "status": line.status,
-        "used": None if used is None else _used(used),
-        "equals": [[_key(member) for member in members] for members in evidence.equals],
+        "used": None if used is None else _machine_file_parameters(used),
+        "equals": [[_effect_key(member) for member in members] for members in evidence.equals],
         "evidence": {
             "gain_nats": round_numbers(evidence.gain_nats),
             "size_over_sd": round_numbers(evidence.z),
@@ -147,7 +149,7 @@ def _line(line: EffectLine, machine: tuple[EffectTerm, ...]) -> dict[str, Any]:
     }
 
 
-def _used(term: EffectTerm) -> dict[str, Any]:
+def _machine_file_parameters(term: EffectTerm) -> dict[str, Any]:
     """A machine file's numbers of an effect, fitted without the doubtful ones."""
     table = _effect_table(term.effect, np.stack([term.theta] * 3, axis=1))
     return {
@@ -162,10 +164,10 @@ def _effect_table(candidate: Candidate, numbers: Array) -> dict[str, Any]:
     parameters: dict[str, Any] = {}
     vector = len({slot.parameter for slot in candidate.slots}) < len(candidate.slots)
     if vector and effect.direction is not None:
-        parameters = _vector(candidate.slots[0].parameter, effect.size.unit, effect.direction, numbers)
+        parameters = _size_and_direction(candidate.slots[0].parameter, effect.size.unit, effect.direction, numbers)
     else:
         for slot, number in zip(candidate.slots, numbers, strict=True):
-            parameters[slot.parameter] = _number(number, slot.spec.unit)
+            parameters[slot.parameter] = _value_with_limits(number, slot.spec.unit)
     for slot, value in candidate.fixed:
         parameters[slot.parameter] = {"value": value, "unit": "1", "low": value, "high": value}
     if candidate.option and effect.choice is not None:
@@ -173,12 +175,12 @@ def _effect_table(candidate: Candidate, numbers: Array) -> dict[str, Any]:
     return {"name": candidate.name, "joint": candidate.joint, "stage": candidate.stage, "parameters": parameters}
 
 
-def _number(number: Array, unit: str) -> dict[str, Any]:
+def _value_with_limits(number: Array, unit: str) -> dict[str, Any]:
     low, high = _round_outward(float(number[1]), -1), _round_outward(float(number[2]), 1)
     return {"value": round_numbers(float(number[0])), "unit": unit, "low": low, "high": high}
 
 
-def _vector(name: str, unit: str, direction: Direction, numbers: Array) -> dict[str, Any]:
+def _size_and_direction(name: str, unit: str, direction: Direction, numbers: Array) -> dict[str, Any]:
     vector = np.zeros(len(direction.default))
     vector[: len(numbers)] = numbers[:, 0]
     half = float(np.max(0.5 * (numbers[:, 2] - numbers[:, 1])))
@@ -191,7 +193,7 @@ def _vector(name: str, unit: str, direction: Direction, numbers: Array) -> dict[
     }
 
 
-def _hypotheses(found: Budget) -> list[dict[str, Any]]:
+def _hypotheses_json(found: Budget) -> list[dict[str, Any]]:
     """What is more likely there than not, then what the recording leaves open, until the sets hold 90 %."""
     if not found.fits:
         return []
@@ -204,15 +206,15 @@ def _hypotheses(found: Budget) -> list[dict[str, Any]]:
     ]
 
 
-def _key(term: EffectTerm) -> dict[str, Any]:
+def _effect_key(term: EffectTerm) -> dict[str, Any]:
     return {"name": term.effect.name, "joint": term.effect.joint}
 
 
-def _keys(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _effect_keys(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{"name": effect["name"], "joint": effect["joint"]} for effect in effects]
 
 
-def _mm(value: float | None) -> float | None:
+def _rounded_mm(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else round(float(value), DIGITS)
 
 
@@ -224,7 +226,7 @@ METRICS = {  # by stage and unit
 }
 
 
-def _shrink(found: Budget) -> dict[str, Any]:
+def _shrink_json(found: Budget) -> dict[str, Any]:
     """How far the gap shrinks on motions that nothing was fitted to: each part, and overall the parts with effects."""
     closing = zip(found.held_out, found.shrinks, strict=True)
     parts = [(prediction, *part) for prediction, own in closing for part in own]
@@ -235,7 +237,7 @@ def _shrink(found: Budget) -> dict[str, Any]:
             "measurement": row.measurement,
             "metric": METRICS.get((row.stage, row.unit), METRIC_DRIVEN),
             "unit": row.unit,
-            **_closed((row.before, row.after, row.floor), row.closed),
+            **_gap_closed_json((row.before, row.after, row.floor), row.closed),
         }
         for _, row, _ in parts
     ]
@@ -244,15 +246,15 @@ def _shrink(found: Budget) -> dict[str, Any]:
         return {"overall": {}, "stages": stages}
     whole = gap_closed_of_parts(sums)
     metric = {"metric": "RMS of held-out residuals where a gap was found", "unit": "noise floors"}
-    return {"overall": {**metric, **_closed(rms_of(whole), closed_share(whole))}, "stages": stages}
+    return {"overall": {**metric, **_gap_closed_json(rms_of(whole), closed_share(whole))}, "stages": stages}
 
 
-def _closed(rms: Sequence[float], closed: Sequence[float | None]) -> dict[str, Any]:
+def _gap_closed_json(rms: Sequence[float], closed: Sequence[float | None]) -> dict[str, Any]:
     names = ("before", "after", "floor", "closed_frac", "low", "high")
     return dict(zip(names, map(round_numbers, (*rms, *closed)), strict=True))
 
 
-def _localisation(places: tuple[Place, ...]) -> list[dict[str, Any]]:
+def _localisation_json(places: tuple[Place, ...]) -> list[dict[str, Any]]:
     """First each stage as a whole, then its joints or axes, which share what it has, and their regimes."""
     return [
         {
@@ -275,14 +277,14 @@ def _detection_limits(found: Budget) -> Iterator[dict[str, Any]]:
         for k, size in smallest_detectable(fit).items():
             slot = fit.best.terms[k].effect.slots[0]
             yield {
-                **_key(fit.best.terms[k]),
+                **_effect_key(fit.best.terms[k]),
                 "parameter": slot.parameter,
                 "size": round_numbers(float(size)),
                 "unit": slot.spec.unit,
             }
 
 
-def _missing(found: Budget) -> list[dict[str, str]]:
+def _missing_signals(found: Budget) -> list[dict[str, str]]:
     whole, nominal = found.whole, found.whole.nominal
     out = [
         {"signal": stage.stage, "costs": f"{stage.stage} is not measured: {stage.why}"}
@@ -303,7 +305,7 @@ def _missing(found: Budget) -> list[dict[str, str]]:
     return out
 
 
-def _searched(fit: WholeFit) -> dict[str, Any]:
+def _search_summary(fit: WholeFit) -> dict[str, Any]:
     return {
         "stage": fit.cell.stage,
         "joint": fit.cell.joint,
@@ -321,13 +323,13 @@ def _open_pairs(found: Budget) -> list[list[Pair]]:
     """Doubts by part: the best set against each rival that the recording does not exclude, heaviest first."""
     out = []
     for fit in found.fits:
-        mine = hypothesis_at_fit(fit_of(fit.best.terms, fit.best.lin), _spread(fit))
+        mine = hypothesis_at_fit(fit_of(fit.best.terms, fit.best.lin), _variance_inflation(fit))
         pairs = []
-        for number, rival in _rivals(fit):
-            other = hypothesis_at_fit(fit_of(rival.terms, rival.lin), _spread(fit))
+        for number, rival in _open_rivals(fit):
+            other = hypothesis_at_fit(fit_of(rival.terms, rival.lin), _variance_inflation(fit))
             weight = next((line.mm for line in found.lines if line.evidence.term is fit.best.terms[number]), 0.0)
             names = _first_apart(mine.fit, other.fit), _first_apart(other.fit, mine.fit)
-            pairs.append(Pair(fit.cell, _spread(fit), mine, other, weight + 1e-6, names))
+            pairs.append(Pair(fit.cell, _variance_inflation(fit), mine, other, weight + 1e-6, names))
         if pairs:
             out.append(sorted(pairs, key=lambda pair: -pair.weight)[:3])
     return sorted(out, key=lambda pairs: -pairs[0].weight)
@@ -340,20 +342,20 @@ def _first_apart(first: Fit, other: Fit) -> Key | None:
     )
 
 
-def _spread(fit: WholeFit) -> float:
+def _variance_inflation(fit: WholeFit) -> float:
     return 1.0 / float(np.mean(fit.trust))
 
 
-def _rivals(fit: WholeFit) -> Iterator[tuple[int, Fitted]]:
+def _open_rivals(fit: WholeFit) -> Iterator[tuple[int, Fitted]]:
     for number, rival in fit.rivals.items():
         if rival is not None and fit.best.score - rival.score < OPEN_NATS:
             yield number, rival
     for kept, out in fit.twins:
         if fit.best.present[kept]:
-            yield kept, _swapped(fit, kept, out)
+            yield kept, _fit_with_twin_effect(fit, kept, out)
 
 
-def _swapped(fit: WholeFit, kept: int, out: int) -> Fitted:
+def _fit_with_twin_effect(fit: WholeFit, kept: int, out: int) -> Fitted:
     """The best set with an effect's twin in its place: their columns differ by a factor."""
     lin = fit.best.lin
     mine, other = (lin.J[:, lin.first[k]] for k in (kept, out))

@@ -94,7 +94,7 @@ def budget_of(whole: Read, progress: Progress = no_progress, left_out: tuple[str
     work = WorkProgress(progress)
     fits = fit_machine(whole, work, left_out)
     work.conclude("weighing", 0.0)
-    weighed = [found for fit in fits for found in _weighed(fit)]
+    weighed = [found for fit in fits for found in _evidence_with_probability(fit)]
     evidence = [found for found, _ in weighed]
     chance = {id(found.term): likely for found, likely in weighed}
     sure, machine = (_machine_of(fits, chance, least) for least in (CONFIRMED, LIKELY))
@@ -104,18 +104,18 @@ def budget_of(whole: Read, progress: Progress = no_progress, left_out: tuple[str
     work.conclude("held-out data", 0.8)
     predicted = tuple(held_out(fit.cell, fit_of(fit.best.terms, fit.best.lin)) for fit in fits)
     closing = tuple(tuple(gaps_closed(prediction)) for prediction in predicted)
-    columns = tuple(_column(whole, error, chance, after, fits, closing) for error in errors)
+    columns = tuple(_budget_column(whole, error, chance, after, fits, closing) for error in errors)
     total = sum(column.before_mm**2 for column in columns)
-    lines = tuple(line for error in errors for line in _lines(error, evidence, chance, total)) + _unplaced(
-        evidence, errors, chance
-    )
+    lines = tuple(
+        line for error in errors for line in _effect_lines(error, evidence, chance, total)
+    ) + _lines_without_tool_error(evidence, errors, chance)
     lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
     stages = stages_of(whole, lines, columns, (before, after), fits, closing)
     verdict, why = verdict_of(whole, lines, columns, stages, fits, closing)
     return Budget(whole, fits, lines, machine, columns, stages, before, after, predicted, closing, verdict, why)
 
 
-def _weighed(fit: WholeFit) -> list[tuple[Evidence, float]]:
+def _evidence_with_probability(fit: WholeFit) -> list[tuple[Evidence, float]]:
     """The evidence of a part's effects, each with its probability.
 
     Given a baseline, an effect has to hold without those that are doubtful as well: two of them may stand together for
@@ -142,7 +142,9 @@ def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:
     )
 
 
-def _lines(error: ToolError, evidence: list[Evidence], chance: dict[int, float], total_mm2: float) -> list[EffectLine]:
+def _effect_lines(
+    error: ToolError, evidence: list[Evidence], chance: dict[int, float], total_mm2: float
+) -> list[EffectLine]:
     by_term = {id(found.term): found for found in evidence}
     out = []
     for term, rms, squares in zip(error.terms, error.rms_m * MM, error.squares_m2 * MM**2, strict=True):
@@ -166,7 +168,7 @@ def _lines(error: ToolError, evidence: list[Evidence], chance: dict[int, float],
     return out
 
 
-def _unplaced(
+def _lines_without_tool_error(
     evidence: list[Evidence], errors: tuple[ToolError, ...], chance: dict[int, float]
 ) -> tuple[EffectLine, ...]:
     """Effects of which nothing says what they do at the tool (no arm in the machine file, no controller)."""
@@ -178,7 +180,7 @@ def _unplaced(
     )
 
 
-def _column(
+def _budget_column(
     whole: Read,
     error: ToolError,
     chance: dict[int, float],

@@ -57,7 +57,7 @@ def tool_misses(whole: Read, machines: Sequence[tuple[str, str]]) -> tuple[ToolM
     out: list[ToolMiss] = []
     for name, text in machines:
         nominal = nominal_of(text)
-        runs = _runs(whole, nominal)
+        runs = _recorded_and_simulated_runs(whole, nominal)
         if not runs:
             raise DiagnosisError(
                 "nothing recorded can drive a simulation: it needs encoders and the reference, as sent or received"
@@ -68,7 +68,7 @@ def tool_misses(whole: Read, machines: Sequence[tuple[str, str]]) -> tuple[ToolM
     return tuple(out)
 
 
-def _runs(whole: Read, nominal: Nominal) -> list[tuple[Stretch, Stretch]]:
+def _recorded_and_simulated_runs(whole: Read, nominal: Nominal) -> list[tuple[Stretch, Stretch]]:
     """Every stretch as recorded, and as a machine with the file's effects drives it by what was sent."""
     replayer = replayer_of(nominal, whole.stretches)
     if replayer is None or nominal.arm is None or not nominal.has_controller:
@@ -103,13 +103,13 @@ def _by_camera(name: str, tables: Tables | None, nominal: Nominal, simulated: li
     if nominal.T_tcp_cam_left is None or not simulated:
         return None
     base = pack_under(nominal.baseline, nominal.n)
-    eyes = _eyes(nominal, base)
+    eyes = _nominal_with_camera_effects(nominal, base)
     paths = paths_of(tuple(simulated))
     stamps = tables.markers.t_s + camera_to_plc_s(tables)
     starts = np.array([path.t_s[0] for path in paths])
     exposed = true_times(base, stamps, float(starts.min()))
     there = path_index(paths, exposed, SKIPPED_S) >= 0
-    seen = views_of(eyes, _rows(tables.markers, np.nonzero(there)[0]), "ooi")
+    seen = views_of(eyes, _select_marker_rows(tables.markers, np.nonzero(there)[0]), "ooi")
     if len(seen.t_s) < 2:
         return None
     t_s = true_times(base, seen.t_s + camera_to_plc_s(tables), float(starts.min()))
@@ -119,7 +119,7 @@ def _by_camera(name: str, tables: Tables | None, nominal: Nominal, simulated: li
     return ToolMiss(name, "camera", t_s, MM * np.linalg.norm(places - np.median(places, axis=0), axis=1))
 
 
-def _eyes(nominal: Nominal, base: ParameterSets) -> Nominal:
+def _nominal_with_camera_effects(nominal: Nominal, base: ParameterSets) -> Nominal:
     """The nominal machine with the camera and the markers as the file's effects have them."""
     if nominal.camera is None:
         return nominal
@@ -128,5 +128,5 @@ def _eyes(nominal: Nominal, base: ParameterSets) -> Nominal:
     return replace(nominal, camera=true_camera(base, nominal.camera), markers=markers)
 
 
-def _rows(table: MarkerTable, rows: NDArray[np.int64]) -> MarkerTable:
+def _select_marker_rows(table: MarkerTable, rows: NDArray[np.int64]) -> MarkerTable:
     return MarkerTable(table.t_s[rows], table.eye[rows], table.ids[rows], table.corners[rows])

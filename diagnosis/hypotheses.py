@@ -43,7 +43,7 @@ def hypotheses_of(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> list
            probability; each other effect of the catalogue may be there, by the posterior odds of the best set with it.
     """
     likely = [sized(line) for line in lines if line.status != "doubtful"]
-    changes = sorted((*_of_lines(lines, fits), *_additions(fits)), key=lambda change: -change.odds)
+    changes = sorted((*_of_lines(lines, fits), *_absent_effect_changes(fits)), key=lambda change: -change.odds)
     standing = float(np.prod([1.0 / (1.0 + change.odds) for change in changes]))
     out: list[Hypothesis] = []
     for odds, chosen in _in_order(changes):
@@ -60,10 +60,10 @@ def hypotheses_of(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> list
 
 def sized(line: EffectLine) -> SizedEffect:
     """The effect of a line with its numbers."""
-    return _sized(line.evidence.term, *line.evidence.limits)
+    return _sized_effect(line.evidence.term, *line.evidence.limits)
 
 
-def _sized(term: EffectTerm, low: Array, high: Array) -> SizedEffect:
+def _sized_effect(term: EffectTerm, low: Array, high: Array) -> SizedEffect:
     return term.effect, np.stack([term.theta, low, high], axis=1)
 
 
@@ -73,20 +73,20 @@ def _of_lines(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> Iterator
         if line.status == "doubtful":
             yield _Change(p / (1.0 - p), (), (sized(line),))
         else:
-            yield _Change(min((1.0 - p) / p, EVEN), (term.effect.key,), _rival(term, fits))
+            yield _Change(min((1.0 - p) / p, EVEN), (term.effect.key,), _replacing_effects(term, fits))
 
 
-def _rival(term: EffectTerm, fits: Sequence[WholeFit]) -> tuple[SizedEffect, ...]:
+def _replacing_effects(term: EffectTerm, fits: Sequence[WholeFit]) -> tuple[SizedEffect, ...]:
     """What enters in the place of an effect of the best set where it is left out."""
     for fit in fits:
         for k, rival in fit.rivals.items():
             if fit.best.terms[k] is term and rival is not None:
                 entered = np.nonzero(rival.present & ~fit.best.present)[0]
-                return tuple(_sized(rival.terms[t], rival.terms[t].theta, rival.terms[t].theta) for t in entered)
+                return tuple(_sized_effect(rival.terms[t], rival.terms[t].theta, rival.terms[t].theta) for t in entered)
     return ()
 
 
-def _additions(fits: Sequence[WholeFit]) -> Iterator[_Change]:
+def _absent_effect_changes(fits: Sequence[WholeFit]) -> Iterator[_Change]:
     """Every absent effect, by the linear model of its part."""
     for fit in fits:
         problem, present, first = fit.best.problem, fit.best.present, fit.best.lin.first

@@ -72,13 +72,15 @@ def localise(whole: Read) -> Localisation:
     if replayer is not None:
         prepared = [replayer.prepare(stretch) for stretch in whole.stretches]
         for stage in STAGE_UNITS:
-            places += _dynamic(replayer, stage, prepared, groups, sets, lever)
-        places += _dynamic(replayer, MERGED_UNDER, merged_drives(replayer, whole.stretches), groups, sets, lever)
-    places += _structure(whole, nominal, sets) + _camera(whole, nominal, sets)
-    return Localisation(_shared(places), merged_stages(whole), bool(groups))
+            places += _dynamic_stage_places(replayer, stage, prepared, groups, sets, lever)
+        places += _dynamic_stage_places(
+            replayer, MERGED_UNDER, merged_drives(replayer, whole.stretches), groups, sets, lever
+        )
+    places += _structure_places(whole, nominal, sets) + _camera_places(whole, nominal, sets)
+    return Localisation(_assign_shares(places), merged_stages(whole), bool(groups))
 
 
-def _dynamic(
+def _dynamic_stage_places(
     replayer: Replayer,
     stage: str,
     prepared: list[PreparedStretch],
@@ -94,7 +96,7 @@ def _dynamic(
     judged = [entry.stretch for entry in prepared if entry.stretch.name in errors]
     if not judged:
         return []
-    floor = np.hypot(_floor(stage, groups, errors), _remainder(replayer.nominal, stage))
+    floor = np.hypot(_repeat_noise_floor(stage, groups, errors), _baseline_remainder(replayer.nominal, stage))
     carried = _to_radians(replayer, stage) * lever
     places: list[Place] = []
     for j in range(replayer.nominal.n):
@@ -110,7 +112,7 @@ def _dynamic(
     return places
 
 
-def _remainder(nominal: Nominal, stage: str) -> Array:
+def _baseline_remainder(nominal: Nominal, stage: str) -> Array:
     """What the baseline leaves of a stage, in the unit of its error (n,)."""
     records = [nominal.remainder(stage, j + 1) for j in range(nominal.n)]
     per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
@@ -128,7 +130,7 @@ def stage_error(replayer: Replayer, stage: str, prepared: PreparedStretch, sets:
     return block_means(residual[0], dt_s)[1:]
 
 
-def _floor(stage: str, groups: dict[str, tuple[Stretch, ...]], errors: dict[str, Array]) -> Array:
+def _repeat_noise_floor(stage: str, groups: dict[str, tuple[Stretch, ...]], errors: dict[str, Array]) -> Array:
     """RMS deviation (n,) of the repeats' errors from their mean; without repeats, from their second differences."""
     squares: list[Array] = []
     for members in groups.values():
@@ -194,7 +196,7 @@ def levers_mm(nominal: Nominal, stretches: tuple[Stretch, ...]) -> Array:
     return np.array([1e3 * np.sqrt(np.mean(np.sum((shifted - at) ** 2, axis=1))) / MOVE_RAD for shifted in moved])
 
 
-def _structure(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
+def _structure_places(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
     tables, places = whole.tables, []
     if tables is None or nominal.arm is None:
         return []
@@ -203,17 +205,17 @@ def _structure(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place
     for regime, data in (("at rest", static), ("tracked", tracked)):
         if data is not None and len(data.xyz) >= 4:
             residual = fit_points(nominal, sets, data).residual
-            places += _axes("structure", regime, residual, np.zeros(3))
+            places += _places_by_axis("structure", regime, residual, np.zeros(3))
     return places
 
 
-def _camera(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
+def _camera_places(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
     tables, places = whole.tables, []
     if tables is None or tables.markers is None or nominal.camera is None:
         return []
     tool = tool_residual(nominal, views_of(nominal, tables.markers, "tool"))
     if tool is not None:
-        places += _axes("camera", "tool marker", tool, _scatter(tool))
+        places += _places_by_axis("camera", "tool marker", tool, _view_noise(tool))
     views = views_of(nominal, tables.markers, "ooi")
     shift_s = camera_to_plc_s(tables)
     q, inside = _encoders_at(whole.stretches, views.t_s + shift_s, nominal.n)
@@ -221,7 +223,7 @@ def _camera(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
         seen = replace(views, t_s=views.t_s[inside], Ts_cam_object=views.Ts_cam_object[inside])
         ooi = ooi_residual(nominal, sets, seen, q[inside])
         if ooi is not None:
-            places += _axes("camera", "ooi", ooi, _scatter(ooi))
+            places += _places_by_axis("camera", "ooi", ooi, _view_noise(ooi))
     return places
 
 
@@ -236,14 +238,14 @@ def _encoders_at(stretches: tuple[Stretch, ...], t_s: Array, n: int) -> tuple[Ar
     return q, np.asarray(inside & np.isfinite(q).all(axis=1), dtype=bool)
 
 
-def _scatter(error: Array) -> Array:
+def _view_noise(error: Array) -> Array:
     """Noise from one view to the next (k,), by the median of second differences; an upper bound in motion."""
     if len(error) < 4:
         return np.zeros(error.shape[1])
     return np.asarray(np.median(np.abs(np.diff(error, n=2, axis=0)), axis=0) / 0.6745 / np.sqrt(6.0), dtype=float)
 
 
-def _axes(stage: str, regime: str, error: Array, floor: Array) -> list[Place]:
+def _places_by_axis(stage: str, regime: str, error: Array, floor: Array) -> list[Place]:
     """One place an axis; positions [m] count at the tcp as they are, rotations are not carried on."""
     places = []
     for k in range(error.shape[1]):
@@ -253,18 +255,18 @@ def _axes(stage: str, regime: str, error: Array, floor: Array) -> list[Place]:
     return places
 
 
-def _shared(places: list[Place]) -> tuple[Place, ...]:
+def _assign_shares(places: list[Place]) -> tuple[Place, ...]:
     """Shares of the sum over stages of their tcp motion (root sum of squares within a stage), largest first; those of
     all places, without the regimes inside "all", sum to one.
     """
     whole = [place for place in places if place.regime not in PARTS]
     moved = {p.stage: math.hypot(*(q.tcp_mm for q in whole if q.stage == p.stage)) for p in whole}
     total = sum(moved.values())
-    shared = [replace(place, share_frac=_part(place, whole, moved, total)) for place in places]
+    shared = [replace(place, share_frac=_share_of_place(place, whole, moved, total)) for place in places]
     return tuple(sorted(shared, key=lambda place: (place.regime in PARTS, -place.share_frac)))
 
 
-def _part(place: Place, whole: list[Place], moved: Mapping[str, float], total: float) -> float:
+def _share_of_place(place: Place, whole: list[Place], moved: Mapping[str, float], total: float) -> float:
     """A place's share: its stage's, by its part of the stage's motion; in equal parts where nothing stands out."""
     if total <= 0.0 or place.stage not in moved:
         return 0.0
@@ -286,7 +288,7 @@ def totals_of(places: tuple[Place, ...]) -> tuple[Place, ...]:
         all_of = [place for place in places if place.stage == stage and place.regime not in PARTS]
         for unit in dict.fromkeys(_counted_under(place, all_of) for place in all_of):
             together = [place for place in all_of if _counted_under(place, all_of) == unit]
-            out.append(_total(stage, unit, together))
+            out.append(_stage_total(stage, unit, together))
     return tuple(sorted(out, key=lambda place: -place.share_frac))
 
 
@@ -295,7 +297,7 @@ def _counted_under(place: Place, of_stage: list[Place]) -> str:
     return place.unit if place.joint is not None else of_stage[0].unit
 
 
-def _total(stage: str, unit: str, together: list[Place]) -> Place:
+def _stage_total(stage: str, unit: str, together: list[Place]) -> Place:
     same = [place for place in together if place.unit == unit]
     count = len(same) if same[0].axis is None else len({place.regime for place in same})
     gap = math.sqrt(sum(place.gap**2 for place in same) / count)

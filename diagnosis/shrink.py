@@ -51,7 +51,7 @@ def gaps_closed(held_out: HeldOut) -> list[tuple[GapClosed, BlockSquares]]:
         block = part.rows.block
         before, after = (np.bincount(block, weights=column).astype(float) for column in own.T)
         sums = BlockSquares(before, after, np.asarray(part.quiet * np.bincount(block), dtype=float), part.rows.count)
-        out.append((_shrink(part, sums), sums))
+        out.append((_part_gap_closed(part, sums), sums))
     return out
 
 
@@ -62,7 +62,7 @@ def gap_closed_of_parts(parts: Iterable[BlockSquares]) -> BlockSquares:
     return BlockSquares(*joined, rows=sum(part.rows for part in some))
 
 
-def _shrink(part: Cell, sums: BlockSquares) -> GapClosed:
+def _part_gap_closed(part: Cell, sums: BlockSquares) -> GapClosed:
     unit_scale = float(np.sqrt(np.mean(part.scale**2)))
     rms = [unit_scale * x for x in rms_of(sums)]
     return GapClosed(part.stage, part.joint, measurement_of(part), part.unit, *rms, closed=closed_share(sums))
@@ -70,12 +70,12 @@ def _shrink(part: Cell, sums: BlockSquares) -> GapClosed:
 
 def rms_of(sums: BlockSquares) -> Sequence[float]:
     """RMS before, after and of the noise, in noise floors."""
-    return [float(np.sqrt(x.sum() / sums.rows)) for x in (sums.before, sums.after, _noise(sums))]
+    return [float(np.sqrt(x.sum() / sums.rows)) for x in (sums.before, sums.after, _bounded_noise_squares(sums))]
 
 
 def closed_share(sums: BlockSquares, seed: int = 0) -> Closed:
     """1 - (after - noise) / (before - noise) of the sums of squares, never clipped; None without a gap before."""
-    noise = _noise(sums)
+    noise = _bounded_noise_squares(sums)
     excess = float(sums.before.sum() - noise.sum())
     if excess <= 2.0 * np.sqrt(2.0 * noise.sum()) + FLOOR_SHARE * sums.rows:
         return UNKNOWN
@@ -87,6 +87,6 @@ def closed_share(sums: BlockSquares, seed: int = 0) -> Closed:
     return closed, float(np.quantile(shares, LIMIT_SHARE)), float(np.quantile(shares, 1.0 - LIMIT_SHARE))
 
 
-def _noise(sums: BlockSquares) -> Array:
+def _bounded_noise_squares(sums: BlockSquares) -> Array:
     """The noise's squares by block (blocks,): where less is left than the noise is said to be, what is left."""
     return sums.noise * min(1.0, float(sums.after.sum()) / max(float(sums.noise.sum()), 1e-300))

@@ -126,7 +126,7 @@ def stages_of(
         if stage in STAGES_OF_JOINTS:
             joints = sorted({place.joint for place in before.places if place.stage == stage and place.joint}) or [None]
         for joint in joints:
-            here = [line for line in lines if _belongs(line, stage, joint)]
+            here = [line for line in lines if _is_effect_of_stage(line, stage, joint)]
             confirmed = any(_is_sure(line) for line in here)
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
             matters = any(line.mm > SMALL_MM for line in here if _is_sure(line))
@@ -154,7 +154,7 @@ def _is_sure(line: EffectLine) -> bool:
     return line.status == "confirmed"
 
 
-def _belongs(line: EffectLine, stage: str, joint: int | None) -> bool:
+def _is_effect_of_stage(line: EffectLine, stage: str, joint: int | None) -> bool:
     effect = line.evidence.term.effect
     own = {"joint": "structure", "time": "camera"}.get(effect.stage, effect.stage)
     return own == stage and (joint is None or effect.joint in (None, joint))
@@ -167,11 +167,11 @@ def _stage_mm(
         name = "stands" if stage == "structure" else "sees"
         own = next((column for column in columns if column.name == name), None)
         return None if own is None else (own.after_mm if after else own.before_mm)
-    there = [place for place in places.places if _is(place, stage, joint)]
+    there = [place for place in places.places if _is_place_of_stage(place, stage, joint)]
     return float(np.sqrt(sum(place.tcp_mm**2 for place in there))) if there else None
 
 
-def _is(place: Place, stage: str, joint: int | None) -> bool:
+def _is_place_of_stage(place: Place, stage: str, joint: int | None) -> bool:
     return place.stage == stage and place.regime == "all" and joint in (None, place.joint)
 
 

@@ -12,19 +12,20 @@ from machine.effects.kernel import BACKLASH
 from machine.effects.layout import neutral_sets
 from machine.effects.seen import seen_corners
 from machine.effects.structure import tcp_poses
+from machine.rotations import Array
 
 ROWS = 8
 
 
 def warm_up(machine: Machine) -> None:
     """Call everything that is compiled once, with the machine's own chain."""
-    best_set(_problem(), np.zeros(2, dtype=bool), np.ones(2, dtype=bool))
+    best_set(_example_problem(), np.zeros(2, dtype=bool), np.ones(2, dtype=bool))
     plant = actuators_of(machine)
     for drives in (plant, Actuators(plant.joints[:1], plant.cycle_s, plant.log_cycle_s, plant.transport_delay_s)):
         simulate(drives, neutral_sets(drives.n), drive_actuator(drives, np.zeros((ROWS, drives.n)), np.zeros(drives.n)))
     sets = neutral_sets(plant.n)
     sets.joint[0, 0, BACKLASH] = 1e-3
-    t_s = 0.01 * np.arange(ROWS)
+    t_s: Array = np.linspace(0.0, 0.01 * (ROWS - 1), ROWS)
     path = Path(t_s, np.zeros((ROWS, plant.n)), 0.01)
     link_angles((path,), sets, 0, np.zeros(1, dtype=np.int64), t_s[3:4])
     at_tcp = tcp_poses(arm_of(machine), sets, np.zeros((1, plant.n)))
@@ -32,6 +33,6 @@ def warm_up(machine: Machine) -> None:
     gauss_newton_rotations(np.eye(9), np.zeros(9), np.eye(3)[None], 1)
 
 
-def _problem() -> LinearProblem:
+def _example_problem() -> LinearProblem:
     even = np.ones(2)
     return LinearProblem(np.eye(2), even, even, np.arange(3), np.zeros(2, dtype=bool), -even)

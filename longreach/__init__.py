@@ -46,7 +46,7 @@ __all__ = [
 
 
 @cache
-def _prepare() -> None:
+def _prepare_cache() -> None:
     """As the command does at its start: compiled code has a place also where nothing of ours can be written."""
     import_module("longreach.cli").prepare_cache()
 
@@ -55,6 +55,6 @@ def __getattr__(name: str) -> Any:
     """A name of the API, from the package that holds it (PEP 562)."""
     if name not in _PLACES:
         raise AttributeError(f"module 'longreach' has no attribute '{name}'; docs/python-api.md lists its names")
-    _prepare()
+    _prepare_cache()
     module, _, other = _PLACES[name].partition(":")
     return getattr(import_module(module), other or name)

@@ -24,7 +24,7 @@ DEFAULT_URL = "http://127.0.0.1:8080"
 @app.command()
 def show(url: Url = DEFAULT_URL, file: File = None) -> None:
     """Show the camera mount and the local map: age, sigma, residual, range of validity."""
-    rows = _rows_of_file(_saved(file)) if file else _rows_of_server(_get(url, "").json())
+    rows = _rows_of_file(_load_calibration(file)) if file else _rows_of_server(_get_from_server(url, "").json())
     table = Table(title="local calibration", title_justify="left", show_header=False)
     for name, value in rows:
         table.add_row(name, escape(value))
@@ -41,39 +41,41 @@ def export(
     """Write the calibration as YAML or as ROS's static transform."""
     if form not in ("yaml", "ros"):
         raise typer.BadParameter(f"format is {form!r}; give yaml or ros")
-    text = _export_of_file(_saved(file), form) if file else _get(url, f"/export?format={form}").text
+    text = (
+        _export_of_file(_load_calibration(file), form) if file else _get_from_server(url, f"/export?format={form}").text
+    )
     if out is None:
         print(text, end="")
         return
     try:
         write_durably(out, text)
     except OSError as error:
-        _complain(f"{out}: {error.strerror}; give a writable file")
+        _exit_with_error(f"{out}: {error.strerror}; give a writable file")
 
 
-def _saved(file: Path) -> SavedCalibration:
+def _load_calibration(file: Path) -> SavedCalibration:
     try:
         return parse_calibration(read_text(file))
     except OSError as error:
-        _complain(f"{file}: {error.strerror}; give a calibration.json of longreach")
+        _exit_with_error(f"{file}: {error.strerror}; give a calibration.json of longreach")
     except (CalibrationFileError, UnicodeDecodeError) as error:
-        _complain(f"{file}: {error}")
+        _exit_with_error(f"{file}: {error}")
 
 
-def _get(url: str, path: str) -> httpx.Response:
+def _get_from_server(url: str, path: str) -> httpx.Response:
     try:
         with SteadyClient(url, 10.0) as client:
             answer = client.get(f"/v1/calibration{path}")
     except (httpx.TransportError, httpx.InvalidURL) as error:
-        _complain(
+        _exit_with_error(
             f"server {url} does not answer ({error}){by_proxy(url)}; start it with 'longreach serve', or give --file"
         )
     if answer.status_code != 200:
-        _complain(reason_in(answer))
+        _exit_with_error(reason_in(answer))
     return answer
 
 
-def _complain(text: str) -> NoReturn:
+def _exit_with_error(text: str) -> NoReturn:
     Console(stderr=True).print(f"[bold red]longreach:[/] {escape(text)}", soft_wrap=True)
     raise typer.Exit(2)
 
@@ -85,7 +87,7 @@ def _rows_of_server(view: dict[str, Any]) -> list[tuple[str, str]]:
         ("state", f"{valid} {view['expiry_reason']}".strip()),
         ("age", f"{(view['age_s'] or 0.0) / 60.0:.1f} min (limit {view['age_max_h']:g} h)"),
         ("valid within", f"{view['radius_mm']:.0f} mm of where it was made{far}"),
-        *_common(view["sigma_deg"], view["from_nominal_deg"], view["residual_rms_mm"], view["n_used"]),
+        *_accuracy_rows(view["sigma_deg"], view["from_nominal_deg"], view["residual_rms_mm"], view["n_used"]),
         ("observability", view["observability_text"]),
         ("camera time offset", f"{view['time_offset_ms']:.0f} ms"),
     ]
@@ -97,14 +99,14 @@ def _rows_of_file(saved: SavedCalibration) -> list[tuple[str, str]]:
     return [
         ("state", one.slip or "as saved; the server decides whether it is valid"),
         ("valid within", f"{1e3 * one.expiry.radius_m:.0f} mm of where it was made"),
-        *_common(sigma_deg, one.from_nominal_deg, one.residual_rms_mm, one.n_used),
+        *_accuracy_rows(sigma_deg, one.from_nominal_deg, one.residual_rms_mm, one.n_used),
         ("observability", observability_text(one)),
         ("clock offset", f"{1e3 * one.time_offset_s:.0f} ms"),
         ("paths", str(len(saved.runs))),
     ]
 
 
-def _common(sigma_deg: float, from_nominal_deg: float, rms_mm: float, n_used: int) -> list[tuple[str, str]]:
+def _accuracy_rows(sigma_deg: float, from_nominal_deg: float, rms_mm: float, n_used: int) -> list[tuple[str, str]]:
     return [
         (
             "camera rotation",

@@ -89,7 +89,7 @@ def check(
     gathering = CheckSampler(keep=pairs, seconds=seconds)
     stereo = open_source(opened)
     try:
-        _gather(stereo, gathering, seconds, console)
+        _gather_frames(stereo, gathering, seconds, console)
     except KeyboardInterrupt:
         console.print("stopped early; evaluating the pairs received so far")
     finally:
@@ -98,7 +98,7 @@ def check(
         mask_polygons(chosen.mask_left, seen_machine.camera, "mask_left"),
         mask_polygons(chosen.mask_right, seen_machine.camera, "mask_right"),
     )
-    findings = _judge(gathering, stereo, opened, seen_machine, seed, console, tape_mm, masks)
+    findings = _camera_check_findings(gathering, stereo, opened, seen_machine, seed, console, tape_mm, masks)
     if as_json:
         typer.echo(json.dumps(as_document(findings, without_password(source or chosen.kind)), indent=2))
     else:
@@ -139,7 +139,7 @@ def camera_settings_of(text: str) -> CameraSettings:
     raise SettingsError(f"--source '{without_password(text)}' is not an address, device, file or folder; see --help")
 
 
-def _gather(stereo: StereoSource, gathering: CheckSampler, seconds: float, console: Console) -> None:
+def _gather_frames(stereo: StereoSource, gathering: CheckSampler, seconds: float, console: Console) -> None:
     """Read for some seconds from the first pair on, or until a stored source ends; a live table meanwhile."""
     end_s = time.monotonic() + seconds
     shown_s, measured, blur = 0.0, 0, ""
@@ -178,7 +178,7 @@ def _live_table(gathering: CheckSampler, blur: str, state: str) -> Table:
     return table
 
 
-def _judge(
+def _camera_check_findings(
     gathering: CheckSampler,
     stereo: StereoSource,
     opened: SourceSettings,

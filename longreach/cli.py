@@ -80,8 +80,8 @@ def prepare() -> None:
 def prepare_cache() -> None:
     """A place for compiled code, before anything compiles; a program that uses the Python API needs no more."""
     given = os.environ.get(CACHE, "")
-    if given and os.path.isfile(os.path.join(given, COMPILED)) and not _writable(Path(given)):
-        os.environ[CACHE] = str(_linked(Path(given), _temporary_cache()))
+    if given and os.path.isfile(os.path.join(given, COMPILED)) and not _is_folder_writable(Path(given)):
+        os.environ[CACHE] = str(_link_compiled_code(Path(given), _temporary_cache()))
     elif cache_folder() is None:
         os.environ[CACHE] = str(_temporary_cache())
         sys.stderr.write(
@@ -103,10 +103,10 @@ def _cache_folders() -> Iterator[Path]:
 
 def cache_folder() -> Path | None:
     """Where compiled code is kept: numba's first folder that can be written."""
-    return next((folder for folder in _cache_folders() if _writable(folder)), None)
+    return next((folder for folder in _cache_folders() if _is_folder_writable(folder)), None)
 
 
-def _writable(folder: Path) -> bool:
+def _is_folder_writable(folder: Path) -> bool:
     if not folder.is_absolute():  # a home that is not known
         return False
     try:
@@ -117,7 +117,7 @@ def _writable(folder: Path) -> bool:
         return False
 
 
-def _linked(compiled: Path, folder: Path) -> Path:
+def _link_compiled_code(compiled: Path, folder: Path) -> Path:
     """A folder with links to all compiled code of one that can only be read (an image's): numba requires one that can
     be written, and replaces a link by what it compiles itself.
     """
@@ -178,7 +178,7 @@ def main(command: typer.Typer = app) -> None:
     try:
         command()
     except (ServerError, MachineError) as error:
-        _complain(error)
+        _exit_with_error(error)
     except SystemExit as ending:
         code = exit_code(ending.code)
         if (warm_up := sys.modules.get("server.warm_up")) is not None:  # a command that ran link and vision
@@ -186,7 +186,7 @@ def main(command: typer.Typer = app) -> None:
         raise SystemExit(code) from None
 
 
-def _complain(error: Exception) -> NoReturn:
+def _exit_with_error(error: Exception) -> NoReturn:
     """One line that says what is wrong and what to do, and exit code 2."""
     from rich.console import Console  # here: most calls complain of nothing
     from rich.markup import escape

@@ -76,9 +76,9 @@ def commission(
         settings_file=settings_file,
     )
     _require_free_port(settings)
-    earlier = _earlier(resume)
+    earlier = _load_earlier_report(resume)
     try:
-        report = asyncio.run(_commission(settings, chosen_steps(steps), operator, options, earlier, console))
+        report = asyncio.run(_run_commissioning(settings, chosen_steps(steps), operator, options, earlier, console))
     except LinkSilentError as error:
         raise SettingsError(f"{error}; {ONE_CONTROLLER}") from error
     except KeyboardInterrupt:
@@ -105,7 +105,7 @@ def chosen_steps(text: str) -> tuple[Step, ...]:
     return tuple(step for step in STEPS if str(step.number) in wanted)
 
 
-async def _commission(
+async def _run_commissioning(
     settings: ServerSettings,
     steps: tuple[Step, ...],
     operator: TerminalOperator,
@@ -122,7 +122,7 @@ async def _commission(
         nonlocal report
         report = _with_result(report, result, link, operator)
         _save(report, Path(settings.recording.folder))
-        _show(console, operator, result)
+        _show_step_result(console, operator, result)
 
     async with contextlib.AsyncExitStack() as stack:
         link = LinkClient(link_settings(settings), machine)
@@ -130,7 +130,7 @@ async def _commission(
         stack.push_async_callback(link.close)
         if earlier is not None:
             await _require_same_plc(earlier, settings, link)
-        vision, machine = await _vision(settings, machine, steps, stack)
+        vision, machine = await _start_vision(settings, machine, steps, stack)
         operator.show("getting ready")
         await warmed_up(machine, chain)
         await go_through(Site(settings, machine, chain, link, vision, operator, options), steps, report.earlier, done)
@@ -152,7 +152,7 @@ def _empty_report(settings: ServerSettings, earlier: Report | None) -> Report:
         machine_sha256=digest,
         simulation=False,
         results=(),
-        earlier=_carried(earlier, machine, digest),
+        earlier=_earlier_results(earlier, machine, digest),
         settings=settings.model_dump(mode="json"),
     )
 
@@ -168,7 +168,7 @@ def _with_result(report: Report, result: StepResult, link: LinkClient, operator:
     )
 
 
-async def _vision(
+async def _start_vision(
     settings: ServerSettings, machine: Machine, steps: tuple[Step, ...], stack: contextlib.AsyncExitStack
 ) -> tuple[VisionClient | None, Machine]:
     """The vision process, only where a step looks; the machine with the camera that its pictures are of."""
@@ -208,7 +208,7 @@ async def _require_same_plc(earlier: Report, settings: ServerSettings, link: Lin
         )
 
 
-def _carried(earlier: Report | None, machine: Machine, digest: str) -> tuple[StepResult, ...]:
+def _earlier_results(earlier: Report | None, machine: Machine, digest: str) -> tuple[StepResult, ...]:
     """What an earlier report found, if it was about this very machine file.
 
     Raises: SettingsError: it was about another one.
@@ -223,7 +223,7 @@ def _carried(earlier: Report | None, machine: Machine, digest: str) -> tuple[Ste
     return earlier.all_results
 
 
-def _earlier(path: Path | None) -> Report | None:
+def _load_earlier_report(path: Path | None) -> Report | None:
     if path is None:
         return None
     try:
@@ -249,7 +249,7 @@ def _require_free_port(settings: ServerSettings) -> None:
     require_bindable((Address.of_plc_link(plc.local_host, plc.local_port, taken_by),))
 
 
-def _show(console: Console, operator: TerminalOperator, result: StepResult) -> None:
+def _show_step_result(console: Console, operator: TerminalOperator, result: StepResult) -> None:
     operator.close()
     colour = _COLOURS[result.verdict]
     console.print(f"  [{colour}]{result.verdict.value}[/]: {escape(result.summary)}", highlight=False, soft_wrap=True)

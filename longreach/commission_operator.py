@@ -51,13 +51,13 @@ class _Lines:
     async def next(self) -> str | None:
         """The next line, or None at the end."""
         while b"\n" not in self._left and not self._ended:
-            chunk = await self._chunk()
+            chunk = await self._read_chunk()
             self._ended = not chunk
             self._left += chunk
         line, newline, self._left = self._left.partition(b"\n")
         return line.decode(errors="replace").strip() if line or newline else None
 
-    async def _chunk(self) -> bytes:
+    async def _read_chunk(self) -> bytes:
         loop = asyncio.get_running_loop()
         got: asyncio.Future[bytes] = loop.create_future()
 
@@ -98,14 +98,14 @@ class TerminalOperator:
         if self._move or self._assume_yes:
             return self._move
         text = f"the next steps move the machine. Type its name ({machine_name}) to permit this, or Enter to skip them"
-        return await self._line(text) == machine_name
+        return await self._ask_for_line(text) == machine_name
 
     async def confirm(self, text: str) -> bool:
         """Enter goes on, anything else does not; --yes goes on."""
         if self._assume_yes:
             self.show(text)
             return True
-        return await self._line(f"{text}. Press Enter to continue, n to refuse") == ""
+        return await self._ask_for_line(f"{text}. Press Enter to continue, n to refuse") == ""
 
     async def ask(self, key: str, question: str) -> str | None:
         """The file's answer, or the engineer's."""
@@ -113,7 +113,7 @@ class TerminalOperator:
         if key in self._answers:
             self.show(f"{question}: {self._answers[key]} (from the answers)")
             return self._answers[key]
-        return None if self._assume_yes else await self._line(question)
+        return None if self._assume_yes else await self._ask_for_line(question)
 
     def show(self, text: str) -> None:
         """One line."""
@@ -138,7 +138,7 @@ class TerminalOperator:
             self._progress.stop()
         self._progress = self._task = None
 
-    async def _line(self, text: str) -> str | None:
+    async def _ask_for_line(self, text: str) -> str | None:
         self.close()
         self._console.print(f"{escape(text)}: ", end="", highlight=False)
         return await self._lines.next()

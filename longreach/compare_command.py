@@ -53,7 +53,9 @@ def shown(found: tuple[ToolMiss, ...]) -> Table:
         own = [curve for curve in found if curve.by == by]
         for curve in own:
             share = curve.rms_mm / own[0].rms_mm
-            out.add_row(curve.name, BY[by], f"{curve.rms_mm:.2f}", f"{_high(curve):.2f}", f"{100.0 * share:.0f} %")
+            out.add_row(
+                curve.name, BY[by], f"{curve.rms_mm:.2f}", f"{_miss_quantile_95(curve):.2f}", f"{100.0 * share:.0f} %"
+            )
     return out
 
 
@@ -69,7 +71,7 @@ def page(name: str, found: tuple[ToolMiss, ...]) -> str:
             CurveLine(curve.name, css, curve.t_s - start_s, curve.mm)
             for curve, css in zip(own, cycle(COLOURS), strict=False)
         ]
-        rows = [(curve.name, f"{curve.rms_mm:.2f}", f"{_high(curve):.2f}") for curve in own]
+        rows = [(curve.name, f"{curve.rms_mm:.2f}", f"{_miss_quantile_95(curve):.2f}") for curve in own]
         drawn = chart(lines, "time [s]", "tool error [mm]", f"Tool error, {what}")
         parts.append(
             html_section(f"Tool error, {what}", drawn + html_table(("machine file", "RMS mm", "95 % below"), rows))
@@ -77,5 +79,5 @@ def page(name: str, found: tuple[ToolMiss, ...]) -> str:
     return html_document(f"Compared: {name}", f"<h1>{escape(name)}</h1>" + "".join(parts))
 
 
-def _high(one: ToolMiss) -> float:
+def _miss_quantile_95(one: ToolMiss) -> float:
     return sorted(one.mm.tolist())[int(0.95 * (len(one.mm) - 1))]

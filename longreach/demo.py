@@ -41,7 +41,7 @@ def demo(
     console = Console()
     try:
         checked_preset(preset)
-        option = f"{_command()} demo --port {port + 1 if port < 65535 else port - 1}"
+        option = f"{_longreach_command()} demo --port {port + 1 if port < 65535 else port - 1}"
         require_bindable((Address("127.0.0.1", port, option, option),))
     except (PresetError, SettingsError) as error:
         console.print(f"[bold red]not started:[/] {escape(str(error))}", soft_wrap=True)
@@ -53,21 +53,25 @@ def demo(
     logs = runs / "logs"
     console.print("starting simulator, server and camera")
     if not is_compiled():
-        console.print(f"the numerics are not compiled yet: one to three minutes, once; `{_command()} compile` does it")
+        console.print(
+            f"the numerics are not compiled yet: one to three minutes, once; `{_longreach_command()} compile` does it"
+        )
     with Stack(ports, preset=preset, seed=seed, log_folder=logs, runs=runs) as stack:
         try:
             with console.status("starting") as status, JobClient(stack.url) as client:
                 stages = Stages(console, stack.url)
                 client.wait_ready(
                     START_S,
-                    lambda waited_s, why: _starting(stack.processes, status, waited_s, stages.seen(waited_s, why)),
+                    lambda waited_s, why: _show_startup_status(
+                        stack.processes, status, waited_s, stages.seen(waited_s, why)
+                    ),
                 )
         except JobRefusedError as error:
             console.print(f"[bold red]not started:[/] {error}; see {logs}")
             raise typer.Exit(1) from error
         took_s = time.monotonic() - started
         console.print(f"[bold green]ready[/] after {took_s:.0f} s: open [bold]{stack.url}/[/]   (Ctrl-C ends it)")
-        console.print(f"or unattended:  {_command()} position --url {stack.url}")
+        console.print(f"or unattended:  {_longreach_command()} position --url {stack.url}")
         console.print(f"recordings and calibration of this machine: {runs}/")
         if browser:
             webbrowser.open(stack.url)
@@ -93,9 +97,9 @@ class Stages:
         return why
 
 
-def _starting(processes: Mapping[str, Popen[bytes]], status: Status, waited_s: float, why: str) -> None:
+def _show_startup_status(processes: Mapping[str, Popen[bytes]], status: Status, waited_s: float, why: str) -> None:
     """How far it is; what has ended will never be ready."""
-    if ended := _ended(processes):
+    if ended := _ended_process_text(processes):
         raise JobRefusedError(ended)
     status.update(f"starting, {waited_s:.0f} s: {escape(_while_starting(why))}")
 
@@ -107,7 +111,7 @@ def _while_starting(why: str) -> str:
     return "no image from the simulated camera yet" if "the camera" in why else why
 
 
-def _ended(processes: Mapping[str, Popen[bytes]]) -> str:
+def _ended_process_text(processes: Mapping[str, Popen[bytes]]) -> str:
     """What has ended, and how; empty while all run."""
     ended = (
         f"{name} ended with code {process.returncode}"
@@ -117,7 +121,7 @@ def _ended(processes: Mapping[str, Popen[bytes]]) -> str:
     return next(ended, "")
 
 
-def _command() -> str:
+def _longreach_command() -> str:
     """How the one who started this calls longreach from here."""
     if shutil.which("longreach"):
         return "longreach"
@@ -129,7 +133,7 @@ def _wait(stack: Stack, seconds: float, logs: Path) -> None:
     deadline = time.monotonic() + seconds if seconds > 0.0 else float("inf")
     try:
         while time.monotonic() < deadline:
-            if ended := _ended(stack.processes):
+            if ended := _ended_process_text(stack.processes):
                 Console(stderr=True).print(f"{ended}; see {logs}")
                 raise typer.Exit(1)
             time.sleep(0.3)

@@ -45,7 +45,7 @@ def left_s(done: float, total: float, elapsed_s: float) -> float:
 
 def in_words(seconds: float) -> str:
     """Remaining time as a range: how many effects will be found, and so searched, is not known in advance."""
-    low, high = (_near(factor * seconds) for factor in (SOONER, LATER))
+    low, high = (_nearest_step_s(factor * seconds) for factor in (SOONER, LATER))
     if high <= STEPS_S[0]:
         return "a few seconds left"
     if high < 120:
@@ -53,7 +53,7 @@ def in_words(seconds: float) -> str:
     return f"{low} s to {high // 60} min left" if low < 120 else f"{low // 60} to {high // 60} min left"
 
 
-def _near(seconds: float) -> int:
+def _nearest_step_s(seconds: float) -> int:
     return min(STEPS_S, key=lambda step: abs(step - seconds) / step)
 
 
@@ -88,7 +88,7 @@ class Outlook:
 def outlook(screen: Console, now_s: Callable[[], float] = time.monotonic) -> Iterator[Outlook]:
     """On this console."""
     if not screen.is_terminal:
-        yield Outlook(_lines(screen), now_s)
+        yield Outlook(_rate_limited_printer(screen), now_s)
         return
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=screen, transient=True) as shown:
@@ -96,7 +96,7 @@ def outlook(screen: Console, now_s: Callable[[], float] = time.monotonic) -> Ite
         yield Outlook(lambda words, share, _s: shown.update(task, description=words, completed=share, total=1.0), now_s)
 
 
-def _lines(screen: Console) -> Say:
+def _rate_limited_printer(screen: Console) -> Say:
     """For a log, or for the server that follows: at most one line in EVERY_S, and none at the start."""
     last_s = EVERY_S
 
@@ -162,10 +162,10 @@ def diagnose(
         text = machine_text(recording, machine_file) if machine_out is not None else ""
         if machine_out is not None:
             require_room(text)
-        found, result, curves = _diagnosed(whole, screen, tuple(left_out or ()))
+        found, result, curves = _run_diagnosis(whole, screen, tuple(left_out or ()))
     except (DiagnosisError, MachineOutError) as error:
         _set_aside((json_file, html_file, machine_out), screen)
-        raise _refused(error, screen) from error
+        raise _bad_input_exit(error, screen) from error
     result["recordings"] = [path.name for path in recordings]
     for line in (*budget_lines(result), *report_lines(result)):
         typer.echo(line)
@@ -183,7 +183,7 @@ def _require_sense(fitting: bool, out: Path | None, given: list[str], screen: Co
     elif out is not None and not fitting:
         text = "--out is where --fit-baseline writes; give it as well, or --machine-out in place of --out"
     if text:
-        raise _refused(ValueError(text), screen)
+        raise _bad_input_exit(ValueError(text), screen)
 
 
 def _set_aside(places: Sequence[Path | None], screen: Console) -> None:
@@ -200,7 +200,7 @@ def _set_aside(places: Sequence[Path | None], screen: Console) -> None:
         screen.print(f"[yellow]longreach:[/] {escape(text)}", soft_wrap=True)
 
 
-def _refused(error: Exception, screen: Console) -> typer.Exit:
+def _bad_input_exit(error: Exception, screen: Console) -> typer.Exit:
     """Say why, and the exit that says that the input is to blame."""
     screen.print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
     return typer.Exit(BAD_INPUT)
@@ -212,7 +212,7 @@ def _machine_out(text: str, found: Budget, out: Path, screen: Console) -> None:
         typer.echo(write_machine(text, found, out))
     except MachineOutError as error:
         _set_aside((out,), screen)
-        raise _refused(error, screen) from error
+        raise _bad_input_exit(error, screen) from error
 
 
 def _fit_baseline(recordings: list[Path], machine_file: Path | None, out: Path | None, screen: Console) -> None:
@@ -221,10 +221,10 @@ def _fit_baseline(recordings: list[Path], machine_file: Path | None, out: Path |
     try:
         typer.echo(make_baseline(recordings, machine_file, out, screen))
     except BaselineError as error:
-        raise _refused(error, screen) from error
+        raise _bad_input_exit(error, screen) from error
 
 
-def _diagnosed(
+def _run_diagnosis(
     whole: Read, screen: Console, left_out: tuple[str, ...]
 ) -> tuple[Budget, dict[str, Any], tuple[CellCurves, ...]]:
     with outlook(screen) as shown:
@@ -239,9 +239,11 @@ def _within_reach(place: Path | None, screen: Console) -> None:
     if place is None:
         return
     if place.is_dir():
-        raise _refused(OSError(f"{place} is a folder; name a file in it"), screen)
+        raise _bad_input_exit(OSError(f"{place} is a folder; name a file in it"), screen)
     if not place.absolute().parent.is_dir():
-        raise _refused(OSError(f"{place} cannot be written: folder {place.parent} does not exist; make it"), screen)
+        raise _bad_input_exit(
+            OSError(f"{place} cannot be written: folder {place.parent} does not exist; make it"), screen
+        )
 
 
 def _write(path: Path | None, text: str, screen: Console) -> None:

@@ -60,16 +60,16 @@ def diagnose_fleet(
         try:
             text_of_machine(machine_file)
         except MachineFileError as error:
-            raise _refused(str(error), screen) from error
+            raise _bad_input_exit(str(error), screen) from error
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _refused(f"--out {out}: {error.strerror}; name a folder", screen) from error
+        raise _bad_input_exit(f"--out {out}: {error.strerror}; name a folder", screen) from error
     paths = recordings_below(folder)
     if not paths:
-        raise _refused(f"{folder}: no recording below it (MCAP files, folders with run.toml)", screen)
+        raise _bad_input_exit(f"{folder}: no recording below it (MCAP files, folders with run.toml)", screen)
     columns = (TextColumn("diagnosing"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with _executors(workers, dask) as executor, Progress(*columns, console=screen, transient=True) as shown:
+    with _executor_factory(workers, dask) as executor, Progress(*columns, console=screen, transient=True) as shown:
         task = shown.add_task("", total=len(paths))
         results = diagnose_all(
             paths,
@@ -93,13 +93,13 @@ def diagnose_fleet(
     typer.echo(f"{len(paths)} recordings, {len(fleet.unusable)} not usable; report: {out / 'fleet.html'}")
 
 
-def _refused(text: str, screen: Console) -> typer.Exit:
+def _bad_input_exit(text: str, screen: Console) -> typer.Exit:
     screen.print(f"[bold red]longreach:[/] {escape(text)}", soft_wrap=True)
     return typer.Exit(BAD_INPUT)
 
 
 @contextmanager
-def _executors(workers: int, dask: str) -> Iterator[Callable[[], Executor]]:
+def _executor_factory(workers: int, dask: str) -> Iterator[Callable[[], Executor]]:
     """A new pool of processes at each call by default; Dask's client gives an executor of the same kind."""
     os.environ.update({**ONE_THREAD, **os.environ})
     if not dask:

@@ -80,7 +80,7 @@ def export_plc(
     console.print(
         f"{len(written)} files in {folder}; begin with {folder / 'README.md'}", highlight=False, soft_wrap=True
     )
-    left = _others(folder, written)
+    left = _files_not_exported(folder, written)
     if left:
         console.print(
             f"{len(left)} older files are still there; do not import them: {', '.join(left[:5])}", highlight=False
@@ -117,7 +117,7 @@ def _write(folder: Path, written: Mapping[str, bytes]) -> None:
         target.write_bytes(data)
 
 
-def _others(folder: Path, written: Mapping[str, bytes]) -> list[str]:
+def _files_not_exported(folder: Path, written: Mapping[str, bytes]) -> list[str]:
     """Files in the folder that are not of this export: a block of an older one must not be imported by mistake."""
     found = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     return sorted(path for path in found if path not in written)

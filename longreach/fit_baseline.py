@@ -30,9 +30,9 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
 
     Raises: BaselineError: an unusable recording, too few of them, or a file that cannot be written.
     """
-    nominal = _nominal(recordings[0], machine_file)
+    nominal = _nominal_machine_text(recordings[0], machine_file)
     with_baseline(nominal, NOTHING)  # whether it can be written, before minutes of fitting
-    wholes = _usable(recordings, machine_file)
+    wholes = _read_usable_recordings(recordings, machine_file)
     count = min(FITTED_MOST, max(1, round(len(wholes) * FITTED_SHARE)))
     try:
         found = fit_baseline(wholes[:count], wholes[count:], lambda text: screen.print(f"[dim]{escape(text)}[/]"))
@@ -45,7 +45,7 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
     return report_of(found, count, len(wholes))
 
 
-def _usable(recordings: list[Path], machine_file: Path | None) -> list[Read]:
+def _read_usable_recordings(recordings: list[Path], machine_file: Path | None) -> list[Read]:
     """All of them read, or one error that names every one that cannot be used."""
     wholes = [read_for_diagnosis(path, machine_file) for path in recordings]
     bad = [
@@ -56,7 +56,7 @@ def _usable(recordings: list[Path], machine_file: Path | None) -> list[Read]:
     return wholes
 
 
-def _nominal(path: Path, machine_file: Path | None) -> str:
+def _nominal_machine_text(path: Path, machine_file: Path | None) -> str:
     try:
         text = machine_text(path, machine_file)
     except MachineOutError as error:
@@ -87,14 +87,14 @@ def report_of(found: Baseline, fitted: int, count: int) -> str:
     rows += [f"  {cell.label}: {cell.before:.3g} -> {cell.after:.3g}" for cell in found.cells]
     rows += [f"  {effect.name} {effect.joint or ''} {dict(effect.values)}" for effect in found.effects]
     rows += [
-        f"  {remainder.stage} {remainder.joint}: {name} wanders by {size:.2g}{_unit(name)} from day to day"
+        f"  {remainder.stage} {remainder.joint}: {name} wanders by {size:.2g}{_unit_suffix(name)} from day to day"
         for remainder in found.remainders
         for name, size in remainder.wander
     ]
     return "\n".join(rows)
 
 
-def _unit(name: str) -> str:
+def _unit_suffix(name: str) -> str:
     """Of an effect's size, after a number; nothing for a plain share."""
     unit = effect_of(name).size.unit
     return f" {unit}" if unit != "1" else ""

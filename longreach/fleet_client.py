@@ -33,7 +33,7 @@ class SteadyClient(httpx.Client):
     """
 
     def __init__(self, url: str, timeout_s: float, headers: dict[str, str] | None = None) -> None:
-        host = _host(url)
+        host = _host_of_url(url)
         direct = (
             {f"all://[{host}]" if ":" in host else f"all://{host}": None} if is_loopback(host) else None
         )  # this computer itself is not behind a proxy
@@ -64,7 +64,7 @@ def reason_in(answer: httpx.Response) -> str:
 
 def by_proxy(url: str) -> str:
     """Note for messages that a request goes through a proxy of the environment; empty for a direct request."""
-    host, scheme = _host(url), urlsplit(url).scheme
+    host, scheme = _host_of_url(url), urlsplit(url).scheme
     proxies = urllib.request.getproxies()
     proxy = proxies.get(scheme, proxies.get("all", ""))
     if not proxy or not host or is_loopback(host) or urllib.request.proxy_bypass(host):
@@ -72,7 +72,7 @@ def by_proxy(url: str) -> str:
     return f"; the request went through the proxy {proxy} ({scheme}_proxy); add {host} to no_proxy to connect directly"
 
 
-def _host(url: str) -> str:
+def _host_of_url(url: str) -> str:
     try:
         return urlsplit(url).hostname or ""
     except ValueError:
@@ -214,11 +214,11 @@ class JobClient:
 
     def get(self, path: str) -> Any:
         """The JSON of a path. Raises: JobRefusedError: the server refuses, with its reason."""
-        return self._good(self._http.get(path)).json()
+        return self._raise_unless_success(self._http.get(path)).json()
 
     def text(self, path: str) -> str:
         """The text of a path. Raises: JobRefusedError: the server refuses, with its reason."""
-        return self._good(self._http.get(path)).text
+        return self._raise_unless_success(self._http.get(path)).text
 
     def send(self, method: str, path: str, body: dict[str, Any]) -> Any:
         """Send a command other than a job, under control of its own; its answer.
@@ -227,11 +227,13 @@ class JobClient:
         """
         try:
             with ended_as_by_ctrl_c(), LeaseHolder(self._http, self._owner, self._kind) as held:
-                return self._good(self._http.request(method, path, json=body, headers=held.headers)).json()
+                return self._raise_unless_success(
+                    self._http.request(method, path, json=body, headers=held.headers)
+                ).json()
         except ControlRefusedError as error:
             raise JobRefusedError(str(error)) from error
 
-    def _good(self, answer: httpx.Response) -> httpx.Response:
+    def _raise_unless_success(self, answer: httpx.Response) -> httpx.Response:
         if answer.is_success:
             return answer
         raise JobRefusedError(reason_in(answer))
@@ -272,9 +274,9 @@ class JobClient:
         self._running = True
         try:
             self._refuse_if_abandoned()
-            answer = self._sent(body, headers | {"Idempotency-Key": str(uuid4())})
+            answer = self._post_job_with_retry(body, headers | {"Idempotency-Key": str(uuid4())})
             if answer.status_code == httpx.codes.ACCEPTED:
-                return self._followed(f"/v1/jobs/{answer.headers['location'].rpartition('/')[2]}", on_event)
+                return self._follow_job(f"/v1/jobs/{answer.headers['location'].rpartition('/')[2]}", on_event)
         except BaseException as ending:  # Ctrl-C, a signal, a server that is gone: the motion is not followed any more
             self._stop_at(ending)
             raise
@@ -282,8 +284,8 @@ class JobClient:
             self._running = False
         raise JobRefusedError(reason_in(answer))
 
-    def _followed(self, location: str, on_event: Callable[[dict[str, Any]], None] | None) -> Finished:
-        for kind, data in self._events(location):
+    def _follow_job(self, location: str, on_event: Callable[[dict[str, Any]], None] | None) -> Finished:
+        for kind, data in self._job_events(location):
             if kind == "end":
                 return Finished(data["state"], data["reason"], data["result"], data["elapsed_s"], data["job_id"])
             if on_event is not None:
@@ -308,7 +310,7 @@ class JobClient:
         if self._abandoned.is_set():
             raise JobRefusedError("ended before the job began")
 
-    def _sent(self, body: dict[str, Any], headers: dict[str, str]) -> httpx.Response:
+    def _post_job_with_retry(self, body: dict[str, Any], headers: dict[str, str]) -> httpx.Response:
         """Send a command; when its answer is lost, send it again with the same key: it is carried out once."""
         for _ in range(RETRIES):
             try:
@@ -317,12 +319,12 @@ class JobClient:
                 time.sleep(RETRY_S)
         return self._http.post("/v1/jobs", json=body, headers=headers)
 
-    def _events(self, location: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    def _job_events(self, location: str) -> Iterator[tuple[str, dict[str, Any]]]:
         """The story to its end; a connection that breaks is taken up behind the last event."""
         last, broken = "0", 0
         while broken <= RETRIES:
             try:
-                for number, kind, data in self._stream(location, last):
+                for number, kind, data in self._stream_events(location, last):
                     last, broken = number or last, 0
                     yield kind, data
                     if kind == "end":
@@ -332,7 +334,7 @@ class JobClient:
                 broken += 1
                 time.sleep(RETRY_S)
 
-    def _stream(self, location: str, last: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    def _stream_events(self, location: str, last: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
         timeout, headers = httpx.Timeout(10.0, read=60.0), {"Last-Event-ID": last}
         with self._http.stream("GET", f"{location}/events", timeout=timeout, headers=headers) as stream:
             number = kind = ""

@@ -118,10 +118,10 @@ def pose_residuals(As: Array, Bs: Array, X: Array, Y: Array) -> PoseResiduals:
     seen = inverse_poses(Bs)
     turns = np.rad2deg(np.linalg.norm(rotation_vectors(inverse_poses(predicted)[:, :3, :3] @ seen[:, :3, :3]), axis=1))
     misses = 1e3 * np.linalg.norm(predicted[:, :3, 3] - seen[:, :3, 3], axis=1)
-    return PoseResiduals(turns, misses, _outlying(turns) | _outlying(misses))
+    return PoseResiduals(turns, misses, _is_outlier(turns) | _is_outlier(misses))
 
 
-def _outlying(sizes: Array) -> NDArray[np.bool_]:
+def _is_outlier(sizes: Array) -> NDArray[np.bool_]:
     """Sizes (norms of three components) beyond so many sigmas of a component, robustly."""
     sigma = float(np.median(sizes)) / 1.5382  # median of a norm of three normal components
     return np.asarray(sizes > (OUTLIER_SIGMAS + 1.0) * max(sigma, 1e-9))
@@ -226,8 +226,8 @@ def hand_eye(
         _write_json(json_file, answer)
         raise typer.Exit(1)
     left = pose_residuals(solved.hand, solved.target_from_camera, found.X, found.Y)
-    mount = _mount(found, eye_to_hand, (base_frame, hand_frame, camera_frame, target_frame))
-    _show(mount, found, left, solved, screen)
+    mount = _mount_from_estimate(found, eye_to_hand, (base_frame, hand_frame, camera_frame, target_frame))
+    _show_mount(mount, found, left, solved, screen)
     _show_alike(alike, solved.labels, screen)
     answer |= _as_answer(mount, found, left, solved)
     _write_json(json_file, answer)
@@ -273,7 +273,7 @@ def _in_order(t_s: Array, Ts: Array) -> tuple[Array, Array]:
     return t_s[first], Ts[first]
 
 
-def _mount(found: HandEyeEstimate, eye_to_hand: bool, names: tuple[str, str, str, str]) -> Mount:
+def _mount_from_estimate(found: HandEyeEstimate, eye_to_hand: bool, names: tuple[str, str, str, str]) -> Mount:
     assert found.X is not None  # the caller asked
     assert found.Y is not None
     assert found.covariance is not None
@@ -282,7 +282,7 @@ def _mount(found: HandEyeEstimate, eye_to_hand: bool, names: tuple[str, str, str
     return Mount(T, found.covariance[part, part], not eye_to_hand, *names)
 
 
-def _show(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solved: Solved, screen: Console) -> None:
+def _show_mount(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solved: Solved, screen: Console) -> None:
     turned, moved = sigmas(mount)
     T = mount.T_parent_cam
     table = Table(title=f"{mount.camera_frame} in {mount.parent_frame}", title_justify="left", show_header=False)

@@ -50,7 +50,7 @@ def read_poses(path: Path) -> PoseTable:
         cells = [cell.strip() for cell in row if cell.strip()]
         if not cells or cells[0].startswith("#"):
             continue
-        values = _numbers(cells[1:])
+        values = _parse_numbers(cells[1:])
         if values is None and not labels:
             continue
         if values is None or len(values) not in (7, 16):
@@ -59,21 +59,21 @@ def read_poses(path: Path) -> PoseTable:
                 "numbers of the pose row by row"
             )
         labels.append(cells[0])
-        Ts.append(_pose(values, f"{path}, line {number}"))
+        Ts.append(_pose_from_numbers(values, f"{path}, line {number}"))
     if not labels:
         raise HandEyeError(f"{path} holds no poses; give rows of a time or name, x, y, z [m], qx, qy, qz, qw")
-    times = _numbers(labels)
+    times = _parse_numbers(labels)
     return PoseTable(tuple(labels), None if times is None else np.array(times), np.array(Ts))
 
 
-def _numbers(cells: list[str]) -> list[float] | None:
+def _parse_numbers(cells: list[str]) -> list[float] | None:
     try:
         return [float(cell) for cell in cells]
     except ValueError:
         return None
 
 
-def _pose(values: list[float], where: str) -> Array:
+def _pose_from_numbers(values: list[float], where: str) -> Array:
     if len(values) == 16:
         T = np.array(values).reshape(4, 4)
         if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > QUATERNION_OFF_MAX or np.abs(T[3, :3]).max() > 0.0:
@@ -234,7 +234,7 @@ def write_mount(mount: Mount, folder: Path) -> list[Path]:
     return [folder / name for name in texts]
 
 
-def _parts(mount: Mount) -> tuple[list[float], list[float]]:
+def _translation_and_quaternion(mount: Mount) -> tuple[list[float], list[float]]:
     """Translation and quaternion (w, x, y, z)."""
     T = mount.T_parent_cam
     return T[:3, 3].tolist(), quat_wxyz_from_rotation(T[:3, :3]).tolist()
@@ -242,7 +242,7 @@ def _parts(mount: Mount) -> tuple[list[float], list[float]]:
 
 def as_tf(mount: Mount) -> str:
     """geometry_msgs/TransformStamped as YAML, the command that publishes it, and the covariance as comments."""
-    (x, y, z), (w, i, j, k) = _parts(mount)
+    (x, y, z), (w, i, j, k) = _translation_and_quaternion(mount)
     transform = {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": mount.parent_frame},
         "child_frame_id": mount.camera_frame,
@@ -259,7 +259,7 @@ def as_tf(mount: Mount) -> str:
 
 def as_easy_handeye2(mount: Mount) -> str:
     """The file that easy_handeye2 keeps and publishes."""
-    (x, y, z), (w, i, j, k) = _parts(mount)
+    (x, y, z), (w, i, j, k) = _translation_and_quaternion(mount)
     body = {
         "parameters": {
             "name": "longreach",

@@ -52,7 +52,7 @@ def identify(
         driven = _run(console, client, {"kind": "identify", "plan_hash": plan["plan_hash"]})
         if not driven["followed_by"]:
             raise JobRefusedError(driven["not_followed"] or "it was not diagnosed")
-        answer = _diagnosed(console, client, driven["followed_by"])
+        answer = _wait_for_diagnosis(console, client, driven["followed_by"])
         console.print(budget_table(answer))
         console.print(answer["budget"]["sentence"], soft_wrap=True)
         _take_up(console, client, driven["followed_by"], use, machine_out)
@@ -83,7 +83,7 @@ def _run(console: Console, client: JobClient, body: dict[str, Any]) -> dict[str,
     return finished.result
 
 
-def _diagnosed(console: Console, client: JobClient, diagnosis_id: str) -> dict[str, Any]:
+def _wait_for_diagnosis(console: Console, client: JobClient, diagnosis_id: str) -> dict[str, Any]:
     with console.status("diagnosing") as status:
         while True:
             one = client.get(f"/v1/diagnoses/{diagnosis_id}")

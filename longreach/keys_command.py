@@ -36,8 +36,8 @@ def list_keys(file: File = DEFAULT) -> None:
     for heading in ("name", "role", "made", "revoked"):
         table.add_column(heading)
     for key in read_keys(file):
-        revoked = "" if key.revoked_unix_s is None else _date(key.revoked_unix_s)
-        table.add_row(key.name, key.role, _date(key.made_unix_s), revoked)
+        revoked = "" if key.revoked_unix_s is None else _utc_date_text(key.revoked_unix_s)
+        table.add_row(key.name, key.role, _utc_date_text(key.made_unix_s), revoked)
     Console().print(table)
 
 
@@ -48,5 +48,5 @@ def revoke(name: Name, file: File = DEFAULT) -> None:
     typer.echo(f"key of {name} revoked")
 
 
-def _date(t_unix_s: float) -> str:
+def _utc_date_text(t_unix_s: float) -> str:
     return datetime.fromtimestamp(t_unix_s, UTC).strftime("%Y-%m-%d %H:%M UTC")

@@ -32,7 +32,7 @@ class Lazy:
         try:
             found, app = getattr(import_module(module), attribute), typer.Typer()
         except ModuleNotFoundError as error:
-            raise _missing(self.name, error) from error
+            raise _missing_library_error(self.name, error) from error
         if isinstance(found, typer.Typer):
             app.add_typer(found, name=self.name, help=self.about)
         else:
@@ -43,7 +43,7 @@ class Lazy:
 SERVER_LIBRARIES = ("cv2", "fastapi", "httpx", "httptools", "prometheus_client", "uvicorn", "viser", "websockets")
 
 
-def _missing(command: str, error: ModuleNotFoundError) -> Exception:
+def _missing_library_error(command: str, error: ModuleNotFoundError) -> Exception:
     """What to install for a command; the error itself where a module of our own is missing."""
     library = (error.name or "").split(".")[0]
     if library == CHECKOUT:

@@ -43,12 +43,12 @@ def write_lens(fit: LensFit, folder: Path) -> tuple[list[Path], list[str]]:
     return [folder / name for name in texts], notes
 
 
-def _matrix(fit: LensFit, eye: int) -> Array:
+def _camera_matrix(fit: LensFit, eye: int) -> Array:
     fx, fy, cx, cy = fit.lenses[eye, :4]
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def _place(fit: LensFit) -> tuple[Array, Array]:
+def _left_to_right_transform(fit: LensFit) -> tuple[Array, Array]:
     """R and t [m] that take the left eye's points to the right one's."""
     assert fit.rig is not None  # two eyes
     return rotation_from_rotvec(fit.rig[:3]), fit.rig[3:]
@@ -57,9 +57,9 @@ def _place(fit: LensFit) -> tuple[Array, Array]:
 def _rectification_per_eye(fit: LensFit) -> list[tuple[Array, Array]]:
     """Rectification and projection of each eye."""
     if fit.rig is None:
-        return [(np.eye(3), np.hstack([_matrix(fit, 0), np.zeros((3, 1))]))]
-    R, t = _place(fit)
-    lenses = [(_matrix(fit, eye), fit.lenses[eye, 4:].copy()) for eye in (0, 1)]
+        return [(np.eye(3), np.hstack([_camera_matrix(fit, 0), np.zeros((3, 1))]))]
+    R, t = _left_to_right_transform(fit)
+    lenses = [(_camera_matrix(fit, eye), fit.lenses[eye, 4:].copy()) for eye in (0, 1)]
     R1, R2, P1, P2 = cv2.stereoRectify(*lenses[0], *lenses[1], fit.size_px, R, t[:, None], alpha=0.0)[:4]
     return [(np.asarray(R1, float), np.asarray(P1, float)), (np.asarray(R2, float), np.asarray(P2, float))]
 
@@ -71,16 +71,16 @@ def camera_info(fit: LensFit, eye: int) -> str:
         "image_width": fit.size_px[0],
         "image_height": fit.size_px[1],
         "camera_name": NAMES[len(fit.lenses)][eye],
-        "camera_matrix": _data(_matrix(fit, eye)),
+        "camera_matrix": _matrix_data(_camera_matrix(fit, eye)),
         "distortion_model": "plumb_bob",
-        "distortion_coefficients": _data(fit.lenses[eye, None, 4:]),
-        "rectification_matrix": _data(R),
-        "projection_matrix": _data(P),
+        "distortion_coefficients": _matrix_data(fit.lenses[eye, None, 4:]),
+        "rectification_matrix": _matrix_data(R),
+        "projection_matrix": _matrix_data(P),
     }
     return yaml.safe_dump(body, sort_keys=False, default_flow_style=None)
 
 
-def _data(values: Array) -> dict[str, object]:
+def _matrix_data(values: Array) -> dict[str, object]:
     rows, cols = values.shape
     return {"rows": rows, "cols": cols, "data": values.ravel().tolist()}
 
@@ -88,9 +88,16 @@ def _data(values: Array) -> dict[str, object]:
 def opencv(fit: LensFit) -> str:
     """OpenCV's stereo YAML, with the names of its samples."""
     if fit.rig is None:
-        return _file_storage({"camera_matrix": _matrix(fit, 0), "distortion_coefficients": fit.lenses[:1, 4:]}, fit)
-    R, t = _place(fit)
-    matrices = {"K1": _matrix(fit, 0), "D1": fit.lenses[:1, 4:], "K2": _matrix(fit, 1), "D2": fit.lenses[1:, 4:]}
+        return _file_storage(
+            {"camera_matrix": _camera_matrix(fit, 0), "distortion_coefficients": fit.lenses[:1, 4:]}, fit
+        )
+    R, t = _left_to_right_transform(fit)
+    matrices = {
+        "K1": _camera_matrix(fit, 0),
+        "D1": fit.lenses[:1, 4:],
+        "K2": _camera_matrix(fit, 1),
+        "D2": fit.lenses[1:, 4:],
+    }
     return _file_storage(matrices | {"R": R, "T": t[:, None]}, fit)
 
 
@@ -117,7 +124,7 @@ def kalibr(fit: LensFit) -> str:
         }
         if eye == 1:
             T = np.eye(4)
-            T[:3, :3], T[:3, 3] = _place(fit)
+            T[:3, :3], T[:3, 3] = _left_to_right_transform(fit)
             camera["T_cn_cnm1"] = T.tolist()
         body[f"cam{eye}"] = camera
     lost = ", ".join(f"{value:.6g}" for value in fit.lenses[:, 8])
@@ -157,7 +164,7 @@ def calibrate(
     """Calibrate lens and stereo rig: intrinsics with sigmas, coverage, what to photograph next. Exit code 1: failed."""
     screen = Console()
     views, size = board_views(
-        _pictures(folder, mono), mono, board_of(squares, square_mm, marker_mm, dictionary, legacy_pattern)
+        _picture_pairs(folder, mono), mono, board_of(squares, square_mm, marker_mm, dictionary, legacy_pattern)
     )
     try:
         fit = fit_lens(views, size)
@@ -165,10 +172,10 @@ def calibrate(
         screen.print(f"[bold red]not calibrated[/]: {escape(str(error))}", soft_wrap=True)
         raise typer.Exit(1) from error
     covered = coverage_of(views, fit)
-    _show(fit, covered, screen)
+    _show_lens_fit(fit, covered, screen)
     try:
         if json_file is not None:
-            write_durably(json_file, json.dumps(_answer(fit, covered), indent=1) + "\n")
+            write_durably(json_file, json.dumps(_lens_fit_json(fit, covered), indent=1) + "\n")
         if out is not None:
             written, notes = write_lens(fit, out)
             screen.print("written: " + escape(", ".join(str(path) for path in written)), soft_wrap=True)
@@ -178,7 +185,7 @@ def calibrate(
         raise TargetError(f"{error.filename} cannot be written: {error.strerror}") from error
 
 
-def _pictures(folder: Path, mono: bool) -> list[tuple[Path, Path | None]]:
+def _picture_pairs(folder: Path, mono: bool) -> list[tuple[Path, Path | None]]:
     if not mono:
         return stored_pairs(folder)
     files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES) if folder.is_dir() else []
@@ -207,7 +214,7 @@ def board_views(
     return views, sizes.pop()
 
 
-def _show(fit: LensFit, covered: Coverage, screen: Console) -> None:
+def _show_lens_fit(fit: LensFit, covered: Coverage, screen: Console) -> None:
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     table = Table("what", Column("value", justify="right"), Column("sigma", justify="right"))
     for name, value, sigma in zip(fit.names, fit.values, sigmas, strict=True):
@@ -225,7 +232,7 @@ def _show(fit: LensFit, covered: Coverage, screen: Console) -> None:
         screen.print(f"[yellow]next[/] {escape(text)}", soft_wrap=True)
 
 
-def _answer(fit: LensFit, covered: Coverage) -> dict[str, object]:
+def _lens_fit_json(fit: LensFit, covered: Coverage) -> dict[str, object]:
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     return {
         "size_px": list(fit.size_px),

@@ -36,7 +36,7 @@ def urdf(
     try:
         text, left_out = urdf_of(machine, nominal)
     except (MachineError, DiagnosisError) as error:
-        _refuse(str(error))
+        _exit_with_error(str(error))
     for line in left_out:
         screen.print(f"[yellow]not in the URDF:[/] {escape(line)}", soft_wrap=True)
     _write(out, text + "\n")
@@ -51,14 +51,14 @@ def new(
     try:
         text = text_of_machine(machine)
     except MachineFileError as error:
-        _refuse(str(error))
+        _exit_with_error(str(error))
     write_new(file, text)
 
 
 def write_new(file: Path, text: str) -> None:
     """Write a template, never over a file. Raises: typer.Exit 2."""
     if file.exists():
-        _refuse(f"{file} exists already; choose another name")
+        _exit_with_error(f"{file} exists already; choose another name")
     _write(file, text)
     typer.echo(f"written: {file}")
 
@@ -82,7 +82,9 @@ def urdf_of(machine: Path, nominal: bool) -> tuple[str, tuple[str, ...]]:
     own = _own_urdf(text, machine)
     if own is not None:
         return edited_urdf(*own, known.joint_names, held, known.T_tcp_cam_left), left_out
-    return arm_urdf(known.name, known.joint_names, known.arm, held, _limits(known), known.T_tcp_cam_left), left_out
+    return arm_urdf(
+        known.name, known.joint_names, known.arm, held, _joint_limits(known), known.T_tcp_cam_left
+    ), left_out
 
 
 def _own_urdf(text: str, machine: Path) -> tuple[str, str, str] | None:
@@ -99,7 +101,7 @@ def _own_urdf(text: str, machine: Path) -> tuple[str, str, str] | None:
     return found, section["base_link"], section["tip_link"]
 
 
-def _limits(known: Nominal) -> JointLimits:
+def _joint_limits(known: Nominal) -> JointLimits:
     speed = np.full(known.n, np.inf) if known.actuators is None else known.actuators.joints[:, 0]
     return JointLimits(known.q_min, known.q_max, speed)
 
@@ -111,9 +113,9 @@ def _write(out: Path | None, text: str) -> None:
     try:
         write_durably(out, text)
     except OSError as error:
-        _refuse(f"{out} cannot be written: {error.strerror}")
+        _exit_with_error(f"{out} cannot be written: {error.strerror}")
 
 
-def _refuse(text: str) -> NoReturn:
+def _exit_with_error(text: str) -> NoReturn:
     Console(stderr=True).print(f"[bold red]longreach:[/] {escape(text)}", soft_wrap=True)
     raise typer.Exit(2)

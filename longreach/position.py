@@ -30,7 +30,7 @@ def position(
     try:
         client.wait_ready(wait_s)
         with console.status("positioning") as status:
-            finished = client.run(body, lambda event: _show(console, status, event))
+            finished = client.run(body, lambda event: _show_event(console, status, event))
         run_id = client.run_id_of(finished.job_id)
     except JobRefusedError as error:
         console.print(f"[bold red]refused:[/] {error}")
@@ -56,7 +56,7 @@ def position(
         raise typer.Exit(1)
 
 
-def _show(console: Console, status: Any, event: dict[str, Any]) -> None:
+def _show_event(console: Console, status: Any, event: dict[str, Any]) -> None:
     status.update(event["text"])
     if event["name"] == "ended":
         return  # reported below, with the outcome
@@ -69,13 +69,15 @@ def error_table(result: dict[str, Any]) -> Table:
     table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))  # whole in 80 columns
     for heading in ("step", "x mm", "y mm", "z mm", "turned deg", "path mm", "s", "trims"):
         table.add_column(heading, justify="right" if heading != "step" else "left", no_wrap=True)
-    _row(table, "start", result["start"], "", "", "")
+    _add_error_row(table, "start", result["start"], "", "", "")
     for move in result["moves"]:
         name = "orient" if move["kind"] == "orientation" else f"move {move['number']}"
-        _row(table, name, move["after"], f"{move['length_mm']:.0f}", f"{move['duration_s']:.1f}", str(move["trims"]))
+        _add_error_row(
+            table, name, move["after"], f"{move['length_mm']:.0f}", f"{move['duration_s']:.1f}", str(move["trims"])
+        )
     return table
 
 
-def _row(table: Table, name: str, error: dict[str, float], path: str, seconds: str, trims: str) -> None:
+def _add_error_row(table: Table, name: str, error: dict[str, float], path: str, seconds: str, trims: str) -> None:
     axes = [f"{error[f'{axis}_mm']:+.1f} ± {error[f'sigma_{axis}_mm']:.1f}" for axis in "xyz"]
     table.add_row(name, *axes, f"{error['rotation_deg']:.2f} ± {error['sigma_rotation_deg']:.2f}", path, seconds, trims)

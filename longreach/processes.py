@@ -105,7 +105,7 @@ class Stack:
             for name in ("server", "sim"):
                 process = self.processes.pop(name, None)
                 if process is not None:
-                    _end(process)
+                    _stop_process_group(process)
 
     def _start(self, name: str, command: list[str]) -> None:
         self._start_module(name, "longreach.cli", command)
@@ -125,7 +125,7 @@ class Stack:
             output.close()
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _stop_process_group(process: subprocess.Popen[bytes]) -> None:
     """SIGTERM, then SIGKILL for the whole group when it does not leave in time."""
     if process.poll() is None:
         process.terminate()

@@ -32,7 +32,7 @@ def check(recording: Source) -> None:
     try:
         shown(check_recording(recording), console)
     except RecordingError as error:
-        _refuse(error)
+        _exit_with_error(error)
 
 
 @app.command()
@@ -54,7 +54,7 @@ def convert(
             return
         found = convert_recording(recording, target)
     except RecordingError as error:
-        _refuse(error)
+        _exit_with_error(error)
     else:
         console.print(f"written: {escape(str(target))}", soft_wrap=True)
         for text in left_behind(found):
@@ -67,7 +67,7 @@ def recover(recording: Source, target: Target) -> None:
     try:
         saved = recover_recording(recording, target)
     except RecordingError as error:
-        _refuse(error)
+        _exit_with_error(error)
     else:
         lost = f"{saved.lost_chunks} damaged chunks are lost; " if saved.lost_chunks else ""
         how = "nothing was damaged" if saved.was_complete else f"{lost}stopped reading at: {escape(saved.reason)}"
@@ -101,6 +101,6 @@ def shown(report: CheckReport, screen: Console) -> None:
         )
 
 
-def _refuse(error: RecordingError) -> None:
+def _exit_with_error(error: RecordingError) -> None:
     Console(stderr=True).print(f"[bold red]recording:[/] {escape(str(error))}", soft_wrap=True)
     raise typer.Exit(2)

@@ -58,7 +58,7 @@ def relay(
     from sim_plc.relay.settings import RelaySettings
 
     console = Console(stderr=True)
-    cut, freeze = _window(cut_after_s, cut_for_s), _window(freeze_after_s, freeze_for_s)
+    cut, freeze = _fault_windows(cut_after_s, cut_for_s), _fault_windows(freeze_after_s, freeze_for_s)
     try:
         shares = Faults(
             loss_frac=loss_pct / 100.0,
@@ -73,7 +73,7 @@ def relay(
             truncate_frac=truncate_pct / 100.0,
             replay_frac=replay_pct / 100.0,
         )
-        to_plc, to_pc = _both(shares, direction, cut, cut_direction, freeze, freeze_direction)
+        to_plc, to_pc = _faults_by_direction(shares, direction, cut, cut_direction, freeze, freeze_direction)
         settings = RelaySettings(plc_host, plc_port, listen_host, listen_port, seed, to_plc, to_pc)
         figures = run_relay(
             settings,
@@ -95,13 +95,13 @@ def table_of(figures: RelayFigures) -> Table:
     return table
 
 
-def _window(after_s: float | None, for_s: float | None) -> Windows:
+def _fault_windows(after_s: float | None, for_s: float | None) -> Windows:
     if after_s is None:
         return ()
     return ((after_s, after_s + (_FOR_GOOD_S if for_s is None else for_s)),)
 
 
-def _both(
+def _faults_by_direction(
     shares: Faults, direction: str, cut: Windows, cut_direction: str, freeze: Windows, freeze_direction: str
 ) -> tuple[Faults, Faults]:
     """Each kind of fault on its own way."""

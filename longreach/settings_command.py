@@ -31,20 +31,20 @@ def new(file: Annotated[Path, typer.Argument(help="the settings file to write")]
 def template() -> str:
     """TOML text that says nothing but the defaults: every field is a comment."""
     lines = ["# Settings of `longreach serve --settings FILE`. Commented lines show the defaults.", ""]
-    lines += _fields(ServerSettings)
+    lines += _field_lines(ServerSettings)
     for name, field in ServerSettings.model_fields.items():
         models = models_of(field.annotation)
         for model in models:
             kind = model.model_fields.get("kind") if len(models) > 1 else None
             lines += ["", f"# {' '.join((model.__doc__ or '').split())}"]
             lines += [f"# [{name}]"] + ([] if kind is None else [f'# kind = "{type_text(kind.annotation).strip("`")}"'])
-            lines += _fields(model)
+            lines += _field_lines(model)
     text = "\n".join(lines) + "\n"
     tomllib.loads(text)
     return text
 
 
-def _fields(model: type[BaseModel]) -> Iterator[str]:
+def _field_lines(model: type[BaseModel]) -> Iterator[str]:
     for name, field in model.model_fields.items():
         if models_of(field.annotation) or name == "kind":
             continue
@@ -54,10 +54,10 @@ def _fields(model: type[BaseModel]) -> Iterator[str]:
         if default is PydanticUndefined:
             yield f"# {name} =  # required: {about}"
         else:
-            yield f"# {name} = {_value(default)}  # {about}"
+            yield f"# {name} = {_toml_value(default)}  # {about}"
 
 
-def _value(value: Any) -> str:
+def _toml_value(value: Any) -> str:
     """A default in TOML; nothing where there is none."""
     if value is None:
         return ""

@@ -58,7 +58,7 @@ def sim(
     )
 
     try:
-        text, left_out = _simulated(read_machine_text(machine))
+        text, left_out = _keep_simulated_effects(read_machine_text(machine))
         preset = checked_preset(preset or ("realistic" if left_out is None else "nominal"))
         require_bindable(
             (
@@ -99,7 +99,7 @@ def sim(
         raise SettingsError(str(error)) from error
 
 
-def _simulated(text: str) -> tuple[str, tuple[str, ...] | None]:
+def _keep_simulated_effects(text: str) -> tuple[str, tuple[str, ...] | None]:
     """A machine file's text with the effects that the plant can have; what is left out, None of a file without any."""
     from sim_plc.diagnosed import not_simulated
 

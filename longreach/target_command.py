@@ -55,8 +55,8 @@ def teach(
     """Measure the marker layout of tool or OOI from stereo views. Exit code 0: found, 1: not found."""
     console = Console()
     nominal = read_machine(machine)
-    task = _task(nominal, _on(on), ids, side_mm, frame)
-    dictionary = _dictionary(nominal)
+    task = _teach_task(nominal, _parse_target_object(on), ids, side_mm, frame)
+    dictionary = _marker_dictionary(nominal)
     if folder is not None:
         camera = nominal.camera
         seen = _from_folder(folder, MarkerSearch(camera, dictionary, task.ids), console)
@@ -82,18 +82,18 @@ def print_markers(
         raise TargetError(f"--paper = {paper}: give one of {', '.join(PAPERS_MM)}")
     nominal = read_machine(machine)
     try:
-        pages = _pages(nominal, ("tool", "ooi") if on == "both" else (_on(on),), paper)
+        pages = _target_pages(nominal, ("tool", "ooi") if on == "both" else (_parse_target_object(on),), paper)
     except ValueError as error:
         raise TargetError(str(error)) from error
     folder.mkdir(parents=True, exist_ok=True)
-    for name, content in _files(pages, form, dpi).items():
+    for name, content in _files_by_format(pages, form, dpi).items():
         (folder / name).write_bytes(content)
         console.print(f"written: {folder / name}", highlight=False, soft_wrap=True)
     console.print("print at 100 %, then hold a steel ruler against the printed one: it must measure 100 mm")
 
 
-def _pages(nominal: Machine, sides: Sequence[str], paper: str | None) -> list[Page]:
-    dictionary, name = _dictionary(nominal), nominal.dictionary
+def _target_pages(nominal: Machine, sides: Sequence[str], paper: str | None) -> list[Page]:
+    dictionary, name = _marker_dictionary(nominal), nominal.dictionary
     in_grids = {marker_id for board in nominal.boards if board.kind == "grid" for marker_id in board_marker_ids(board)}
     pages = [
         marker_page(name, dictionary, marker, paper)
@@ -103,7 +103,7 @@ def _pages(nominal: Machine, sides: Sequence[str], paper: str | None) -> list[Pa
     return pages + [board_page(name, dictionary, board, paper) for board in nominal.boards if board.on in sides]
 
 
-def _files(pages: list[Page], form: str, dpi: int) -> dict[str, bytes]:
+def _files_by_format(pages: list[Page], form: str, dpi: int) -> dict[str, bytes]:
     if form == "pdf":
         return {"targets.pdf": pdf_of(pages)}
     if form == "svg":
@@ -113,20 +113,20 @@ def _files(pages: list[Page], form: str, dpi: int) -> dict[str, bytes]:
     raise TargetError(f"--format = {form}: give pdf, svg or png")
 
 
-def _on(text: str) -> Literal["tool", "ooi"]:
+def _parse_target_object(text: str) -> Literal["tool", "ooi"]:
     if text not in ("tool", "ooi"):
         raise TargetError(f"--on = {text}: give tool or ooi")
     return cast("Literal['tool', 'ooi']", text)
 
 
-def _dictionary(nominal: Machine) -> "cv2.aruco.Dictionary":
+def _marker_dictionary(nominal: Machine) -> "cv2.aruco.Dictionary":
     try:
         return dictionary_by_name(nominal.dictionary)
     except VisionError as error:
         raise TargetError(str(error)) from error
 
 
-def _task(nominal: Machine, on: Literal["tool", "ooi"], ids: str, side_mm: str, frame: str) -> TeachTask:
+def _teach_task(nominal: Machine, on: Literal["tool", "ooi"], ids: str, side_mm: str, frame: str) -> TeachTask:
     """What is to be taught, from the options and the machine file."""
     present = {marker.marker_id: marker for marker in nominal.markers_on(on)}
     wanted = _whole_numbers(ids) if ids.strip() else tuple(present)
@@ -142,7 +142,7 @@ def _task(nominal: Machine, on: Literal["tool", "ooi"], ids: str, side_mm: str, 
         for marker_id in wanted
         if marker_id in present
     }
-    return TeachTask(wanted, _sides(side_mm, wanted, sides), LayoutFrame(cast("FrameName", frame), places))
+    return TeachTask(wanted, _printed_sides_m(side_mm, wanted, sides), LayoutFrame(cast("FrameName", frame), places))
 
 
 def _whole_numbers(text: str) -> tuple[int, ...]:
@@ -152,7 +152,7 @@ def _whole_numbers(text: str) -> tuple[int, ...]:
         raise TargetError(f"--ids = {text}: give whole numbers such as 1,2,3") from error
 
 
-def _sides(text: str, ids: Sequence[int], present_m: Mapping[int, float]) -> dict[int, float]:
+def _printed_sides_m(text: str, ids: Sequence[int], present_m: Mapping[int, float]) -> dict[int, float]:
     """Printed sides [m] as far as they are known."""
     text = text.strip()
     if not text:
@@ -181,7 +181,9 @@ def _from_folder(folder: Path, search: MarkerSearch, console: Console) -> list[T
         bar = progress.add_task("", total=min(len(pairs), STORED_VIEWS_MAX))
         for name, view in stored_views(pairs, search, STORED_VIEWS_MAX):
             found.append(view)
-            progress.update(bar, advance=1, description=f"{escape(name)}: markers {_shown(view) or 'none'}")
+            progress.update(
+                bar, advance=1, description=f"{escape(name)}: markers {_seen_marker_ids_text(view) or 'none'}"
+            )
     return found
 
 
@@ -214,7 +216,7 @@ def _from_camera(
     with console.status("waiting for images") as status:
 
         def report(offer: OfferedView, view: TeachView, kept: list[TeachView]) -> None:
-            _guide(offer, view, kept, n_views, status, console)
+            _show_view_advice(offer, view, kept, n_views, status, console)
             if offer is OfferedView.TAKEN and len(kept) >= settings.views_min:
                 console.print(
                     f"  so far: {_so_far(teach_layout(kept, task, search.camera, settings))}", highlight=False
@@ -226,7 +228,7 @@ def _from_camera(
             source.close()
 
 
-def _guide(
+def _show_view_advice(
     offer: OfferedView, view: TeachView, kept: list[TeachView], n_views: int, status: Status, console: Console
 ) -> None:
     advice = {
@@ -236,15 +238,15 @@ def _guide(
         OfferedView.TAKEN: "taken",
     }[offer]
     if offer is OfferedView.TAKEN:
-        console.print(f"view {len(kept)} of {n_views}: markers {_shown(view)}", highlight=False)
-    status.update(f"{len(kept)} of {n_views} views; sees {_shown(view) or 'none'}; {advice}")
+        console.print(f"view {len(kept)} of {n_views}: markers {_seen_marker_ids_text(view)}", highlight=False)
+    status.update(f"{len(kept)} of {n_views} views; sees {_seen_marker_ids_text(view) or 'none'}; {advice}")
 
 
 def _so_far(layout: TaughtLayout) -> str:
     return f"+-{layout.sigma_mm:.2f} mm" if layout.status is TeachStatus.OK else layout.reason
 
 
-def _shown(view: TeachView) -> str:
+def _seen_marker_ids_text(view: TeachView) -> str:
     return ", ".join(str(marker_id) for marker_id in sorted(view.left.keys() | view.right.keys()))
 
 
@@ -256,9 +258,9 @@ def _finish(layout: TaughtLayout, nominal: Machine, on: str, out: Path | None, c
     if layout.status is not TeachStatus.OK:
         console.print(f"[bold red]no layout ({layout.status.value}):[/] {escape(layout.reason)}", soft_wrap=True)
         raise typer.Exit(1)
-    _say(console, layout_table(layout, {marker.marker_id: marker for marker in nominal.markers}))
-    _say(console, sides_table(layout))
-    _say(console, verdict_text(layout))
+    _print_message(console, layout_table(layout, {marker.marker_id: marker for marker in nominal.markers}))
+    _print_message(console, sides_table(layout))
+    _print_message(console, verdict_text(layout))
     for note in layout.notes:
         console.print(f"note: {escape(note)}", style="yellow")
     text = layout_toml(layout, on)
@@ -270,5 +272,5 @@ def _finish(layout: TaughtLayout, nominal: Machine, on: str, out: Path | None, c
     console.print(f"for the machine file: {out.with_suffix('.toml')}; with covariance: {out.with_suffix('.json')}")
 
 
-def _say(console: Console, what: RenderableType) -> None:
+def _print_message(console: Console, what: RenderableType) -> None:
     console.print(what, highlight=False, soft_wrap=isinstance(what, str))

@@ -172,8 +172,11 @@ def marker_page(dictionary_name: str, dictionary: "cv2.aruco.Dictionary", marker
         "print at 100 % (no scaling), check the ruler, keep the white around it, mount flat and stiff",
     )
     name = f"marker_{marker.marker_id}"
-    shapes = (tuple(_marker_cells(dictionary, marker.marker_id, left, top, side)), tuple(_ruler(width, height)))
-    return Page(name, width, height, shapes, _texts(words, height, left, top - quiet))
+    shapes = (
+        tuple(_marker_cells(dictionary, marker.marker_id, left, top, side)),
+        tuple(_ruler_rectangles(width, height)),
+    )
+    return Page(name, width, height, shapes, _page_texts(words, height, left, top - quiet))
 
 
 def board_page(dictionary_name: str, dictionary: "cv2.aruco.Dictionary", board: Board, paper: str | None) -> Page:
@@ -201,8 +204,8 @@ def board_page(dictionary_name: str, dictionary: "cv2.aruco.Dictionary", board: 
         f"board_{board.first_id}",
         width,
         height,
-        (*shapes, tuple(_ruler(width, height))),
-        _texts(words, height, left, top - 0.5 * quiet),
+        (*shapes, tuple(_ruler_rectangles(width, height))),
+        _page_texts(words, height, left, top - 0.5 * quiet),
     )
 
 
@@ -233,7 +236,7 @@ def _marker_cells(
     return cells
 
 
-def _ruler(width_mm: float, height_mm: float) -> list[Rectangle]:
+def _ruler_rectangles(width_mm: float, height_mm: float) -> list[Rectangle]:
     """100 mm with a tick every 10 mm, between the outer edges of the first and the last tick's middle lines."""
     left, base, line = 0.5 * (width_mm - RULER_MM), height_mm - MARGIN_MM - 6.0, 0.3
     ticks = [
@@ -243,7 +246,7 @@ def _ruler(width_mm: float, height_mm: float) -> list[Rectangle]:
     return [*ticks, Rectangle(left - 0.5 * line, base, RULER_MM + line, line)]
 
 
-def _texts(words: tuple[str, str], height_mm: float, left_mm: float, top_mm: float) -> tuple[Text, ...]:
+def _page_texts(words: tuple[str, str], height_mm: float, left_mm: float, top_mm: float) -> tuple[Text, ...]:
     """The words at the foot, and which edge is the top, outside the white that the marker needs."""
     lines = tuple(
         Text(MARGIN_MM, height_mm - FOOT_MM + 5.0 + 5.0 * k, TEXT_MM * 0.8, line) for k, line in enumerate(words)

@@ -21,7 +21,7 @@ def layout_table(layout: TaughtLayout, present: Mapping[int, Marker]) -> Table:
         sigmas = f"{1e3 * position_sigma_m(marker):.2f}", f"{np.rad2deg(angle_sigma_rad(marker)):.3f}"
         table.add_row(
             str(marker.marker_id),
-            *_moved(marker, present.get(marker.marker_id)),
+            *_marker_shift_row(marker, present.get(marker.marker_id)),
             *sigmas,
             str(marker.n_views),
             f"{marker.residual_rms_px:.3f}",
@@ -29,7 +29,7 @@ def layout_table(layout: TaughtLayout, present: Mapping[int, Marker]) -> Table:
     return table
 
 
-def _moved(one: TaughtMarker, present: Marker | None) -> tuple[str, str, str, str]:
+def _marker_shift_row(one: TaughtMarker, present: Marker | None) -> tuple[str, str, str, str]:
     """How far a marker lies from its present entry, in the object's axes."""
     if present is None:
         return "new", "", "", ""
@@ -84,17 +84,17 @@ def layout_json(layout: TaughtLayout, on: str) -> str:
         "reason": layout.reason,
         "on": on,
         "n_views": layout.n_views,
-        "spread_deg": _number(layout.spread_deg),
-        "residual_rms_px": _number(layout.residual_rms_px),
-        "baseline_frac": _number(layout.baseline_frac),
-        "baseline_sigma_frac": _number(layout.baseline_sigma_frac),
+        "spread_deg": _finite_or_none(layout.spread_deg),
+        "residual_rms_px": _finite_or_none(layout.residual_rms_px),
+        "baseline_frac": _finite_or_none(layout.baseline_frac),
+        "baseline_sigma_frac": _finite_or_none(layout.baseline_sigma_frac),
         "notes": list(layout.notes),
-        "markers": [_marker(marker) for marker in layout.markers],
+        "markers": [_marker_json(marker) for marker in layout.markers],
     }
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
-def _marker(one: TaughtMarker) -> dict[str, Any]:
+def _marker_json(one: TaughtMarker) -> dict[str, Any]:
     return {
         "id": one.marker_id,
         "side_m": one.side_m,
@@ -109,5 +109,5 @@ def _marker(one: TaughtMarker) -> dict[str, Any]:
     }
 
 
-def _number(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None

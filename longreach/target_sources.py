@@ -70,10 +70,10 @@ def stored_pairs(folder: Path) -> list[tuple[Path, Path | None]]:
         except CameraError as error:
             raise TargetError(f"{folder}: {error}") from error
         return [(Path(lefts[name]), Path(rights[name])) for name in names]
-    files = _pictures(folder)
+    files = _picture_paths(folder)
     lefts = [path for path in files if path.stem.lower().endswith("left")]
     if lefts:
-        return [(path, _partner(path)) for path in lefts]
+        return [(path, _right_eye_picture(path)) for path in lefts]
     if files:
         return [(path, None) for path in files]
     names = ", ".join(f"{left} and {right}" for left, right in TWO_FOLDERS)
@@ -82,7 +82,7 @@ def stored_pairs(folder: Path) -> list[tuple[Path, Path | None]]:
     )
 
 
-def _pictures(folder: Path) -> list[Path]:
+def _picture_paths(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
     names = [path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
@@ -95,7 +95,7 @@ def _by_name(folder: Path) -> dict[str, str]:
     Raises: TargetError: two pictures of one name.
     """
     found: dict[str, str] = {}
-    for path in _pictures(folder):
+    for path in _picture_paths(folder):
         name = re.sub("(?i)left|right", "", path.stem)
         if name in found:
             raise TargetError(f"'{found[name]}' and '{path}' have one name; take one of them away")
@@ -103,7 +103,7 @@ def _by_name(folder: Path) -> dict[str, str]:
     return found
 
 
-def _partner(left: Path) -> Path:
+def _right_eye_picture(left: Path) -> Path:
     stem = left.stem
     ending = "RIGHT" if stem.endswith("LEFT") else "Right" if stem.endswith("Left") else "right"
     right = left.with_name(stem[:-4] + ending + left.suffix)
@@ -118,15 +118,15 @@ def read_pair(left: Path, right: Path | None) -> tuple[Image, Image]:
     Raises: TargetError: a file that is not a picture, or a side-by-side picture of odd width.
     """
     if right is not None:
-        return _grey(left), _grey(right)
-    both = _grey(left)
+        return _read_grey_picture(left), _read_grey_picture(right)
+    both = _read_grey_picture(left)
     half = both.shape[1] // 2
     if both.shape[1] % 2:
         raise TargetError(f"{left}: width {both.shape[1]} px is odd; two equal eyes need an even width")
     return both[:, :half], both[:, half:]
 
 
-def _grey(path: Path) -> Image:
+def _read_grey_picture(path: Path) -> Image:
     try:
         return read_grey(str(path))
     except CameraError as error:

@@ -51,12 +51,12 @@ def board_markers(board: Board) -> tuple[Marker, ...]:
     x = (column + 0.5 - 0.5 * board.squares_x) * board.square_m
     y = (0.5 * board.squares_y - row - 0.5) * board.square_m
     return tuple(
-        Marker(marker_id, board.marker_m, board.on, _placed(board, float(u), float(v)))
+        Marker(marker_id, board.marker_m, board.on, _marker_pose_on_object(board, float(u), float(v)))
         for marker_id, u, v in zip(board_marker_ids(board), x, y, strict=True)
     )
 
 
-def _placed(board: Board, x_m: float, y_m: float) -> Array:
+def _marker_pose_on_object(board: Board, x_m: float, y_m: float) -> Array:
     T_on_marker = board.T_on_board @ pose(np.eye(3), np.array([x_m, y_m, 0.0]))
     T_on_marker.setflags(write=False)
     return T_on_marker

@@ -49,26 +49,26 @@ def distortion_jacobian(camera: StereoCamera, rays: Array) -> Array:
     return J
 
 
-def _focal(camera: StereoCamera) -> Array:
+def _focal_lengths_px(camera: StereoCamera) -> Array:
     return np.array([camera.fx_px, camera.fy_px])
 
 
-def _centre(camera: StereoCamera) -> Array:
+def _principal_point_px(camera: StereoCamera) -> Array:
     return np.array([camera.cx_px, camera.cy_px])
 
 
 def project(camera: StereoCamera, points_cam: Array) -> Array:
     """Pixels (n, 2) of points (n, 3) [m] in one eye's frame; points at or behind the eye give NaN."""
-    points = _points(points_cam)
+    points = _checked_points(points_cam)
     depth = np.where(points[:, 2] > DEPTH_MIN_M, points[:, 2], np.nan)
     rays = points[:, :2] / depth[:, None]
-    return distort_rays(camera, rays) * _focal(camera) + _centre(camera)
+    return distort_rays(camera, rays) * _focal_lengths_px(camera) + _principal_point_px(camera)
 
 
 def project_stereo(camera: StereoCamera, points_cam_left: Array) -> tuple[Array, Array]:
     """Pixels (n, 2) in the left and in the right eye of points (n, 3) [m] in the left eye's frame."""
     shift = np.array([camera.baseline_m, 0.0, 0.0])
-    return project(camera, points_cam_left), project(camera, _points(points_cam_left) - shift)
+    return project(camera, points_cam_left), project(camera, _checked_points(points_cam_left) - shift)
 
 
 def projection_jacobian(camera: StereoCamera, points_cam: Array) -> Array:
@@ -77,13 +77,13 @@ def projection_jacobian(camera: StereoCamera, points_cam: Array) -> Array:
     Args:    points_cam: (n, 3) [m] in one eye's frame, in front of it.
     Returns: (n, 2, 3) [px/m]; NaN for points at or behind the eye.
     """
-    points = _points(points_cam)
+    points = _checked_points(points_cam)
     inverse_depth = 1.0 / np.where(points[:, 2] > DEPTH_MIN_M, points[:, 2], np.nan)
     rays = points[:, :2] * inverse_depth[:, None]
     pinhole = np.zeros((len(points), 2, 3))
     pinhole[:, 0, 0] = pinhole[:, 1, 1] = inverse_depth
     pinhole[:, :, 2] = -rays * inverse_depth[:, None]
-    return _focal(camera)[None, :, None] * (distortion_jacobian(camera, rays) @ pinhole)
+    return _focal_lengths_px(camera)[None, :, None] * (distortion_jacobian(camera, rays) @ pinhole)
 
 
 def undistort_to_rays(camera: StereoCamera, pixels: Array) -> Array:
@@ -97,7 +97,7 @@ def undistort_to_rays(camera: StereoCamera, pixels: Array) -> Array:
     pixels = np.asarray(pixels, dtype=float)
     if pixels.ndim != 2 or pixels.shape[1] != 2:
         raise MachineError(f"pixels have shape {pixels.shape}; give (n, 2) [px]")
-    distorted = (pixels - _centre(camera)) / _focal(camera)
+    distorted = (pixels - _principal_point_px(camera)) / _focal_lengths_px(camera)
     return undistorted(distorted, np.array(camera.distortion), fold_radius(camera.distortion))
 
 
@@ -130,7 +130,7 @@ def undistorted(distorted: Array, coefficients: Array, radius_max: float) -> Arr
     return rays
 
 
-def _points(points: Array) -> Array:
+def _checked_points(points: Array) -> Array:
     array = np.asarray(points, dtype=float)
     if array.ndim != 2 or array.shape[1] != 3:
         raise MachineError(f"points have shape {array.shape}; give (n, 3) [m] in the eye's frame")

@@ -102,7 +102,7 @@ class Machine:
         return tuple(board for board in self.boards if board.on == on)
 
 
-def _frozen(values: object, shape: tuple[int, ...]) -> Array:
+def _read_only_array(values: object, shape: tuple[int, ...]) -> Array:
     array = np.array(values, dtype=float).reshape(shape)
     array.setflags(write=False)
     return array
@@ -182,7 +182,7 @@ class _MachineFile(Strict):
     tracker: dict[str, Any] | None = None
 
 
-def _joint(section: _JointSection) -> Joint:
+def _joint_from_section(section: _JointSection) -> Joint:
     if section.q_min_deg >= section.q_max_deg:
         raise MachineFileError(
             f"joint '{section.name}': q_min_deg = {section.q_min_deg} "
@@ -217,8 +217,8 @@ def _joint(section: _JointSection) -> Joint:
     )
 
 
-def _pose(values: list[float], subject: str) -> Array:
-    T = _frozen(values, (4, 4))
+def _checked_pose(values: list[float], subject: str) -> Array:
+    T = _read_only_array(values, (4, 4))
     rotation = T[:3, :3]
     error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if error > 1e-6 or np.linalg.det(rotation) < 0 or not np.allclose(T[3], [0, 0, 0, 1]):
@@ -229,17 +229,17 @@ def _pose(values: list[float], subject: str) -> Array:
     return T
 
 
-def _place(values: list[float], subject: str) -> Array:
+def _checked_pose_on_object(values: list[float], subject: str) -> Array:
     """Pose of a marker or board on its object; far-off places are millimetres written as metres."""
-    T = _pose(values, subject)
+    T = _checked_pose(values, subject)
     away = float(np.abs(T[:3, 3]).max())
     if away > PLACE_MAX_M:
         raise MachineFileError(f"{subject} lies {away:g} from the origin (limit {PLACE_MAX_M:g} [m]); give metres")
     return T
 
 
-def _marker(section: MarkerSection) -> Marker:
-    T = _place(section.T_on_marker, f"marker {section.id}: T_on_marker")
+def _marker_from_section(section: MarkerSection) -> Marker:
+    T = _checked_pose_on_object(section.T_on_marker, f"marker {section.id}: T_on_marker")
     return Marker(marker_id=section.id, side_m=section.side_m, on=section.on, T_on_marker=T)
 
 
@@ -254,7 +254,7 @@ def board_of(section: BoardSection) -> Board:
         marker_m=section.marker_m,
         first_id=section.first_id,
         legacy_pattern=section.legacy_pattern,
-        T_on_board=_place(section.T_on_board, f"board of first_id {section.first_id}: T_on_board"),
+        T_on_board=_checked_pose_on_object(section.T_on_board, f"board of first_id {section.first_id}: T_on_board"),
     )
 
 
@@ -263,7 +263,7 @@ def grid_markers(boards: tuple[Board, ...]) -> tuple[Marker, ...]:
     return tuple(marker for board in boards if board.kind == "grid" for marker in board_markers(board))
 
 
-def _camera(section: _CameraSection) -> StereoCamera:
+def _camera_from_section(section: _CameraSection) -> StereoCamera:
     # a rectified image carries no distortion, whatever the raw one's was
     k1, k2, p1, p2, k3 = (0.0,) * 5 if section.rectified else section.distortion
     camera = StereoCamera(
@@ -309,7 +309,7 @@ def _first_error(error: ValidationError, sections: dict[str, object]) -> str:
     first = error.errors()[0]
     names, part = [], sections
     for key in first["loc"]:
-        part = _child(part, key)
+        part = _child_at_key(part, key)
         label = part.get("name", part.get("id")) if isinstance(part, dict) else None
         names.append(f"{key} ({label})" if isinstance(key, int) and label is not None else str(key))
     field = names[-1] if names else "file"
@@ -321,7 +321,7 @@ def _first_error(error: ValidationError, sections: dict[str, object]) -> str:
     return f"{'.'.join(names)}{value}: {first['msg'].removeprefix('Value error, ')}{unit}{remedy}"
 
 
-def _child(part: object, key: int | str) -> object:
+def _child_at_key(part: object, key: int | str) -> object:
     if isinstance(part, dict):
         return part.get(key)
     return part[key] if isinstance(part, list) and isinstance(key, int) and key < len(part) else None
@@ -348,15 +348,15 @@ def parse_machine_toml(text: str) -> Machine:
     return Machine(
         name=sections.machine.name,
         serial=sections.machine.serial,
-        gravity_base_m_s2=_frozen(sections.machine.gravity_base_m_s2, (3,)),
+        gravity_base_m_s2=_read_only_array(sections.machine.gravity_base_m_s2, (3,)),
         tcp_speed_max_m_s=sections.machine.tcp_speed_max_m_s,
-        joints=tuple(_joint(section) for section in sections.joint),
-        T_flange_tcp=_pose(sections.tool.T_flange_tcp, "tool.T_flange_tcp"),
-        T_tcp_tool=_pose(sections.tool.T_tcp_tool, "tool.T_tcp_tool"),
-        camera=_camera(sections.camera),
-        T_tcp_cam_left=_pose(sections.camera.T_tcp_cam_left, "camera.T_tcp_cam_left"),
+        joints=tuple(_joint_from_section(section) for section in sections.joint),
+        T_flange_tcp=_checked_pose(sections.tool.T_flange_tcp, "tool.T_flange_tcp"),
+        T_tcp_tool=_checked_pose(sections.tool.T_tcp_tool, "tool.T_tcp_tool"),
+        camera=_camera_from_section(sections.camera),
+        T_tcp_cam_left=_checked_pose(sections.camera.T_tcp_cam_left, "camera.T_tcp_cam_left"),
         dictionary=sections.markers.dictionary,
-        markers=tuple(_marker(section) for section in sections.markers.marker) + grid_markers(boards),
+        markers=tuple(_marker_from_section(section) for section in sections.markers.marker) + grid_markers(boards),
         boards=boards,
         plc_cycle_s=sections.plc.cycle_s,
         plc_log_cycle_s=sections.plc.log_cycle_s,

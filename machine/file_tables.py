@@ -23,22 +23,22 @@ def without_lists(text: str, names: Sequence[str]) -> str:
 
     Raises: MachineFileError: it is not TOML, or cannot be split into tables.
     """
-    before = _parsed(text)
+    before = _parse_toml(text)
     lines = text.removeprefix("\ufeff").replace("\r\n", "\n").split("\n")
     kept: list[str] = []
     at_top, dropped, k = True, False, 0
     while k < len(lines):
         header = HEADER.match(lines[k])
         if header is not None:
-            at_top, dropped = False, _bare(header[1]) in names
+            at_top, dropped = False, _unquoted_key(header[1]) in names
         assigned = ASSIGNED.match(lines[k]) if at_top else None
-        if assigned is not None and _bare(assigned[1]) in names:
+        if assigned is not None and _unquoted_key(assigned[1]) in names:
             k += _lines_of_value(lines[k:])
             continue
         kept += [] if dropped else [lines[k]]
         k += 1
     out = "\n".join(kept)
-    _require_same(before, _parsed(out), names)
+    _require_same(before, _parse_toml(out), names)
     return out
 
 
@@ -47,9 +47,9 @@ def with_room_for_effects(text: str) -> str:
 
     Raises: MachineFileError: it is not TOML, or cannot be split into tables.
     """
-    before = _parsed(text)
+    before = _parse_toml(text)
     headers = [found[1] for line in text.splitlines() if (found := HEADER.match(line))]
-    if EFFECT not in before or EFFECT in map(_bare, headers):
+    if EFFECT not in before or EFFECT in map(_unquoted_key, headers):
         return text
     joints = before.get("joint")
     entries = parse_entries(before[EFFECT], len(joints) if isinstance(joints, list) else 0)
@@ -62,7 +62,7 @@ def with_tables(text: str, added: str) -> str:
     Raises: MachineFileError: the result is not TOML, or states something else than both.
     """
     out = text.rstrip() + "\n" + added
-    before, more, after = _parsed(text), _parsed(added), _parsed(out)
+    before, more, after = _parse_toml(text), _parse_toml(added), _parse_toml(out)
     for name, tables in more.items():
         if after[name] != [*before.get(name, []), *tables]:
             raise MachineFileError(f"the machine file's {name} cannot be added to; {REMEDY}")
@@ -70,7 +70,7 @@ def with_tables(text: str, added: str) -> str:
     return out
 
 
-def _parsed(text: str) -> dict[str, Any]:
+def _parse_toml(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text.removeprefix("\ufeff"))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
@@ -83,7 +83,7 @@ def _require_same(before: dict[str, Any], after: dict[str, Any], names: Sequence
             raise MachineFileError(f"the machine file's {key!r} would be changed; {REMEDY}")
 
 
-def _bare(key: str) -> str:
+def _unquoted_key(key: str) -> str:
     return key.strip("\"'")
 
 

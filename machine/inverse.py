@@ -194,7 +194,7 @@ def inverse_nearest(chain: Chain, T_base_tcp: Array, q_near: Array) -> InverseRe
         return InverseResult(InverseStatus.OUT_OF_REACH, _reach_reason(chain, T_base_tcp), None, 0.0)
     inside = [branch for branch in branches if branch.inside_limits]
     if not inside:
-        closest = min(branches, key=lambda branch: _excess(chain, branch.q).max())
+        closest = min(branches, key=lambda branch: _joint_limit_excess(chain, branch.q).max())
         return InverseResult(InverseStatus.JOINT_LIMIT, _limit_reason(chain, closest.q), None, 0.0)
     best = min(inside, key=lambda branch: float(np.abs(branch.q - q_near).max()))
     smallest = sigma_min(tcp_jacobian(chain, best.q))
@@ -232,12 +232,12 @@ def _checked_near(q_near: Array) -> Array:
     return q_near
 
 
-def _excess(chain: Chain, q: Array) -> Array:
+def _joint_limit_excess(chain: Chain, q: Array) -> Array:
     return np.maximum(np.maximum(chain.q_min - q, q - chain.q_max), 0.0)
 
 
 def _limit_reason(chain: Chain, q: Array) -> str:
-    j = int(np.argmax(_excess(chain, q)))
+    j = int(np.argmax(_joint_limit_excess(chain, q)))
     value, low, high = np.rad2deg([q[j], chain.q_min[j], chain.q_max[j]])
     return (
         f"{chain.label(j)} would have to be at {value:.1f} deg, limits {low:.1f} .. {high:.1f} deg; "

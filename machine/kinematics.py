@@ -13,7 +13,7 @@ from machine.rotations import Array
 
 
 @njit(cache=True)
-def _multiply(left: Array, right: Array, out: Array) -> None:
+def _multiply_poses(left: Array, right: Array, out: Array) -> None:
     """4x4 pose product, written out: the last row of a pose is (0, 0, 0, 1)."""
     for i in range(3):
         for j in range(4):
@@ -35,14 +35,14 @@ def _link_poses(a: Array, d: Array, alpha: Array, theta: Array) -> Array:
         T_i[0, 0], T_i[0, 1], T_i[0, 2], T_i[0, 3] = c, -s * ca, s * sa, a[i] * c  # eq. 24
         T_i[1, 0], T_i[1, 1], T_i[1, 2], T_i[1, 3] = s, c * ca, -c * sa, a[i] * s
         T_i[2, 1], T_i[2, 2], T_i[2, 3] = sa, ca, d[i]
-        _multiply(poses[i], T_i, poses[i + 1])  # eq. 23
+        _multiply_poses(poses[i], T_i, poses[i + 1])  # eq. 23
     return poses
 
 
 @njit(cache=True)
 def _tcp_pose(a: Array, d: Array, alpha: Array, theta: Array, T_flange_tcp: Array) -> Array:
     T_base_tcp = np.zeros((4, 4))
-    _multiply(_link_poses(a, d, alpha, theta)[-1], T_flange_tcp, T_base_tcp)  # eq. 23, i = 7
+    _multiply_poses(_link_poses(a, d, alpha, theta)[-1], T_flange_tcp, T_base_tcp)  # eq. 23, i = 7
     return T_base_tcp
 
 
@@ -50,7 +50,7 @@ def _tcp_pose(a: Array, d: Array, alpha: Array, theta: Array, T_flange_tcp: Arra
 def _tcp_poses(a: Array, d: Array, alpha: Array, thetas: Array, T_flange_tcp: Array) -> Array:
     Ts = np.zeros((thetas.shape[0], 4, 4))
     for k in range(thetas.shape[0]):
-        _multiply(_link_poses(a, d, alpha, thetas[k])[-1], T_flange_tcp, Ts[k])
+        _multiply_poses(_link_poses(a, d, alpha, thetas[k])[-1], T_flange_tcp, Ts[k])
     return Ts
 
 
@@ -59,7 +59,7 @@ def _tcp_jacobian(a: Array, d: Array, alpha: Array, theta: Array, T_flange_tcp: 
     n = a.shape[0]
     poses = _link_poses(a, d, alpha, theta)
     T_base_tcp = np.zeros((4, 4))
-    _multiply(poses[n], T_flange_tcp, T_base_tcp)
+    _multiply_poses(poses[n], T_flange_tcp, T_base_tcp)
     J = np.zeros((6, n))
     for i in range(n):
         zx, zy, zz = poses[i, 0, 2], poses[i, 1, 2], poses[i, 2, 2]
@@ -71,7 +71,7 @@ def _tcp_jacobian(a: Array, d: Array, alpha: Array, theta: Array, T_flange_tcp: 
     return J
 
 
-def _theta(chain: Chain, q: Array) -> Array:
+def _dh_angles(chain: Chain, q: Array) -> Array:
     """DH angles of joint angles (n,) [rad], shape checked."""
     q = np.asarray(q, dtype=float)
     if q.shape != (chain.n,):
@@ -79,7 +79,7 @@ def _theta(chain: Chain, q: Array) -> Array:
     return q + chain.theta_offset
 
 
-def _finite(result: Array, q: Array) -> Array:
+def _result_if_finite(result: Array, q: Array) -> Array:
     """The kernel's result, given back only when the joint angles were finite."""
     if not np.isfinite(q).all():
         raise MachineError(f"joint vector {np.asarray(q)} [rad] is not finite; check the encoder reading")
@@ -95,12 +95,12 @@ def link_poses(chain: Chain, q: Array) -> Array:
     Raises:  MachineError: wrong shape, or not finite.
     Source:  paper eq. 23-24.
     """
-    return _finite(_link_poses(chain.a, chain.d, chain.alpha, _theta(chain, q)), q)
+    return _result_if_finite(_link_poses(chain.a, chain.d, chain.alpha, _dh_angles(chain, q)), q)
 
 
 def tcp_pose(chain: Chain, q: Array) -> Array:
     """T_base_tcp (4, 4) at q (n,) [rad], position [m] (paper eq. 23, link 7 included)."""
-    return _finite(_tcp_pose(chain.a, chain.d, chain.alpha, _theta(chain, q), chain.T_flange_tcp), q)
+    return _result_if_finite(_tcp_pose(chain.a, chain.d, chain.alpha, _dh_angles(chain, q), chain.T_flange_tcp), q)
 
 
 def tcp_poses(chain: Chain, qs: Array) -> Array:
@@ -109,7 +109,7 @@ def tcp_poses(chain: Chain, qs: Array) -> Array:
     if qs.ndim != 2 or qs.shape[1] != chain.n:
         raise MachineError(f"joint vectors have shape {qs.shape}; the chain has {chain.n} joints: give (m, {chain.n})")
     thetas = np.ascontiguousarray(qs + chain.theta_offset)
-    return _finite(_tcp_poses(chain.a, chain.d, chain.alpha, thetas, chain.T_flange_tcp), qs)
+    return _result_if_finite(_tcp_poses(chain.a, chain.d, chain.alpha, thetas, chain.T_flange_tcp), qs)
 
 
 def tcp_jacobian(chain: Chain, q: Array) -> Array:
@@ -121,7 +121,7 @@ def tcp_jacobian(chain: Chain, q: Array) -> Array:
     Raises:  MachineError: wrong shape, or not finite.
     Source:  paper eq. 2.
     """
-    return _finite(_tcp_jacobian(chain.a, chain.d, chain.alpha, _theta(chain, q), chain.T_flange_tcp), q)
+    return _result_if_finite(_tcp_jacobian(chain.a, chain.d, chain.alpha, _dh_angles(chain, q), chain.T_flange_tcp), q)
 
 
 def sigma_min(J: Array) -> float:

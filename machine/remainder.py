@@ -75,14 +75,16 @@ def parse_remainders(tables: object) -> tuple[Remainder, ...]:
         return ()
     if not isinstance(tables, list):
         raise MachineFileError(f"remainder = {tables!r} is not a list; write each as its own [[remainder]] table")
-    return tuple(_one(_renamed(table), f"remainder {number}") for number, table in enumerate(tables, start=1))
+    return tuple(
+        _parse_remainder(_rename_old_keys(table), f"remainder {number}") for number, table in enumerate(tables, start=1)
+    )
 
 
-def _renamed(table: object) -> object:
+def _rename_old_keys(table: object) -> object:
     return {OLD_KEYS.get(key, key): value for key, value in table.items()} if isinstance(table, dict) else table
 
 
-def _one(table: object, where: str) -> Remainder:
+def _parse_remainder(table: object, where: str) -> Remainder:
     if not isinstance(table, dict):
         raise MachineFileError(f"{where} is not a table; write [[remainder]] with stage, joint, sigma and rms")
     unknown = sorted(set(table) - KEYS)
@@ -100,27 +102,27 @@ def _one(table: object, where: str) -> Remainder:
         stage,
         joint,
         str(on or ""),
-        _number(table, "sigma", 0.0, where),
-        _number(table, "rms", 0.0, where),
-        _numbers(ar, f"{where}: ar"),
-        _sizes(table.get("usual", {}), f"{where}: usual"),
-        _numbers(by_axis, f"{where}: by_axis"),
-        _number(table, "oscillation_rad", 0.0, where),
-        _form(table.get("form", {}), where),
-        _number(table, "form_most", 0.0, where),
-        _wander(table.get("wander", {}), f"{where}: wander"),
-        _number({"level": 1.0, **table}, "level", 1.0, where),
+        _number_at_least(table, "sigma", 0.0, where),
+        _number_at_least(table, "rms", 0.0, where),
+        _parse_numbers(ar, f"{where}: ar"),
+        _parse_named_sizes(table.get("usual", {}), f"{where}: usual"),
+        _parse_numbers(by_axis, f"{where}: by_axis"),
+        _number_at_least(table, "oscillation_rad", 0.0, where),
+        _parse_form(table.get("form", {}), where),
+        _number_at_least(table, "form_most", 0.0, where),
+        _parse_wander(table.get("wander", {}), f"{where}: wander"),
+        _number_at_least({"level": 1.0, **table}, "level", 1.0, where),
     )
 
 
-def _form(value: object, where: str) -> Form:
+def _parse_form(value: object, where: str) -> Form:
     if not isinstance(value, dict):
         raise MachineFileError(f"{where}: form = {value!r} is not a table of families and their numbers")
-    return tuple((str(name), _numbers(row, f"{where}: form.{name}")) for name, row in value.items())
+    return tuple((str(name), _parse_numbers(row, f"{where}: form.{name}")) for name, row in value.items())
 
 
-def _wander(value: object, subject: str) -> tuple[tuple[str, float], ...]:
-    sizes = _sizes(value, subject)
+def _parse_wander(value: object, subject: str) -> tuple[tuple[str, float], ...]:
+    sizes = _parse_named_sizes(value, subject)
     for name, _ in sizes:
         effect = effect_named(name)
         if effect is None or effect.scope != "joint":
@@ -128,28 +130,28 @@ def _wander(value: object, subject: str) -> tuple[tuple[str, float], ...]:
     return sizes
 
 
-def _sizes(value: object, subject: str) -> tuple[tuple[str, float], ...]:
+def _parse_named_sizes(value: object, subject: str) -> tuple[tuple[str, float], ...]:
     if not isinstance(value, dict):
         raise MachineFileError(f"{subject} = {value!r} is not a table of names and sizes")
-    return tuple((str(name), _finite(size, f"{subject}.{name}")) for name, size in value.items())
+    return tuple((str(name), _finite_number(size, f"{subject}.{name}")) for name, size in value.items())
 
 
-def _numbers(value: object, subject: str) -> tuple[float, ...]:
+def _parse_numbers(value: object, subject: str) -> tuple[float, ...]:
     if value is None:
         return ()
     if not isinstance(value, list):
         raise MachineFileError(f"{subject} = {value!r} is not a list of numbers")
-    return tuple(_finite(number, subject) for number in value)
+    return tuple(_finite_number(number, subject) for number in value)
 
 
-def _number(table: dict[str, object], key: str, least: float, where: str) -> float:
-    value = _finite(table.get(key, least), f"{where}: {key}")
+def _number_at_least(table: dict[str, object], key: str, least: float, where: str) -> float:
+    value = _finite_number(table.get(key, least), f"{where}: {key}")
     if value < least:
         raise MachineFileError(f"{where}: {key} = {value:g} is below {least:g}")
     return value
 
 
-def _finite(value: object, where: str) -> float:
+def _finite_number(value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
         raise MachineFileError(f"{where} = {repr(value)[:60]} is not a finite number up to {LARGEST:g}")
     return float(value)
@@ -157,13 +159,13 @@ def _finite(value: object, where: str) -> float:
 
 def remainders_to_toml(remainders: Iterable[Remainder]) -> str:
     """`[[remainder]]` tables that `parse_remainders` reads back to the same numbers."""
-    return "".join(_toml(remainder) for remainder in remainders)
+    return "".join(_remainder_to_toml(remainder) for remainder in remainders)
 
 
-def _toml(one: Remainder) -> str:
+def _remainder_to_toml(one: Remainder) -> str:
     joint = f"joint = {one.joint}\n" if one.joint is not None else ""
     on = f'on = "{one.on}"\n' if one.on else ""
-    more = _table("usual", one.usual)
+    more = _inline_toml_table("usual", one.usual)
     if one.by_axis:
         more += f"by_axis = [{', '.join(map(repr, one.by_axis))}]\n"
     if one.oscillation_rad:
@@ -171,12 +173,12 @@ def _toml(one: Remainder) -> str:
     if one.form:
         families = ", ".join(f"{json.dumps(name)} = [{', '.join(map(repr, row))}]" for name, row in one.form)
         more += f"form = {{ {families} }}\nform_most = {one.form_most!r}\n"
-    more += _table("wander", one.wander)
+    more += _inline_toml_table("wander", one.wander)
     more += f"level = {one.level!r}\n" if one.level != 1.0 else ""
     numbers = f"sigma = {one.sigma!r}\nrms = {one.rms!r}\n"
     return f'\n[[remainder]]\nstage = "{one.stage}"\n{joint}{on}{numbers}ar = [{", ".join(map(repr, one.ar))}]\n{more}'
 
 
-def _table(key: str, sizes: tuple[tuple[str, float], ...]) -> str:
+def _inline_toml_table(key: str, sizes: tuple[tuple[str, float], ...]) -> str:
     pairs = ", ".join(f"{json.dumps(name)} = {size!r}" for name, size in sizes)
     return f"{key} = {{ {pairs} }}\n" if pairs else ""

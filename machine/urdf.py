@@ -23,21 +23,23 @@ def urdf_text(machine: Machine, tilts: Array | None = None) -> str:
     Args:    tilts: what stands before each joint (n, 4, 4), as the axes of a real machine lie; none without it.
     Returns: links base, body_1..n, link_1..n, flange, tcp, tool, cam_left, cam_right.
     """
-    parts = [f"<robot name={quoteattr(machine.name)}>", f'<link name="base">{_pedestal()}</link>']
+    parts = [f"<robot name={quoteattr(machine.name)}>", f'<link name="base">{_pedestal_shape_xml()}</link>']
     parent = "base"
     for number, joint in enumerate(machine.joints, start=1):
         T_link_body = pose(rotation_about("z", joint.theta_offset_rad), np.zeros(3))
         T_link_body = T_link_body if tilts is None else tilts[number - 1] @ T_link_body
-        parts.append(_revolute(joint, number, parent, T_link_body))
+        parts.append(_revolute_joint_xml(joint, number, parent, T_link_body))
         parts.append(f'<link name="body_{number}"/>')
         parent = f"link_{number}"
-        parts.append(_frame(parent, f"body_{number}", dh_fixed_part(joint), _drawing(machine, number)))
+        parts.append(
+            _fixed_frame_xml(parent, f"body_{number}", dh_fixed_part(joint), _body_shapes_xml(machine, number))
+        )
     baseline = np.array([machine.camera.baseline_m, 0.0, 0.0])
-    parts.append(_frame("flange", parent, np.eye(4)))
-    parts.append(_frame("tcp", "flange", machine.T_flange_tcp, _camera_bracket(machine)))
-    parts.append(_frame("tool", "tcp", machine.T_tcp_tool, _marker_plates(machine)))
-    parts.append(_frame("cam_left", "tcp", machine.T_tcp_cam_left, _camera_box(machine.camera.baseline_m)))
-    parts.append(_frame("cam_right", "cam_left", pose(np.eye(3), baseline)))
+    parts.append(_fixed_frame_xml("flange", parent, np.eye(4)))
+    parts.append(_fixed_frame_xml("tcp", "flange", machine.T_flange_tcp, _camera_bracket(machine)))
+    parts.append(_fixed_frame_xml("tool", "tcp", machine.T_tcp_tool, _marker_plates(machine)))
+    parts.append(_fixed_frame_xml("cam_left", "tcp", machine.T_tcp_cam_left, _camera_box(machine.camera.baseline_m)))
+    parts.append(_fixed_frame_xml("cam_right", "cam_left", pose(np.eye(3), baseline)))
     parts.append("</robot>")
     return "\n".join(parts)
 
@@ -47,7 +49,7 @@ def dh_fixed_part(joint: Joint) -> Array:
     return pose(rotation_about("x", joint.alpha_rad), np.array([joint.a_m, 0.0, joint.d_m]))
 
 
-def _revolute(joint: Joint, number: int, parent: str, T_parent_body: Array) -> str:
+def _revolute_joint_xml(joint: Joint, number: int, parent: str, T_parent_body: Array) -> str:
     limit = (
         f'<limit lower="{joint.q_min_rad:.12g}" upper="{joint.q_max_rad:.12g}" effort="0" '
         f'velocity="{joint.qd_max_rad_s:.12g}"/>'
@@ -58,7 +60,7 @@ def _revolute(joint: Joint, number: int, parent: str, T_parent_body: Array) -> s
     )
 
 
-def _frame(name: str, parent: str, T_parent_frame: Array, visual: str = "") -> str:
+def _fixed_frame_xml(name: str, parent: str, T_parent_frame: Array, visual: str = "") -> str:
     """A fixed link."""
     return (
         f'<link name="{name}">{visual}</link><joint name="{name}_mount" type="fixed"><parent link="{parent}"/>'
@@ -66,7 +68,7 @@ def _frame(name: str, parent: str, T_parent_frame: Array, visual: str = "") -> s
     )
 
 
-def _drawing(machine: Machine, number: int) -> str:
+def _body_shapes_xml(machine: Machine, number: int) -> str:
     """Shapes of a moving body in its link's frame: a hub on its joint's axis and the DH segments that turn with it.
 
     a_i always belongs to body i. d_i lies on joint i's axis, so it may be drawn on either side of the joint: the next
@@ -92,7 +94,7 @@ def _drawing(machine: Machine, number: int) -> str:
     return "".join(shapes)
 
 
-def _pedestal() -> str:
+def _pedestal_shape_xml() -> str:
     return box(pose(np.eye(3), np.array([0.0, 0.0, -PEDESTAL_M[2] / 2.0])), PEDESTAL_M, GREY)
 
 

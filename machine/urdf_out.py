@@ -68,8 +68,8 @@ def machine_urdf(machine: Machine, entries: Sequence[EffectEntry]) -> str:
         for k, joint in enumerate(machine.joints)
     )
     corrected = replace(machine, joints=joints, T_tcp_cam_left=camera_mount(sets, machine.T_tcp_cam_left))
-    tilts = _tilts(sets)
-    tilts[0] = _base(sets) @ tilts[0]
+    tilts = _joint_tilt_poses(sets)
+    tilts[0] = _base_tilt_pose(sets) @ tilts[0]
     return urdf_text(corrected, tilts)
 
 
@@ -81,7 +81,7 @@ def arm_urdf(
     Args: mount: T_tcp_cam_left (4, 4).
     """
     sets = pack_effects(entries, arm.n)
-    P, tilts = sets.joint[0], _tilts(sets)
+    P, tilts = sets.joint[0], _joint_tilt_poses(sets)
     parts, parent = [f"<robot name={quoteattr(name or 'arm')}>", '<link name="base"/>'], "base"
     for k in range(arm.n):
         before, after = arm.before[k].copy(), arm.after[k].copy()
@@ -90,14 +90,21 @@ def arm_urdf(
             after[:3, 3] += P[k, column] * arm.length_after[k, row]
         body, link = f"body_{k + 1}", f"link_{k + 1}"
         shift = arm.moves[k] * (arm.zero[k] - P[k, BIAS])
-        T = (_base(sets) if k == 0 else np.eye(4)) @ before @ tilts[k] @ _motion(float(shift), bool(arm.prismatic[k]))
+        T = (
+            (_base_tilt_pose(sets) if k == 0 else np.eye(4))
+            @ before
+            @ tilts[k]
+            @ _joint_motion_pose(float(shift), bool(arm.prismatic[k]))
+        )
         parts.append(f'<link name="{body}"/>')
-        parts.append(_moving(names[k], k, parent, body, T, arm, limits))
-        parts.append(f'<link name="{link}"/>{_fixed(f"{link}_mount", body, link, after)}')
+        parts.append(_moving_joint_xml(names[k], k, parent, body, T, arm, limits))
+        parts.append(f'<link name="{link}"/>{_fixed_joint_xml(f"{link}_mount", body, link, after)}')
         parent = link
-    parts.append(f'<link name="tcp"/>{_fixed("tcp_mount", parent, "tcp", arm.T_flange_tcp)}')
+    parts.append(f'<link name="tcp"/>{_fixed_joint_xml("tcp_mount", parent, "tcp", arm.T_flange_tcp)}')
     if mount is not None:
-        parts.append(f'<link name="cam_left"/>{_fixed("cam_left_mount", "tcp", "cam_left", camera_mount(sets, mount))}')
+        parts.append(
+            f'<link name="cam_left"/>{_fixed_joint_xml("cam_left_mount", "tcp", "cam_left", camera_mount(sets, mount))}'
+        )
     return "\n".join([*parts, "</robot>"])
 
 
@@ -116,11 +123,11 @@ def edited_urdf(
         rising = ", ".join(joint.name for joint in chain if joint.rising)
         raise MachineError(f"urdf: the chain passes {rising} from child to parent; give a base_link above the arm")
     sets = pack_effects(entries, len(names))
-    P, tilts = sets.joint[0], _tilts(sets)
+    P, tilts = sets.joint[0], _joint_tilt_poses(sets)
     lengths = _length_directions(text, base_link, tip_link, names)
     root = ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"), ElementTree.XMLParser(target=_with_comments()))
     elements = {joint.get("name"): joint for joint in root.findall("joint")}
-    fixed, lean = np.eye(4), _base(sets)
+    fixed, lean = np.eye(4), _base_tilt_pose(sets)
     for joint in chain:
         if joint.kind == "fixed" or joint.name not in names:
             fixed = fixed @ joint.T_parent_joint
@@ -130,13 +137,22 @@ def edited_urdf(
         before = fixed @ joint.T_parent_joint @ turn
         before[:3, 3] += P[k, LENGTH_A] * lengths[k]
         along = pose(np.eye(3), np.array([0.0, 0.0, P[k, LENGTH_D]]))
-        moved = lean @ before @ tilts[k] @ along @ _motion(float(-P[k, BIAS]), joint.kind == "prismatic") @ turn.T
+        moved = (
+            lean
+            @ before
+            @ tilts[k]
+            @ along
+            @ _joint_motion_pose(float(-P[k, BIAS]), joint.kind == "prismatic")
+            @ turn.T
+        )
         if np.abs(moved - fixed @ joint.T_parent_joint).max() > 0.0:
             _set_origin(elements[joint.name], inverse_pose(fixed) @ moved)
         fixed, lean = np.eye(4), np.eye(4)
     if mount is not None:
         root.append(ElementTree.fromstring('<link name="cam_left"/>'))
-        root.append(ElementTree.fromstring(_fixed("cam_left_mount", tip_link, "cam_left", camera_mount(sets, mount))))
+        root.append(
+            ElementTree.fromstring(_fixed_joint_xml("cam_left_mount", tip_link, "cam_left", camera_mount(sets, mount)))
+        )
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -155,7 +171,7 @@ def _set_origin(joint: ElementTree.Element, T: Array) -> None:
     element.set("rpy", " ".join(f"{value:.17g}" for value in roll_pitch_yaw(T[:3, :3])))
 
 
-def _tilts(sets: ParameterSets) -> Array:
+def _joint_tilt_poses(sets: ParameterSets) -> Array:
     """How each joint's axis is tilted (n, 4, 4)."""
     P = sets.joint[0]
     out = np.tile(np.eye(4), (len(P), 1, 1))
@@ -164,23 +180,23 @@ def _tilts(sets: ParameterSets) -> Array:
     return out
 
 
-def _base(sets: ParameterSets) -> Array:
+def _base_tilt_pose(sets: ParameterSets) -> Array:
     """How the base is tilted (4, 4)."""
     return pose(rotation_from_rotvec(sets.machine[0, BASE_TILT].copy()), np.zeros(3))
 
 
-def _motion(way: float, slides: bool) -> Array:
+def _joint_motion_pose(way: float, slides: bool) -> Array:
     if slides:
         return pose(np.eye(3), np.array([0.0, 0.0, way]))
     return pose(rotation_about("z", way), np.zeros(3))
 
 
-def _fixed(name: str, parent: str, child: str, T: Array) -> str:
+def _fixed_joint_xml(name: str, parent: str, child: str, T: Array) -> str:
     ends = f'<parent link="{parent}"/><child link="{child}"/>'
     return f'<joint name="{name}" type="fixed">{ends}{origin(T)}</joint>'
 
 
-def _moving(name: str, k: int, parent: str, child: str, T: Array, arm: Arm, limits: JointLimits) -> str:
+def _moving_joint_xml(name: str, k: int, parent: str, child: str, T: Array, arm: Arm, limits: JointLimits) -> str:
     ends = f'<parent link="{parent}"/><child link="{child}"/>{origin(T)}'
     if arm.moves[k] == 0.0:
         return f'<joint name={quoteattr(name)} type="fixed">{ends}</joint>'

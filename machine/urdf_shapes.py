@@ -34,18 +34,18 @@ def box(T: Array, size_m: tuple[float, float, float], material: str) -> str:
 
 def bar(start: Array, end: Array, thickness_m: float, material: str) -> str:
     """A square bar from start to end (3,) [m]."""
-    length, T = _between(start, end)
+    length, T = _length_and_middle_pose(start, end)
     return box(T, (thickness_m, thickness_m, length), material)
 
 
 def tube(start: Array, end: Array, radius_m: float, material: str) -> str:
     """A cylinder from start to end (3,) [m]."""
-    length, T = _between(start, end)
+    length, T = _length_and_middle_pose(start, end)
     geometry = f'<geometry><cylinder radius="{radius_m:.4f}" length="{length:.4f}"/></geometry>'
     return f"<visual>{origin(T)}{geometry}{material}</visual>"
 
 
-def _between(start: Array, end: Array) -> tuple[float, Array]:
+def _length_and_middle_pose(start: Array, end: Array) -> tuple[float, Array]:
     """Length, and the pose of the middle with z along the way."""
     way = end - start
     length = max(float(np.linalg.norm(way)), 1e-3)

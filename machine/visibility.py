@@ -31,13 +31,13 @@ def in_eye(camera: StereoCamera, points_eye: Array, margin_px: float) -> bool:
     return bool(np.all((pixels >= margin_px) & (pixels <= limit)))
 
 
-def _eyes(camera: StereoCamera, points_cam_left: Array) -> tuple[Array, Array]:
+def _points_in_both_eyes(camera: StereoCamera, points_cam_left: Array) -> tuple[Array, Array]:
     return points_cam_left, points_cam_left - np.array([camera.baseline_m, 0.0, 0.0])
 
 
 def in_both_eyes(camera: StereoCamera, points_cam_left: Array, margin_px: float) -> bool:
     """Whether all points (n, 3) [m] of the left eye's frame lie inside both images by a margin."""
-    return all(in_eye(camera, points, margin_px) for points in _eyes(camera, points_cam_left))
+    return all(in_eye(camera, points, margin_px) for points in _points_in_both_eyes(camera, points_cam_left))
 
 
 def object_in_view(camera: StereoCamera, T_cam_object: Array, corners: Array, margin_px: float) -> tuple[bool, bool]:
@@ -48,7 +48,7 @@ def object_in_view(camera: StereoCamera, T_cam_object: Array, corners: Array, ma
     Returns: (left, right).
     """
     points = transform_points(T_cam_object, corners)
-    left, right = _eyes(camera, points)
+    left, right = _points_in_both_eyes(camera, points)
     normal = T_cam_object[:3, 2]
     return (
         faces_eye(normal, left.mean(axis=0)) and in_eye(camera, left, margin_px),

@@ -24,23 +24,28 @@ _ENUMS: tuple[type[Enum], ...] = (
 def c_header() -> str:
     """The text of hmlink.h; valid as C11 and as C++11."""
     knots = f"    hm_knot_t knots[{layout.KNOTS_PER_COMMAND}];"
-    command = [*_members(layout.HEADER), *_members(layout.COMMAND_BODY), knots, *_members(layout.COMMAND_TAIL)]
-    state = [*_members(layout.HEADER), *_members(layout.STATE_BODY)]
+    command = [
+        *_struct_members(layout.HEADER),
+        *_struct_members(layout.COMMAND_BODY),
+        knots,
+        *_struct_members(layout.COMMAND_TAIL),
+    ]
+    state = [*_struct_members(layout.HEADER), *_struct_members(layout.STATE_BODY)]
     asserts = [
-        *_asserts("hm_knot_t", layout.KNOT_SIZE, layout.KNOT),
-        *_asserts("hm_command_t", layout.COMMAND_SIZE, layout.HEADER, layout.COMMAND_BODY, layout.COMMAND_TAIL),
+        *_layout_asserts("hm_knot_t", layout.KNOT_SIZE, layout.KNOT),
+        *_layout_asserts("hm_command_t", layout.COMMAND_SIZE, layout.HEADER, layout.COMMAND_BODY, layout.COMMAND_TAIL),
         f'HM_ASSERT(offsetof(hm_command_t, knots) == {layout.KNOTS_OFFSET}, "knots");',
-        *_asserts("hm_state_t", layout.STATE_SIZE, layout.HEADER, layout.STATE_BODY),
-        *_asserts("hm_limits_t", layout.LIMITS.codec.size, layout.LIMITS),
+        *_layout_asserts("hm_state_t", layout.STATE_SIZE, layout.HEADER, layout.STATE_BODY),
+        *_layout_asserts("hm_limits_t", layout.LIMITS.codec.size, layout.LIMITS),
     ]
     parts = (
         _HEAD,
-        *(_enum(kind) for kind in _ENUMS),
-        _struct("hm_knot_t", _members(layout.KNOT)),
-        _struct("hm_command_t", command),
-        _struct("hm_state_t", state),
+        *(_enum_declaration(kind) for kind in _ENUMS),
+        _struct_typedef("hm_knot_t", _struct_members(layout.KNOT)),
+        _struct_typedef("hm_command_t", command),
+        _struct_typedef("hm_state_t", state),
         "/* Never sent: cfg_id is the CRC-32 of it, unused axes 0. */\n"
-        + _struct("hm_limits_t", _members(layout.LIMITS)),
+        + _struct_typedef("hm_limits_t", _struct_members(layout.LIMITS)),
         "\n".join(asserts),
         "#endif /* HMLINK_H */\n",
     )
@@ -74,19 +79,19 @@ _HEAD = f"""\
 #define HM_VERSION_MINOR {layout.VERSION_MINOR}"""
 
 
-def _members(block: Block) -> list[str]:
-    return [f"    {_C_TYPES[f.iec]} {f.name}{_count(f)}; /* {f.offset} */" for f in block.fields]
+def _struct_members(block: Block) -> list[str]:
+    return [f"    {_C_TYPES[f.iec]} {f.name}{_array_suffix(f)}; /* {f.offset} */" for f in block.fields]
 
 
-def _count(field: Field) -> str:
+def _array_suffix(field: Field) -> str:
     return f"[{field.count}]" if field.count > 1 else ""
 
 
-def _struct(name: str, members: list[str]) -> str:
+def _struct_typedef(name: str, members: list[str]) -> str:
     return "typedef struct {\n" + "\n".join(members) + f"\n}} {name};"
 
 
-def _asserts(name: str, size: int, *blocks: Block) -> list[str]:
+def _layout_asserts(name: str, size: int, *blocks: Block) -> list[str]:
     """Size of the struct, and place and size of every field: padding could hide a field that is too small."""
     rows = [f'HM_ASSERT(sizeof({name}) == {size}, "{name}");']
     for block in blocks:
@@ -96,7 +101,7 @@ def _asserts(name: str, size: int, *blocks: Block) -> list[str]:
     return rows
 
 
-def _enum(kind: type[Enum]) -> str:
+def _enum_declaration(kind: type[Enum]) -> str:
     prefix = "".join(f"_{c}" if c.isupper() else c.upper() for c in kind.__name__).lstrip("_")
     rows = [f"    HM_{prefix}_{member.name} = {int(member.value)}" for member in kind]
     return "enum {\n" + ",\n".join(rows) + "\n};"

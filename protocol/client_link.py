@@ -127,7 +127,7 @@ class ClientLink:
 
         Raises: LocalProtocolError: not holding, or another motion is under way.
         """
-        q_ref = self._idle(traj_id, t_mono_ns).q_ref
+        q_ref = self._require_armed_idle(traj_id, t_mono_ns).q_ref
         refusals = () if judged else check_trajectory(knots, q_ref, self.table)
         if not refusals:
             self._run = Run(Playback(traj_id, tuple(knots)), next_sequence(self._seq), t_mono_ns)
@@ -172,7 +172,7 @@ class ClientLink:
 
         Raises: LocalProtocolError: not holding, or another motion is under way.
         """
-        state = self._idle(traj_id, t_mono_ns)
+        state = self._require_armed_idle(traj_id, t_mono_ns)
         target = ServoTarget(traj_id, state.q_ref, t_set_ns=t_mono_ns)
         self._run = Run(target, next_sequence(self._seq), t_mono_ns)
 
@@ -192,7 +192,7 @@ class ClientLink:
         if self._stop is None or (quick and not self._stop.quick):
             self._stop = StopReference(reason, next_sequence(self._seq), quick)
 
-    def _idle(self, traj_id: int, t_mono_ns: int) -> State:
+    def _require_armed_idle(self, traj_id: int, t_mono_ns: int) -> State:
         phase = self.phase(t_mono_ns)
         if phase is not ClientPhase.ARMED or self.busy or self.state is None:
             raise LocalProtocolError(
@@ -244,8 +244,8 @@ class ClientLink:
         if self.closed:
             return None
         if not self.linked:
-            return self._hello(t_mono_ns)
-        return self._emit(self._gated(self._draft(t_mono_ns), t_mono_ns))
+            return self._hello_datagram_if_due(t_mono_ns)
+        return self._encode_next_datagram(self._apply_gate(self._select_next_command(t_mono_ns), t_mono_ns))
 
     # --- states -----------------------------------------------------------------------------------------------------
 
@@ -264,7 +264,7 @@ class ClientLink:
             t_plc_receive_ns = state.t_send_ns - state.rx_age_us * 1000
             self.clock.add(state.t_pc_echo_ns, t_plc_receive_ns, state.t_send_ns, t_mono_ns)
         events = [*self._take(state, t_mono_ns), *self._rejects(state)]
-        return events + self._progress(state)
+        return events + self._update_motion_progress(state)
 
     def _foreign_state(self, state: State, t_mono_ns: int) -> list[ClientEvent]:
         """Another session's state while ours was open: late from before it, or the PLC has ended ours."""
@@ -312,7 +312,7 @@ class ClientLink:
 
     # --- progress of what was requested -------------------------------------------------------------------------------
 
-    def _progress(self, state: State) -> list[ClientEvent]:
+    def _update_motion_progress(self, state: State) -> list[ClientEvent]:
         self._request.look(state)
         events: list[ClientEvent] = []
         run, stop = self._run, self._stop
@@ -320,53 +320,53 @@ class ClientLink:
             if run.look(state):
                 events.append(TailAnswered(run.traj_id, True, "taken"))
             over = run.end(state, stop)
-            events += self._ended(*over, state) if over else []
+            events += self._end_run(*over, state) if over else []
         elif state.plc_state is PlcState.RUN:  # its run was given up here, or the PLC makes a mistake
             self.request_stop("the PLC plays a motion that is not under way here")
         if stop and not self._run and state.plc_state not in MOVING and is_at_or_after(state.ack_seq, stop.first_seq):
             self._stop = None
         return events
 
-    def _ended(self, reached: bool, reason: str, state: State) -> list[ClientEvent]:
+    def _end_run(self, reached: bool, reason: str, state: State) -> list[ClientEvent]:
         run, self._run = self._run, None
         return [TrajectoryEnded(run.traj_id, reached, reason, state.t_send_ns)] if run else []
 
     def _close(self, reason: str) -> list[ClientEvent]:
-        events = self._ended(False, reason, self.state) if self.state else []
+        events = self._end_run(False, reason, self.state) if self.state else []
         self.closed, self._stop, self._request = True, None, PendingRequest()
         return [*events, LinkClosed(reason)]
 
     # --- output -------------------------------------------------------------------------------------------------------
 
-    def _hello(self, t_mono_ns: int) -> bytes | None:
+    def _hello_datagram_if_due(self, t_mono_ns: int) -> bytes | None:
         if self._t_hello_ns is not None and t_mono_ns - self._t_hello_ns < HELLO_PERIOD.ns:
             return None
         self._t_hello_ns = t_mono_ns
-        return self._emit(self._command(t_mono_ns, Mode.HEARTBEAT, hello=True))
+        return self._encode_next_datagram(self._build_command(t_mono_ns, Mode.HEARTBEAT, hello=True))
 
-    def _draft(self, t_mono_ns: int) -> Command:
+    def _select_next_command(self, t_mono_ns: int) -> Command:
         """The command to send if the gate passes it; the most cautious case is decided first."""
         state, age_ns = self.state, self.age_ns(t_mono_ns)
         if state is None or self._stop or age_ns > STATE_LOST.ns:
-            return self._command(t_mono_ns, Mode.QUICK_STOP if self._stop and self._stop.quick else Mode.STOP)
+            return self._build_command(t_mono_ns, Mode.QUICK_STOP if self._stop and self._stop.quick else Mode.STOP)
         if self._request.is_disarm:
-            return self._command(t_mono_ns, Mode.DISARM)
+            return self._build_command(t_mono_ns, Mode.DISARM)
         if age_ns > STATE_LATE.ns:
-            return self._command(t_mono_ns, Mode.HEARTBEAT)
+            return self._build_command(t_mono_ns, Mode.HEARTBEAT)
         if self._run and state.plc_state in (PlcState.HOLD, PlcState.RUN):
             return self._motion(self._run, state, t_mono_ns)
-        return self._command(t_mono_ns, self._request.mode(state, t_mono_ns))
+        return self._build_command(t_mono_ns, self._request.mode(state, t_mono_ns))
 
     def _motion(self, run: Run, state: State, t_mono_ns: int) -> Command:
         if isinstance(run.motion, Playback):
             window = run.motion.window(state)
             run.note_sent(next_sequence(self._seq), window)
-            return self._command(t_mono_ns, Mode.TRAJECTORY, window)
+            return self._build_command(t_mono_ns, Mode.TRAJECTORY, window)
         flags = CommandFlag.START | (CommandFlag.LAST_IS_END if run.motion.ending else _NO_FLAGS)
         window = Window(0, (run.motion.knot(t_mono_ns, self.table),), None, flags)
-        return self._command(t_mono_ns, Mode.SERVO, window)
+        return self._build_command(t_mono_ns, Mode.SERVO, window)
 
-    def _command(self, t_mono_ns: int, mode: Mode, window: Window | None = None, hello: bool = False) -> Command:
+    def _build_command(self, t_mono_ns: int, mode: Mode, window: Window | None = None, hello: bool = False) -> Command:
         own = self.state if self.linked else None
         return Command(
             session=self.session,
@@ -388,7 +388,7 @@ class ClientLink:
             knots=window.knots if window else (),
         )
 
-    def _gated(self, command: Command, t_mono_ns: int) -> Command:
+    def _apply_gate(self, command: Command, t_mono_ns: int) -> Command:
         state = self.state
         view = GateView(
             plc_state=state.plc_state if state else PlcState.BOOT,
@@ -410,7 +410,7 @@ class ClientLink:
             return None
         return self._run.motion.knots[command.knot_first - 1]
 
-    def _emit(self, command: Command) -> bytes:
+    def _encode_next_datagram(self, command: Command) -> bytes:
         payload = encode_command(command, self.key)
         self._sent.note(command.seq, payload)
         datagram = self.framing.wrap(payload, command.seq)

@@ -58,7 +58,7 @@ def _unpack(block: Block, payload: bytes, offset: int) -> dict[str, Any]:
     return values
 
 
-def _header(message: Command | State, magic: int, msg_type: MessageType, size: int) -> bytes:
+def _pack_message_header(message: Command | State, magic: int, msg_type: MessageType, size: int) -> bytes:
     values = {
         "magic": magic,
         "ver_major": layout.VERSION_MAJOR,
@@ -75,7 +75,7 @@ def _header(message: Command | State, magic: int, msg_type: MessageType, size: i
     return _pack(layout.HEADER, values)
 
 
-def _sealed(payload: bytes, key: bytes) -> bytes:
+def _add_tag_and_crc(payload: bytes, key: bytes) -> bytes:
     """The payload with its tag, if there is a key, and the CRC-32 of everything before it in its last 4 bytes."""
     if key:
         flags = _FLAGS_AT.unpack_from(payload, _HEADER_AT["flags"])[0] | HeaderFlag.AUTH
@@ -106,9 +106,9 @@ def encode_command(command: Command, key: bytes = b"") -> bytes:
     knots = [_pack(layout.KNOT, {"t_ns": k.t_ns, "q": k.q, "qd": k.qd, "qdd": k.qdd}) for k in command.knots]
     knots += [_EMPTY_KNOT] * (layout.KNOTS_PER_COMMAND - len(knots))
     msg_type = MessageType.HELLO if command.hello else MessageType.COMMAND
-    header = _header(command, layout.COMMAND_MAGIC, msg_type, layout.COMMAND_SIZE)
+    header = _pack_message_header(command, layout.COMMAND_MAGIC, msg_type, layout.COMMAND_SIZE)
     tail = _pack(layout.COMMAND_TAIL, {"auth_tag": command.auth_tag, "reserved": 0, "crc": 0})
-    return _sealed(b"".join((header, _pack(layout.COMMAND_BODY, body), *knots, tail)), key)
+    return _add_tag_and_crc(b"".join((header, _pack(layout.COMMAND_BODY, body), *knots, tail)), key)
 
 
 def encode_state(state: State, key: bytes = b"") -> bytes:
@@ -120,8 +120,8 @@ def encode_state(state: State, key: bytes = b"") -> bytes:
     scalars = (state.p_supply, state.p_tank, state.t_oil, state.speed_scale)
     _require_finite(chain(scalars, *arrays), f"state {state.seq}")
     body = {name: getattr(state, name) for name in _STATE_FIELDS} | {"reserved": 0, "crc": 0}
-    header = _header(state, layout.STATE_MAGIC, MessageType.STATE, layout.STATE_SIZE)
-    return _sealed(header + _pack(layout.STATE_BODY, body), key)
+    header = _pack_message_header(state, layout.STATE_MAGIC, MessageType.STATE, layout.STATE_SIZE)
+    return _add_tag_and_crc(header + _pack(layout.STATE_BODY, body), key)
 
 
 def _checked_header(
@@ -171,7 +171,7 @@ def _refuse_not_finite(payload: bytes, block: Block, offset: int) -> None:
                 raise MalformedError(RejectCode.NOT_FINITE, f"{block.name} {field.name}[{i}] is NaN or infinite", where)
 
 
-def _number(kind: type[Any], value: int, name: str, at: dict[str, int]) -> Any:
+def _decode_enum_value(kind: type[Any], value: int, name: str, at: dict[str, int]) -> Any:
     try:
         return kind(value)
     except ValueError:
@@ -197,8 +197,8 @@ def decode_command(payload: bytes, key: bytes = b"") -> Command:
     if count > layout.KNOTS_PER_COMMAND:
         text = f"knot_count = {count}, at most {layout.KNOTS_PER_COMMAND}"
         raise MalformedError(RejectCode.VALUE, text, _BODY_AT["knot_count"])
-    body["mode"] = _number(Mode, body["mode"], "mode", _BODY_AT)
-    body["interp"] = _number(Interp, body["interp"], "interp", _BODY_AT)
+    body["mode"] = _decode_enum_value(Mode, body["mode"], "mode", _BODY_AT)
+    body["interp"] = _decode_enum_value(Interp, body["interp"], "interp", _BODY_AT)
     body["cmd_flags"] = CommandFlag(body["cmd_flags"])
     return Command(
         session=header["session"],
@@ -234,9 +234,9 @@ def decode_state(payload: bytes, key: bytes = b"") -> State:
         map(math.isfinite, chain((body["p_supply"], body["p_tank"], body["t_oil"], body["speed_scale"]), *arrays))
     ):
         _refuse_not_finite(payload, layout.STATE_BODY, layout.STATE_BODY.offset)
-    values["plc_state"] = _number(PlcState, body["plc_state"], "plc_state", _STATE_AT)
-    values["link_state"] = _number(LinkState, body["link_state"], "link_state", _STATE_AT)
-    values["mode_active"] = _number(Mode, body["mode_active"], "mode_active", _STATE_AT)
+    values["plc_state"] = _decode_enum_value(PlcState, body["plc_state"], "plc_state", _STATE_AT)
+    values["link_state"] = _decode_enum_value(LinkState, body["link_state"], "link_state", _STATE_AT)
+    values["mode_active"] = _decode_enum_value(Mode, body["mode_active"], "mode_active", _STATE_AT)
     return State(
         session=header["session"],
         seq=header["seq"],

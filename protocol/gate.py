@@ -60,7 +60,7 @@ class GateVerdict:
 
 def gate(command: Command, view: GateView, table: LimitTable) -> GateVerdict:
     """Pass the command unchanged, or replace it by a STOP without knots."""
-    refusals = tuple(_refusals(command, view, table))
+    refusals = tuple(_command_refusals(command, view, table))
     if not refusals:
         return GateVerdict(command)
     return GateVerdict(
@@ -76,7 +76,7 @@ def check_trajectory(knots: Sequence[Knot], q_ref: Axes, table: LimitTable) -> t
         )
     return (
         *_start(knots[0], q_ref, table),
-        *_knots(knots, None, table),
+        *_knot_sequence_refusals(knots, None, table),
         *_at_rest(knots[-1], RejectCode.END_NOT_AT_REST, "last"),
     )
 
@@ -85,23 +85,23 @@ def check_tail(knots: Sequence[Knot], before: Knot, table: LimitTable) -> tuple[
     """Every reason why `knots` may not follow `before` as the new tail of a trajectory; empty if they may."""
     if not knots:
         return (Refusal(RejectCode.VALUE, "number of knots", 0, 1, "", "a tail needs an end"),)
-    return (*_knots(knots, before, table), *_at_rest(knots[-1], RejectCode.END_NOT_AT_REST, "last"))
+    return (*_knot_sequence_refusals(knots, before, table), *_at_rest(knots[-1], RejectCode.END_NOT_AT_REST, "last"))
 
 
-def _refusals(command: Command, view: GateView, table: LimitTable) -> Iterator[Refusal]:
+def _command_refusals(command: Command, view: GateView, table: LimitTable) -> Iterator[Refusal]:
     mode = command.mode
     if mode not in (Mode.TRAJECTORY, Mode.SERVO) and command.knots:
         yield Refusal(
             RejectCode.VALUE, f"knots in mode {mode.name}", len(command.knots), 0, "", "only motions carry knots"
         )
     if mode is Mode.ARM:
-        yield from _arm(command, view)
+        yield from _arm_refusals(command, view)
     elif mode is Mode.RESET:
         yield from _in_state(view, (PlcState.FAULT,), "RESET")
     elif mode is Mode.TRAJECTORY:
-        yield from _trajectory(command, view, table)
+        yield from _trajectory_refusals(command, view, table)
     elif mode is Mode.SERVO:
-        yield from _servo(command, view, table)
+        yield from _servo_refusals(command, view, table)
 
 
 def _in_state(view: GateView, states: tuple[PlcState, ...], subject: str) -> Iterator[Refusal]:
@@ -111,7 +111,7 @@ def _in_state(view: GateView, states: tuple[PlcState, ...], subject: str) -> Ite
         yield Refusal(RejectCode.MODE_ILLEGAL, "plc_state", view.plc_state, states[0], "", remedy)
 
 
-def _fresh(view: GateView) -> Iterator[Refusal]:
+def _stale_state_refusals(view: GateView) -> Iterator[Refusal]:
     if not 0 <= view.state_age_ns <= STATE_LATE.ns:
         remedy = "the PLC is not seen; check network and PLC"
         yield Refusal(
@@ -124,9 +124,9 @@ def _same_session(command: Command, view: GateView) -> Iterator[Refusal]:
         yield Refusal(RejectCode.SESSION, "session", command.session, view.session, "", "connect again")
 
 
-def _arm(command: Command, view: GateView) -> Iterator[Refusal]:
+def _arm_refusals(command: Command, view: GateView) -> Iterator[Refusal]:
     yield from _in_state(view, (PlcState.LINKED, PlcState.HOLD), "ARM")
-    yield from _fresh(view)
+    yield from _stale_state_refusals(view)
     yield from _same_session(command, view)
     if not view.nonce or command.arm_nonce != view.nonce:
         yield Refusal(
@@ -134,11 +134,11 @@ def _arm(command: Command, view: GateView) -> Iterator[Refusal]:
         )
 
 
-def _trajectory(command: Command, view: GateView, table: LimitTable) -> Iterator[Refusal]:
+def _trajectory_refusals(command: Command, view: GateView, table: LimitTable) -> Iterator[Refusal]:
     yield from _in_state(view, (PlcState.HOLD, PlcState.RUN), "TRAJECTORY")
-    yield from _fresh(view)
+    yield from _stale_state_refusals(view)
     yield from _same_session(command, view)
-    yield from _envelope(command, table)
+    yield from _trajectory_field_refusals(command, table)
     knots = command.knots
     if not knots:
         return
@@ -147,22 +147,22 @@ def _trajectory(command: Command, view: GateView, table: LimitTable) -> Iterator
             yield from _start(knots[0], view.q_ref, table)
     elif view.knot_before is None:
         yield Refusal(RejectCode.KNOT_GAP, "first knot", command.knot_first, 0, "", "the knot before it is not known")
-    yield from _knots(knots, view.knot_before if command.knot_first else None, table)
+    yield from _knot_sequence_refusals(knots, view.knot_before if command.knot_first else None, table)
     if CommandFlag.LAST_IS_END in command.cmd_flags:
         yield from _at_rest(knots[-1], RejectCode.END_NOT_AT_REST, "last")
 
 
-def _envelope(command: Command, table: LimitTable) -> Iterator[Refusal]:
+def _trajectory_field_refusals(command: Command, table: LimitTable) -> Iterator[Refusal]:
     count = len(command.knots)
     if not 1 <= count <= KNOTS_PER_COMMAND:
         yield Refusal(RejectCode.VALUE, "number of knots", count, KNOTS_PER_COMMAND, "", "send 1 to 6 knots")
     if command.interp is not Interp.QUINTIC:
         remedy = "trajectories are quintic"
         yield Refusal(RejectCode.INTERP, "interp", command.interp, Interp.QUINTIC, "", remedy)
-    yield from _numbers(command, table)
+    yield from _motion_field_refusals(command, table)
 
 
-def _numbers(command: Command, table: LimitTable) -> Iterator[Refusal]:
+def _motion_field_refusals(command: Command, table: LimitTable) -> Iterator[Refusal]:
     """What every motion carries."""
     if command.axis_mask != axis_mask(table):
         yield Refusal(
@@ -174,12 +174,12 @@ def _numbers(command: Command, table: LimitTable) -> Iterator[Refusal]:
         yield Refusal(RejectCode.TRAJ_ID, "traj_id", command.traj_id, 1, "", "number trajectories from 1")
 
 
-def _servo(command: Command, view: GateView, table: LimitTable) -> Iterator[Refusal]:
+def _servo_refusals(command: Command, view: GateView, table: LimitTable) -> Iterator[Refusal]:
     """One target, in range, not faster than the joints and not far from the reference."""
     yield from _in_state(view, (PlcState.HOLD, PlcState.RUN), "SERVO")
-    yield from _fresh(view)
+    yield from _stale_state_refusals(view)
     yield from _same_session(command, view)
-    yield from _numbers(command, table)
+    yield from _motion_field_refusals(command, table)
     if command.interp is not Interp.LINEAR:
         yield Refusal(RejectCode.INTERP, "interp", command.interp, Interp.LINEAR, "", "servo targets are linear")
     if len(command.knots) != 1:
@@ -219,17 +219,17 @@ def _at_rest(knot: Knot, code: RejectCode, which: str) -> Iterator[Refusal]:
             yield Refusal(code, f"{name} of the {which} knot", worst, _REST, unit, "begin and end at rest")
 
 
-def _knots(knots: Sequence[Knot], before: Knot | None, table: LimitTable) -> Iterator[Refusal]:
+def _knot_sequence_refusals(knots: Sequence[Knot], before: Knot | None, table: LimitTable) -> Iterator[Refusal]:
     """Each knot inside the limits, and each step between neighbours too."""
     previous = before
     for knot in knots:
         yield from _one_knot(knot, table)
         if previous is not None:
-            yield from _step(previous, knot, table)
+            yield from _knot_step_refusals(previous, knot, table)
         previous = knot
 
 
-def _over(value: float, limit: float) -> bool:
+def _is_over_limit(value: float, limit: float) -> bool:
     return not abs(value) <= limit * (1.0 + _ROUNDING)
 
 
@@ -240,9 +240,9 @@ def _one_knot(knot: Knot, table: LimitTable) -> Iterator[Refusal]:
         if not axis.q_min - _ROUNDING <= q <= axis.q_max + _ROUNDING:
             limit = axis.q_min if q < axis.q_min else axis.q_max
             yield Refusal(RejectCode.LIMIT_Q, f"{at}: position", q, limit, "rad", "plan inside the joint range")
-        if _over(qd, axis.qd_max):
+        if _is_over_limit(qd, axis.qd_max):
             yield Refusal(RejectCode.LIMIT_QD, f"{at}: speed", qd, axis.qd_max, "rad/s", "plan slower")
-        if _over(qdd, axis.qdd_max):
+        if _is_over_limit(qdd, axis.qdd_max):
             yield Refusal(RejectCode.LIMIT_QDD, f"{at}: acceleration", qdd, axis.qdd_max, "rad/s^2", "plan smoother")
     for i in range(len(table.axes), len(knot.q)):
         if knot.q[i] or knot.qd[i] or knot.qdd[i]:
@@ -251,7 +251,7 @@ def _one_knot(knot: Knot, table: LimitTable) -> Iterator[Refusal]:
             )
 
 
-def _step(a: Knot, b: Knot, table: LimitTable) -> Iterator[Refusal]:
+def _knot_step_refusals(a: Knot, b: Knot, table: LimitTable) -> Iterator[Refusal]:
     dt_ns = b.t_ns - a.t_ns
     if not table.spacing_min_ns <= dt_ns <= table.spacing_max_ns:
         limit = table.spacing_min_ns if dt_ns < table.spacing_min_ns else table.spacing_max_ns
@@ -264,12 +264,12 @@ def _step(a: Knot, b: Knot, table: LimitTable) -> Iterator[Refusal]:
     for i, axis in enumerate(table.axes):
         at = f"{axis.name} between {a.t_ns / MS:.0f} and {b.t_ns / MS:.0f} ms"
         mean = (b.q[i] - a.q[i]) / dt_s
-        if _over(mean, axis.qd_max):
+        if _is_over_limit(mean, axis.qd_max):
             yield Refusal(RejectCode.IMPLIED_SPEED, f"{at}: implied speed", mean, axis.qd_max, "rad/s", "plan slower")
         qd, qdd = _quintic_peak(a, b, i, dt_s)
         qd_most, qdd_most = axis.qd_max * _BETWEEN, axis.qdd_max * _BETWEEN
-        if _over(qd, qd_most) or _over(qdd, qdd_most):
-            value, limit, unit = (qd, qd_most, "rad/s") if _over(qd, qd_most) else (qdd, qdd_most, "rad/s^2")
+        if _is_over_limit(qd, qd_most) or _is_over_limit(qdd, qdd_most):
+            value, limit, unit = (qd, qd_most, "rad/s") if _is_over_limit(qd, qd_most) else (qdd, qdd_most, "rad/s^2")
             remedy = "the knots' q, qd and qdd do not belong to one smooth motion"
             yield Refusal(RejectCode.CONTINUITY, f"{at}: peak of the quintic", value, limit, unit, remedy)
 

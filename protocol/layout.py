@@ -74,7 +74,7 @@ class Block:
         raise KeyError(f"{self.name} has no field {name}")
 
 
-def _block(name: str, end: int, *fields: Field) -> Block:
+def _contiguous_block(name: str, end: int, *fields: Field) -> Block:
     """A block whose fields follow each other without a gap up to `end`; anything else is a mistake in the table."""
     expected = fields[0].offset
     for field in fields:
@@ -89,24 +89,24 @@ def _block(name: str, end: int, *fields: Field) -> Block:
 
 
 # fmt: off
-HEADER = _block("header", 32, Field(0, "UDINT", "magic"), Field(4, "USINT", "ver_major"),
+HEADER = _contiguous_block("header", 32, Field(0, "UDINT", "magic"), Field(4, "USINT", "ver_major"),
     Field(5, "USINT", "ver_minor"), Field(6, "USINT", "msg_type"), Field(7, "USINT", "hdr_len"),
     Field(8, "UINT", "payload_len"), Field(10, "UINT", "flags"), Field(12, "UDINT", "layout_id"),
     Field(16, "UDINT", "session"), Field(20, "UDINT", "seq"), Field(24, "ULINT", "t_send_ns"))
 
-COMMAND_BODY = _block("command", 80, Field(32, "UDINT", "arm_nonce"), Field(36, "UDINT", "ack_plc_seq"),
+COMMAND_BODY = _contiguous_block("command", 80, Field(32, "UDINT", "arm_nonce"), Field(36, "UDINT", "ack_plc_seq"),
     Field(40, "ULINT", "t_plc_echo_ns"), Field(48, "UINT", "mode"), Field(50, "UINT", "axis_mask"),
     Field(52, "UDINT", "cfg_id"), Field(56, "UDINT", "traj_id"), Field(60, "UDINT", "knot_first"),
     Field(64, "USINT", "knot_count"), Field(65, "USINT", "interp"), Field(66, "UINT", "cmd_flags"),
     Field(68, "UDINT", "timeout_us"), Field(72, "LREAL", "speed_override"))
 
-KNOT = _block("knot", KNOT_SIZE, Field(0, "ULINT", "t_ns"), Field(8, "LREAL", "q", AXES),
+KNOT = _contiguous_block("knot", KNOT_SIZE, Field(0, "ULINT", "t_ns"), Field(8, "LREAL", "q", AXES),
     Field(72, "LREAL", "qd", AXES), Field(136, "LREAL", "qdd", AXES))
 
-COMMAND_TAIL = _block("command tail", COMMAND_SIZE, Field(1280, "USINT", "auth_tag", 16),
+COMMAND_TAIL = _contiguous_block("command tail", COMMAND_SIZE, Field(1280, "USINT", "auth_tag", 16),
     Field(1296, "UDINT", "reserved"), Field(1300, "UDINT", "crc"))
 
-STATE_BODY = _block("state", STATE_SIZE, Field(32, "UDINT", "nonce"), Field(36, "UDINT", "ack_seq"),
+STATE_BODY = _contiguous_block("state", STATE_SIZE, Field(32, "UDINT", "nonce"), Field(36, "UDINT", "ack_seq"),
     Field(40, "ULINT", "t_pc_echo_ns"), Field(48, "UDINT", "rx_age_us"), Field(52, "UDINT", "plc_cycle"),
     Field(56, "UINT", "plc_cycle_us"), Field(58, "USINT", "plc_state"), Field(59, "USINT", "link_state"),
     Field(60, "UINT", "mode_active"), Field(62, "UINT", "axis_mask"), Field(64, "ULINT", "fault_bits"),
@@ -122,7 +122,7 @@ STATE_BODY = _block("state", STATE_SIZE, Field(32, "UDINT", "nonce"), Field(36, 
     Field(536, "REAL", "t_oil"), Field(540, "REAL", "speed_scale"), Field(544, "USINT", "auth_tag", 16),
     Field(560, "UDINT", "reject_offset", first_name="reserved"), Field(564, "UDINT", "crc"))
 
-LIMITS = _block("limits", 288, Field(0, "UDINT", "n_axes"), Field(4, "UDINT", "reserved"),
+LIMITS = _contiguous_block("limits", 288, Field(0, "UDINT", "n_axes"), Field(4, "UDINT", "reserved"),
     Field(8, "ULINT", "spacing_min_ns"), Field(16, "ULINT", "spacing_max_ns"), Field(24, "LREAL", "start_tolerance"),
     Field(32, "LREAL", "q_min", AXES), Field(96, "LREAL", "q_max", AXES), Field(160, "LREAL", "qd_max", AXES),
     Field(224, "LREAL", "qdd_max", AXES))  # never sent: what cfg_id is the CRC-32 of
@@ -156,7 +156,7 @@ _COMMAND_FIELDS = (*HEADER.fields, *COMMAND_BODY.fields, *COMMAND_TAIL.fields)
 KNOTS_OFFSET = 80
 
 
-def _element(fields: tuple[Field, ...], offset: int) -> tuple[str, str, int] | None:
+def _element_at_offset(fields: tuple[Field, ...], offset: int) -> tuple[str, str, int] | None:
     """Name with index, IEC type and start of the element that covers a byte."""
     for field in fields:
         if field.offset <= offset < field.offset + field.size:
@@ -170,9 +170,9 @@ def command_field_at(offset: int) -> tuple[str, str, int] | None:
     """Name, IEC type and start of the command's field that covers a byte; None where there is none."""
     if KNOTS_OFFSET <= offset < COMMAND_TAIL.offset:
         k, within = divmod(offset - KNOTS_OFFSET, KNOT_SIZE)
-        found = _element(KNOT.fields, within)
+        found = _element_at_offset(KNOT.fields, within)
         return (f"knot[{k}].{found[0]}", found[1], KNOTS_OFFSET + k * KNOT_SIZE + found[2]) if found else None
-    return _element(_COMMAND_FIELDS, offset)
+    return _element_at_offset(_COMMAND_FIELDS, offset)
 
 
 def command_field_text(payload: bytes, offset: int) -> str:

@@ -148,7 +148,7 @@ class PlcLink:
             seq = command.seq
             if command.hello and (not self.session or command.session != self.session):
                 return self._open_session(command, t_plc_ns, source)
-            return self._command(command, t_plc_ns, source)
+            return self._process_command(command, t_plc_ns, source)
         except RemoteProtocolError as error:
             if source != self.peer and may_be_answered(payload):
                 self.refused = source
@@ -167,7 +167,7 @@ class PlcLink:
             if self.state is PlcState.RUN:
                 events += self.apply(PlcEvent.SOFT_STOP, t_plc_ns)
         if age_ns > SESSION_VOID.ns:
-            events += self._void(t_plc_ns)
+            events += self._end_silent_session(t_plc_ns)
         return events
 
     def apply(self, event: PlcEvent, t_plc_ns: int) -> list[PlcLinkEvent]:
@@ -191,7 +191,7 @@ class PlcLink:
     def send(self, status: PlcStatus, t_plc_ns: int) -> bytes:
         """The next state datagram; send it to `receivers`."""
         self.state_seq = next_sequence(self.state_seq)
-        state = self._state(status, t_plc_ns)
+        state = self._build_state_message(status, t_plc_ns)
         return self.framing.wrap(encode_state(state, self.settings.key), state.seq)
 
     def receivers(self) -> list[Hashable]:
@@ -199,9 +199,9 @@ class PlcLink:
         found, self.refused = [self.peer, self.refused], None
         return [source for source in found if source is not None]
 
-    def _state(self, status: PlcStatus, t_plc_ns: int) -> State:
+    def _build_state_message(self, status: PlcStatus, t_plc_ns: int) -> State:
         values = {name: getattr(status, name) for name in _STATUS_FIELDS}
-        values["warn_bits"] |= self._warnings(t_plc_ns)
+        values["warn_bits"] |= self._link_warning_bits(t_plc_ns)
         flags = HeaderFlag.SIMULATION if status.simulation or self.settings.simulation else HeaderFlag(0)
         if status.dry_run:
             flags |= HeaderFlag.DRY_RUN
@@ -239,7 +239,7 @@ class PlcLink:
             return LinkState.LOST
         return LinkState.LATE if age_ns > COMMAND_LATE.ns else LinkState.FRESH
 
-    def _warnings(self, t_plc_ns: int) -> int:
+    def _link_warning_bits(self, t_plc_ns: int) -> int:
         link = self._link_state(t_plc_ns)
         bits = WarnBit.NEWER_MINOR if self._session.newer_minor else WarnBit(0)
         if link is LinkState.LATE:
@@ -262,10 +262,10 @@ class PlcLink:
         self._counters = _Counters()
         self._reject = _LastReject()
         self.state_seq = 0
-        self._feed(hello, t_plc_ns)
+        self._feed_watchdog(hello, t_plc_ns)
         return [SessionOpened(hello.session, source), *events]
 
-    def _command(self, command: Command, t_plc_ns: int, source: Hashable) -> list[PlcLinkEvent]:
+    def _process_command(self, command: Command, t_plc_ns: int, source: Hashable) -> list[PlcLinkEvent]:
         session = self._session
         if not self.session or command.session != self.session:
             text = f"session {command.session:#x} is not the open one ({self.session:#x})"
@@ -287,7 +287,7 @@ class PlcLink:
         mode = command.mode
         self._check_rules(command, mode, t_plc_ns)
         self._counters.lost += sequenced.lost
-        return self._take(command, mode, t_plc_ns)
+        return self._accept_command(command, mode, t_plc_ns)
 
     def _check_rules(self, command: Command, mode: Mode, t_plc_ns: int) -> None:
         """Rules 5 and 6; a stop needs neither a seeing PC nor equal limits."""
@@ -345,9 +345,9 @@ class PlcLink:
         """Whether this is a repetition of a trajectory that is over: it keeps the link alive and does nothing else."""
         return mode in _MOTION_MODES and command.traj_id == self._session.traj_id and self._session.spent
 
-    def _take(self, command: Command, mode: Mode, t_plc_ns: int) -> list[PlcLinkEvent]:
+    def _accept_command(self, command: Command, mode: Mode, t_plc_ns: int) -> list[PlcLinkEvent]:
         """An accepted command: feed the watchdog, move the state machine, hand it up."""
-        self._feed(command, t_plc_ns)
+        self._feed_watchdog(command, t_plc_ns)
         if mode in _MOTION_MODES:
             return self._take_motion(command, mode, t_plc_ns)
         effect = _EFFECTS.get(mode, PlcAction.KEEPALIVE)
@@ -369,7 +369,7 @@ class PlcLink:
             events = self.apply(PlcEvent.START, t_plc_ns)
         return [*events, CommandAccepted(command, PlcAction.SERVO if mode is Mode.SERVO else PlcAction.LOAD)]
 
-    def _feed(self, command: Command, t_plc_ns: int) -> None:
+    def _feed_watchdog(self, command: Command, t_plc_ns: int) -> None:
         session = self._session
         session.last_seq = command.seq
         session.accepted_ns = t_plc_ns
@@ -391,7 +391,7 @@ class PlcLink:
             events += self.apply(PlcEvent.SOFT_STOP, t_plc_ns)
         return events
 
-    def _void(self, t_plc_ns: int) -> list[PlcLinkEvent]:
+    def _end_silent_session(self, t_plc_ns: int) -> list[PlcLinkEvent]:
         """One second of silence: the session ends, except while a ramp is still under way."""
         events = self.apply(PlcEvent.VOID, t_plc_ns)
         if self.state in (PlcState.STOPPING, PlcState.RUN) or not self.session:

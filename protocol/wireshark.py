@@ -37,13 +37,15 @@ _WHOLE = {"auth_tag"}  # bytes, shown as one
 def lua_dissector() -> str:
     """The text of hmlink.lua."""
     blocks = (layout.HEADER, layout.COMMAND_BODY, layout.KNOT, layout.COMMAND_TAIL, layout.STATE_BODY)
-    fields = {_key(block, field): field for block in reversed(blocks) for field in reversed(block.fields)}
+    fields = {_field_key(block, field): field for block in reversed(blocks) for field in reversed(block.fields)}
     proto_fields = [_proto_field(key, field) for key, field in reversed(fields.items())]
     places = {
-        "@NAMES@": "\n".join(f"local {_name_table(kind)} = {_names(kind)}" for kind in dict.fromkeys(_VALUES.values())),
+        "@NAMES@": "\n".join(
+            f"local {_name_table(kind)} = {_lua_enum_table(kind)}" for kind in dict.fromkeys(_VALUES.values())
+        ),
         "@FIELDS@": "\n".join((*proto_fields, *(_flag_fields(name, fields[name]) for name in _FLAGS))),
-        "@TABLES@": "\n".join(_table(block) for block in blocks),
-        "@SIZES@": _sizes(),
+        "@TABLES@": "\n".join(_lua_field_table(block) for block in blocks),
+        "@SIZES@": _lua_constants(),
         "@VERSION@": f"{layout.VERSION_MAJOR}.{layout.VERSION_MINOR}",
     }
     text = _TEMPLATE
@@ -52,7 +54,7 @@ def lua_dissector() -> str:
     return text
 
 
-def _sizes() -> str:
+def _lua_constants() -> str:
     numbers = (
         ("CMD_MAGIC", f"{layout.COMMAND_MAGIC:#x}"),
         ("STATE_MAGIC", f"{layout.STATE_MAGIC:#x}"),
@@ -75,7 +77,7 @@ def _sizes() -> str:
 _IN_STATE = {"ack_seq", "plc_state", "reject_code", "reject_seq", "reject_offset"}
 
 
-def _key(block: Block, field: Field) -> str:
+def _field_key(block: Block, field: Field) -> str:
     return f"knot.{field.name}" if block is layout.KNOT else field.name
 
 
@@ -83,7 +85,7 @@ def _name_table(kind: type[IntEnum]) -> str:
     return f"names_{kind.__name__}"
 
 
-def _names(kind: type[IntEnum]) -> str:
+def _lua_enum_table(kind: type[IntEnum]) -> str:
     return "{ " + ", ".join(f'[{member.value}] = "{member.name}"' for member in kind) + " }"
 
 
@@ -107,11 +109,11 @@ def _flag_fields(name: str, field: Field) -> str:
     return f'flags["{name}"] = {{ width = {width},\n' + "\n".join(rows) + "\n}"
 
 
-def _table(block: Block) -> str:
+def _lua_field_table(block: Block) -> str:
     rows = []
     for field in block.fields:
         count = 1 if field.name in _WHOLE else field.count
-        rows.append(f'  {{ "{_key(block, field)}", {field.offset}, {field.size // count}, {count} }},')
+        rows.append(f'  {{ "{_field_key(block, field)}", {field.offset}, {field.size // count}, {count} }},')
     return f"local {block.name.replace(' ', '_')}_fields = {{\n" + "\n".join(rows) + "\n}"
 
 

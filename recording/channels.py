@@ -49,12 +49,12 @@ class Channels:
         encodings = (channel.message_encoding, "" if schema is None else schema.encoding)
         expected = ENCODINGS.get(channel.topic, (ENCODING, ENCODING))
         ours = SCHEMAS.get(channel.topic) == (schema and schema.name) and encodings == expected
-        if ours and schema is not None and self._fits(channel.topic, schema):
+        if ours and schema is not None and self._has_expected_layout(channel.topic, schema):
             return channel.topic
         self._foreign[message.channel_id] += 1
         return ""
 
-    def _fits(self, topic: str, schema: Schema) -> bool:
+    def _has_expected_layout(self, topic: str, schema: Schema) -> bool:
         """Whether a message's fields have the numbers and types of ours: another layout would be read as nonsense."""
         if schema.id not in self._fitting:
             self._fitting[schema.id] = topic not in CODECS or CODECS[topic].reads(schema.data)
@@ -63,9 +63,9 @@ class Channels:
     @property
     def foreign(self) -> tuple[str, ...]:
         """Channels whose messages are not of this format, each in words."""
-        return tuple(self._described(number, count) for number, count in self._foreign.items())
+        return tuple(self._unread_channel_text(number, count) for number, count in self._foreign.items())
 
-    def _described(self, number: int, count: int) -> str:
+    def _unread_channel_text(self, number: int, count: int) -> str:
         channel = self._channels[number]
         schema = self._schemas.get(channel.schema_id)
         name = "no schema" if schema is None else f"schema {schema.name!r}"

@@ -49,7 +49,7 @@ class CheckReport:
     images: int
 
 
-def _has(recording: Recording, name: str) -> bool:
+def _is_plc_field_recorded(recording: Recording, name: str) -> bool:
     """Whether a field of the PLC's rows has any number in it."""
     return any(value == value and value != () for value in (getattr(row, name) for row in recording.of(PlcState)))
 
@@ -66,17 +66,17 @@ _NEEDS: tuple[tuple[str, Callable[[Recording], bool], str, str], ...] = (
         "log the reference as the PC sends it",
     ),
     (
-        "plc.csv q_ref", lambda recording: _has(recording, "q_ref_rad"),
+        "plc.csv q_ref", lambda recording: _is_plc_field_recorded(recording, "q_ref_rad"),
         "stages link and controller merge, and the actuator with them where no valve command is logged",
         "log the reference that the PLC works with",
     ),
     (
-        "plc.csv q", lambda recording: _has(recording, "q_rad"),
+        "plc.csv q", lambda recording: _is_plc_field_recorded(recording, "q_rad"),
         "controller and actuator cannot be examined, nor points and object markers in motion; poses at rest can",
         "log the encoders",
     ),
     (
-        "plc.csv u", lambda recording: _has(recording, "u_frac"),
+        "plc.csv u", lambda recording: _is_plc_field_recorded(recording, "u_frac"),
         "stages controller and actuator merge: dead band and controller gain cannot be distinguished",
         "log the valve commands",
     ),
@@ -118,7 +118,7 @@ _TIMES: tuple[tuple[type[Row], str], ...] = (
 def check_recording(path: Path) -> CheckReport:
     """Check the recording at this path. Raises: RecordingError when it cannot be read at all."""
     recording = read_run(path)
-    signals = [_signal(row_type, name, recording) for row_type, name in _TIMES if recording.of(row_type)]
+    signals = [_signal_timing_check(row_type, name, recording) for row_type, name in _TIMES if recording.of(row_type)]
     static = recording.of(StaticPoint)
     if static:
         signals.append(SignalCheck("static", len(static), 0.0, 0.0, 0))
@@ -131,13 +131,13 @@ def check_recording(path: Path) -> CheckReport:
         complete=recording.complete,
         signals=tuple(signals),
         missing=missing,
-        problems=tuple(_problems(recording)),
+        problems=tuple(_recording_problems(recording)),
         usable="machine.toml" not in names and ("plc.csv q" not in names or bool(static)),
         images=recording.images,
     )
 
 
-def _signal(row_type: type[Row], time_name: str, recording: Recording) -> SignalCheck:
+def _signal_timing_check(row_type: type[Row], time_name: str, recording: Recording) -> SignalCheck:
     rows = recording.of(row_type)
     times_s = np.unique(column(rows, time_name))  # markers share their pair's time
     steps_s = np.diff(times_s[np.isfinite(times_s)])
@@ -148,7 +148,7 @@ def _signal(row_type: type[Row], time_name: str, recording: Recording) -> Signal
     return SignalCheck(row_type.topic.strip("/"), len(rows), rate_hz, duration_s, gaps)
 
 
-def _problems(recording: Recording) -> list[str]:
+def _recording_problems(recording: Recording) -> list[str]:
     problems: list[str] = []
     if not recording.complete:
         remedy = "`longreach recording recover` writes a complete file from the readable part"

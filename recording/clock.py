@@ -25,7 +25,9 @@ def mono_s() -> float:
 
 def suspended_ns() -> int:
     """How long this computer has been suspended since it started [ns]: what to add to a CLOCK_MONOTONIC stamp."""
-    least_ns, most_ns = min((_suspended() for _ in range(_READINGS)), key=lambda bounds: bounds[1] - bounds[0])
+    least_ns, most_ns = min(
+        (_suspended_time_bounds_ns() for _ in range(_READINGS)), key=lambda bounds: bounds[1] - bounds[0]
+    )
     return (least_ns + most_ns) // 2
 
 
@@ -36,11 +38,11 @@ class SuspendWatch:
     """Reports each resume of this computer once. Only Linux can be asked; elsewhere it reports nothing."""
 
     def __init__(self) -> None:
-        self._most_ns = _suspended()[1]
+        self._most_ns = _suspended_time_bounds_ns()[1]
 
     def resumed(self) -> bool:
         """Whether this computer was suspended since the last call."""
-        least_ns, most_ns = _suspended()
+        least_ns, most_ns = _suspended_time_bounds_ns()
         if least_ns > self._most_ns + _ROUNDED_NS:
             self._most_ns = most_ns
             return True
@@ -48,7 +50,7 @@ class SuspendWatch:
         return False
 
 
-def _suspended() -> tuple[int, int]:
+def _suspended_time_bounds_ns() -> tuple[int, int]:
     """Bounds of the suspended time [ns]: however long this process is held up between readings, it lies within."""
     if sys.platform != "linux":
         return 0, 0

@@ -62,7 +62,7 @@ def write_mcap(recording: Recording, path: Path) -> None:
 
 def _require_room(recording: Recording, to_utc_ns: int) -> None:
     """Every count and time has to fit, before anything is written."""
-    counts = {row_type: _counts(row_type) for row_type in {type(row) for row in recording.rows}}
+    counts = {row_type: _integer_field_names(row_type) for row_type in {type(row) for row in recording.rows}}
     numbers: Counter[type[Row]] = Counter()
     for row in recording.rows:
         kind = type(row)
@@ -71,19 +71,19 @@ def _require_room(recording: Recording, to_utc_ns: int) -> None:
             if not COUNT_LEAST <= getattr(row, name) <= COUNT_MOST:
                 fault = f"{name} = {getattr(row, name)}, limits {COUNT_LEAST} to {COUNT_MOST}"
                 raise RecordingError(
-                    f"{_place(recording, kind, numbers[kind])}: {fault}; leave the cell empty if there is none"
+                    f"{_row_location(recording, kind, numbers[kind])}: {fault}; leave the cell empty if there is none"
                 )
         t_utc_ns = pc_time_ns(row, recording.run) + to_utc_ns
         if not 0 <= t_utc_ns <= TIME_MOST_NS:
             fault = f"its time is {t_utc_ns * 1e-9:.6g} s in UTC, limits 0 to {TIME_MOST_NS * 1e-9:.6g} s since 1970"
-            raise RecordingError(f"{_place(recording, kind, numbers[kind])}: {fault}; {CLOCKS}")
+            raise RecordingError(f"{_row_location(recording, kind, numbers[kind])}: {fault}; {CLOCKS}")
 
 
-def _counts(row_type: type[Row]) -> list[str]:
+def _integer_field_names(row_type: type[Row]) -> list[str]:
     return [name for name, kind in get_type_hints(row_type).items() if kind is int]
 
 
-def _place(recording: Recording, kind: type[Row], number: int) -> str:
+def _row_location(recording: Recording, kind: type[Row], number: int) -> str:
     return f"{kind.file if recording.form == 'folder' else kind.topic}, row {number}"
 
 

@@ -64,11 +64,11 @@ def _cells(row: Row, widths: list[tuple[str, int]]) -> list[str]:
     for name, width in widths:
         value = getattr(row, name)
         values = (value,) if not isinstance(value, tuple) else (*value, *[NAN] * (width - len(value)))
-        cells += [_cell(each) for each in values]
+        cells += [_cell_text(each) for each in values]
     return cells
 
 
-def _cell(value: object) -> str:
+def _cell_text(value: object) -> str:
     if isinstance(value, float):
         return "" if math.isnan(value) else repr(value)
     return "" if value == MISSING_COUNT else str(value)
@@ -100,25 +100,25 @@ def read_folder(folder: Path) -> Recording:
         if path.is_file():
             rows += _read_csv(path, row_type)
     attached = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".urdf") and path.is_file()]
-    run = run_from_toml(_text(run_file)) if run_file.is_file() else RunInfo("")
+    run = run_from_toml(_read_file_text(run_file)) if run_file.is_file() else RunInfo("")
     return Recording(
         form="folder",
         run=run,
-        machine_toml=_text(machine_file) if machine_file.is_file() else "",
+        machine_toml=_read_file_text(machine_file) if machine_file.is_file() else "",
         rows=tuple(rows),
-        attachments=tuple(Attachment(path.name, _media_type(path), _bytes(path)) for path in attached),
+        attachments=tuple(Attachment(path.name, _media_type(path), _read_file_bytes(path)) for path in attached),
         complete=not run.cut,
     )
 
 
-def _text(path: Path) -> str:
+def _read_file_text(path: Path) -> str:
     try:
-        return text_of(_bytes(path))
+        return text_of(_read_file_bytes(path))
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror}") from error
 
 
-def _bytes(path: Path) -> bytes:
+def _read_file_bytes(path: Path) -> bytes:
     try:
         size = path.stat().st_size
         if size > BYTES_MAX:
@@ -134,7 +134,7 @@ def _media_type(path: Path) -> str:
 
 
 def _read_csv(path: Path, row_type: type[Row]) -> list[Row]:
-    reader = csv_format.reader(_text(path).splitlines())
+    reader = csv_format.reader(_read_file_text(path).splitlines())
     try:
         header = [name.strip() for name in next(reader, [])]
         take = _row_reader(path, row_type, header)
@@ -146,14 +146,14 @@ def _read_csv(path: Path, row_type: type[Row]) -> list[Row]:
 
 def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[[int, list[str]], Row]:
     hints = get_type_hints(row_type)
-    places = {name: _places(path, pattern, header) for name, pattern in csv_fields(row_type)}
+    places = {name: _field_column_indices(path, pattern, header) for name, pattern in csv_fields(row_type)}
     first = next(iter(places))
     if not places[first]:
         for separator, called in SEPARATORS.items():
             if len(header) == 1 and separator in header[0]:
                 raise RecordingError(f"{path}: columns are separated by {called}; {AS_NUMBERS}")
         raise RecordingError(f"{path}: column '{csv_fields(row_type)[0][1]}' is missing; the file cannot be placed")
-    quick = {name: _quick(hints[name], at) for name, at in places.items()}
+    quick = {name: _fast_field_parser(hints[name], at) for name, at in places.items()}
 
     def take(number: int, cells: list[str]) -> Row:
         values: dict[str, Any] = {}
@@ -165,16 +165,16 @@ def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[
                 values[name] = converted(cells)
             except (ValueError, IndexError):  # missing, wrong or short: a closer look
                 texts = [cells[place] if place < len(cells) else "" for place in places[name]]
-                values[name] = _value(hints[name], texts, f"{path}, line {number}, {name}")
+                values[name] = _parse_field_value(hints[name], texts, f"{path}, line {number}, {name}")
         return row_type(**values)
 
     return take
 
 
-def _quick(kind: object, columns: list[int]) -> Callable[[list[str]], object]:
+def _fast_field_parser(kind: object, columns: list[int]) -> Callable[[list[str]], object]:
     """A field of a row in which all is there, as in nearly every row. Raises: ValueError, IndexError: it is not."""
     if not columns:
-        missing = _value(kind, [], "")
+        missing = _parse_field_value(kind, [], "")
         return lambda _cells: missing
     column = columns[0]
     if kind is str:
@@ -184,12 +184,12 @@ def _quick(kind: object, columns: list[int]) -> Callable[[list[str]], object]:
     if kind != Floats:
         return lambda cells: float(cells[column] or NAN)
     if len(columns) == 1:
-        return lambda cells: _there((float(cells[column]),))
+        return lambda cells: _require_no_nan((float(cells[column]),))
     chosen = itemgetter(*columns)
-    return lambda cells: _there(tuple(map(float, chosen(cells))))
+    return lambda cells: _require_no_nan(tuple(map(float, chosen(cells))))
 
 
-def _there(numbers: Floats) -> Floats:
+def _require_no_nan(numbers: Floats) -> Floats:
     if math.isnan(sum(numbers)):
         raise ValueError
     return numbers
@@ -200,19 +200,19 @@ def column_finder(pattern: str) -> re.Pattern[str]:
     return re.compile(re.escape(pattern).replace(re.escape("{j}"), r"(\d{1,2})").replace("_rad", "_(?:rad|m)"))
 
 
-def _places(path: Path, pattern: str, header: list[str]) -> list[int]:
+def _field_column_indices(path: Path, pattern: str, header: list[str]) -> list[int]:
     """Where a field's columns are; for joints in the order of their numbers, without gaps."""
     if "{j}" not in pattern:
         there = [place for place, name in enumerate(header) if name == pattern]
         if len(there) > 1:
-            raise _twice(path, header, there)
+            raise _duplicate_column_error(path, header, there)
         return there
     finder = column_finder(pattern)
     found: dict[int, int] = {}
     for place, name in enumerate(header):
         match = finder.fullmatch(name)
         if match is not None and found.setdefault(int(match[1]), place) != place:
-            raise _twice(path, header, [found[int(match[1])], place])
+            raise _duplicate_column_error(path, header, [found[int(match[1])], place])
     if set(found) != set(range(1, len(found) + 1)):
         raise RecordingError(
             f"{path}: columns '{pattern}': joints {sorted(found)}; they must count from 1 without gaps"
@@ -220,7 +220,7 @@ def _places(path: Path, pattern: str, header: list[str]) -> list[int]:
     return [found[joint] for joint in sorted(found)]
 
 
-def _twice(path: Path, header: list[str], places: list[int]) -> RecordingError:
+def _duplicate_column_error(path: Path, header: list[str], places: list[int]) -> RecordingError:
     """Error text for two columns of one field."""
     first, second = places[:2]
     one, other = header[first], header[second]
@@ -231,10 +231,10 @@ def _twice(path: Path, header: list[str], places: list[int]) -> RecordingError:
     return RecordingError(f"{where} '{one}' is there twice{both} {columns}; rename one by what it holds, or remove it")
 
 
-def _value(kind: object, texts: list[str], where: str) -> object:
+def _parse_field_value(kind: object, texts: list[str], where: str) -> object:
     if kind is str:
         return texts[0].strip() if texts else ""
-    numbers = [_number(text, where) for text in texts]
+    numbers = [_parse_number(text, where) for text in texts]
     if kind == Floats:
         return () if _all_missing(numbers) else tuple(numbers)
     if kind is int:
@@ -251,7 +251,7 @@ def _all_missing(numbers: Iterable[float]) -> bool:
     return all(math.isnan(number) for number in numbers)
 
 
-def _number(text: str, where: str) -> float:
+def _parse_number(text: str, where: str) -> float:
     text = text.strip()
     if not text:
         return NAN

@@ -32,18 +32,18 @@ class FramePose:
     quat_wxyz: tuple[float, float, float, float]
 
 
-def _stamp(t_utc_ns: int) -> Timestamp:
+def _timestamp_from_utc_ns(t_utc_ns: int) -> Timestamp:
     return Timestamp(seconds=t_utc_ns // 1_000_000_000, nanos=t_utc_ns % 1_000_000_000)
 
 
 def image_message(jpeg: bytes, t_utc_ns: int) -> Message:
     """The left image."""
-    return CompressedImage(timestamp=_stamp(t_utc_ns), frame_id=LEFT_FRAME, data=jpeg, format="jpeg")
+    return CompressedImage(timestamp=_timestamp_from_utc_ns(t_utc_ns), frame_id=LEFT_FRAME, data=jpeg, format="jpeg")
 
 
 def log_message(level: str, text: str, t_utc_ns: int) -> Message:
     """One line of the log."""
-    return Log(timestamp=_stamp(t_utc_ns), level=LEVELS.get(level, 0), message=text, name="longreach")  # pyright: ignore[reportArgumentType]
+    return Log(timestamp=_timestamp_from_utc_ns(t_utc_ns), level=LEVELS.get(level, 0), message=text, name="longreach")  # pyright: ignore[reportArgumentType]
 
 
 def transforms_message(poses: Sequence[FramePose], t_utc_ns: int) -> Message:
@@ -51,7 +51,7 @@ def transforms_message(poses: Sequence[FramePose], t_utc_ns: int) -> Message:
     message = FrameTransforms()
     for pose in poses:
         edge = message.transforms.add(parent_frame_id=pose.parent, child_frame_id=pose.child)
-        edge.timestamp.CopyFrom(_stamp(t_utc_ns))
+        edge.timestamp.CopyFrom(_timestamp_from_utc_ns(t_utc_ns))
         edge.translation.x, edge.translation.y, edge.translation.z = pose.position_m
         edge.rotation.w, edge.rotation.x, edge.rotation.y, edge.rotation.z = pose.quat_wxyz
     return message
@@ -59,7 +59,7 @@ def transforms_message(poses: Sequence[FramePose], t_utc_ns: int) -> Message:
 
 def joint_states_message(names: Sequence[str], q_rad: Sequence[float], t_utc_ns: int) -> Message:
     """Encoder angles by the URDF's joint names [rad]."""
-    message = JointStates(timestamp=_stamp(t_utc_ns))
+    message = JointStates(timestamp=_timestamp_from_utc_ns(t_utc_ns))
     for name, position in zip(names, q_rad, strict=True):
         message.joints.add(name=name, position=position)
     return message
@@ -78,7 +78,7 @@ def calibration_message(camera: StereoCamera, t_utc_ns: int, width_px: int) -> M
     K[:2] *= scale
     K[:2, 2] -= 0.5
     return CameraCalibration(
-        timestamp=_stamp(t_utc_ns),
+        timestamp=_timestamp_from_utc_ns(t_utc_ns),
         frame_id=LEFT_FRAME,
         width=width_px,
         height=round(camera.height_px * scale),

@@ -60,9 +60,9 @@ class RowCodec:
         try:
             return self._message(**{name: getattr(row, name) for name in self._names}).SerializeToString()
         except (ValueError, TypeError) as error:
-            raise RecordingError(f"channel {row.topic}: {self._unfit(row)}") from error
+            raise RecordingError(f"channel {row.topic}: {self._unwritable_field_reason(row)}") from error
 
-    def _unfit(self, row: Row) -> str:
+    def _unwritable_field_reason(self, row: Row) -> str:
         """The first field whose value cannot be written, and why."""
         for name in self._names:
             value = getattr(row, name)

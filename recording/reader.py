@@ -66,31 +66,31 @@ class RecordStream:
                 except StopIteration:
                     break
                 except Exception as error:
-                    self._judge(error)
+                    self._note_damage_or_raise(error)
                     break
                 ended = isinstance(record, Footer)
-                for inner in self._inside(record) if isinstance(record, Chunk) else (record,):
-                    if self._placed(inner):
+                for inner in self._read_chunk_records(record) if isinstance(record, Chunk) else (record,):
+                    if self._has_declared_channel(inner):
                         yield inner
             self.cut = self.cut or not ended
 
-    def _inside(self, chunk: Chunk) -> list[McapRecord]:
+    def _read_chunk_records(self, chunk: Chunk) -> list[McapRecord]:
         try:
             return breakup_chunk(chunk, validate_crc=True)
         except Exception as error:
-            self._judge(error)
+            self._note_damage_or_raise(error)
             self.lost_chunks += 1
             return []
 
-    def _judge(self, error: Exception) -> None:
+    def _note_damage_or_raise(self, error: Exception) -> None:
         if not isinstance(error, CUT_ERRORS) and type(error).__module__.split(".")[0] not in ("zstandard", "lz4"):
             raise error
-        self._damaged(str(error) or type(error).__name__)
+        self._mark_damaged(str(error) or type(error).__name__)
 
-    def _damaged(self, reason: str) -> None:
+    def _mark_damaged(self, reason: str) -> None:
         self.cut, self.reason = True, self.reason or reason
 
-    def _placed(self, record: McapRecord) -> bool:
+    def _has_declared_channel(self, record: McapRecord) -> bool:
         """Whether what a record refers to was declared before it; a channel without its schema still has a topic."""
         match record:
             case Schema():
@@ -98,9 +98,9 @@ class RecordStream:
             case Channel():
                 self._channels.add(record.id)
                 if record.schema_id not in self._schemas:
-                    self._damaged(f"the schema of channel {record.topic} is missing")
+                    self._mark_damaged(f"the schema of channel {record.topic} is missing")
             case Message() if record.channel_id not in self._channels:
-                self._damaged(f"the record of channel {record.channel_id} is missing")
+                self._mark_damaged(f"the record of channel {record.channel_id} is missing")
                 return False
         return True
 
@@ -157,12 +157,12 @@ class _Collected:
     def recording(self, complete: bool) -> Recording:
         attachments = dict(self._attachments)
         run = attachments.pop("run.toml", None)
-        info = RunInfo(name="") if run is None else run_from_toml(_text(run))
+        info = RunInfo(name="") if run is None else run_from_toml(_attachment_text(run))
         machine = attachments.pop("machine.toml", None)
         return Recording(
             form="mcap",
             run=info,
-            machine_toml="" if machine is None else _text(machine),
+            machine_toml="" if machine is None else _attachment_text(machine),
             rows=tuple(self._rows),
             log=tuple(self._log),
             attachments=tuple(attachments.values()),
@@ -173,7 +173,7 @@ class _Collected:
         )
 
 
-def _text(attachment: Attachment) -> str:
+def _attachment_text(attachment: Attachment) -> str:
     try:
         return text_of(attachment.data)
     except OSError as error:

@@ -34,7 +34,7 @@ def recover(source: Path, target: Path) -> RecoverReport:
     try:
         file = target.open("xb")
     except OSError as error:
-        raise _unwritable(target, error) from error
+        raise _unwritable_file_error(target, error) from error
     stream = RecordStream(source)
     copier = _Copier()
     try:
@@ -44,14 +44,14 @@ def recover(source: Path, target: Path) -> RecoverReport:
             raise RecordingError(f"recording {source}: nothing can be read: {stream.reason or 'it is empty'}")
     except OSError as error:
         target.unlink(missing_ok=True)
-        raise _unwritable(target, error) from error
+        raise _unwritable_file_error(target, error) from error
     except RecordingError:
         target.unlink(missing_ok=True)  # an empty one would be in the next one's way
         raise
     return RecoverReport(copier.messages, copier.attachments, not stream.cut, stream.reason, stream.lost_chunks)
 
 
-def _unwritable(target: Path, error: OSError) -> RecordingError:
+def _unwritable_file_error(target: Path, error: OSError) -> RecordingError:
     return RecordingError(f"{target} cannot be written: {error.strerror}; choose a folder that can be written")
 
 
@@ -74,7 +74,7 @@ class _Copier:
                         record.topic, record.message_encoding, schema, record.metadata
                     )
                 case Message():
-                    self._message(writer, record)
+                    self._copy_message(writer, record)
                 case McapAttachment():
                     self.attachments += 1
                     writer.add_attachment(
@@ -87,7 +87,7 @@ class _Copier:
             writer.add_metadata(RECOVERED, lost)
         writer.finish()
 
-    def _message(self, writer: Writer, record: Message) -> None:
+    def _copy_message(self, writer: Writer, record: Message) -> None:
         self.messages += 1
         channel = self._channels[record.channel_id]
         writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)

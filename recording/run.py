@@ -41,7 +41,7 @@ class RunInfo:
     cut: bool = False  # made of a file that was cut or damaged: not all of it is here
 
 
-def _line(name: str, value: object) -> str:
+def _toml_line(name: str, value: object) -> str:
     """One TOML line; JSON's strings and numbers are TOML's, but for escapes of two halves and an unescaped delete."""
     text = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return f"{name} = {text}\n"
@@ -49,18 +49,20 @@ def _line(name: str, value: object) -> str:
 
 def run_to_toml(run: RunInfo) -> str:
     """run.toml text."""
-    text = "[run]\n" + _line("name", run.name) + _line("started_utc", run.started_utc)
+    text = "[run]\n" + _toml_line("name", run.name) + _toml_line("started_utc", run.started_utc)
     if run.seed is not None:
-        text += _line("seed", run.seed)
-    text += _line("format_version", run.format_version) + (_line("cut", True) if run.cut else "") + "\n[clocks]\n"
+        text += _toml_line("seed", run.seed)
+    text += (
+        _toml_line("format_version", run.format_version) + (_toml_line("cut", True) if run.cut else "") + "\n[clocks]\n"
+    )
     for name in ("plc_to_pc_offset_s", "camera_to_pc_offset_s", "pc_to_utc_offset_s"):
         value = getattr(run, name)
         if value is not None:
-            text += _line(name, value)
+            text += _toml_line(name, value)
     for segment in run.segments:
-        text += "\n[[segment]]\n" + _line("name", segment.name) + _line("kind", segment.kind)
-        text += _line("t_start_plc_s", segment.t_start_plc_s) + _line("t_end_plc_s", segment.t_end_plc_s)
-        text += _line("repeat_of", segment.repeat_of) if segment.repeat_of else ""
+        text += "\n[[segment]]\n" + _toml_line("name", segment.name) + _toml_line("kind", segment.kind)
+        text += _toml_line("t_start_plc_s", segment.t_start_plc_s) + _toml_line("t_end_plc_s", segment.t_end_plc_s)
+        text += _toml_line("repeat_of", segment.repeat_of) if segment.repeat_of else ""
     return text
 
 
@@ -85,16 +87,16 @@ def run_from_toml(text: str) -> RunInfo:
         name=str(run.get("name", "")),
         started_utc=str(run.get("started_utc", "")),
         seed=seed if isinstance(seed, int) else None,
-        plc_to_pc_offset_s=_optional(clocks, "plc_to_pc_offset_s"),
-        camera_to_pc_offset_s=_optional(clocks, "camera_to_pc_offset_s"),
-        pc_to_utc_offset_s=_optional(clocks, "pc_to_utc_offset_s"),
-        segments=tuple(_segment(number, segment) for number, segment in enumerate(segments, start=1)),
+        plc_to_pc_offset_s=_optional_clock_seconds(clocks, "plc_to_pc_offset_s"),
+        camera_to_pc_offset_s=_optional_clock_seconds(clocks, "camera_to_pc_offset_s"),
+        pc_to_utc_offset_s=_optional_clock_seconds(clocks, "pc_to_utc_offset_s"),
+        segments=tuple(_parse_segment(number, segment) for number, segment in enumerate(segments, start=1)),
         format_version=version,
         cut=run.get("cut") is True,
     )
 
 
-def _number(value: object, subject: str) -> float:
+def _validated_seconds(value: object, subject: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LONGEST_S:
         raise RecordingError(
             f"run.toml: {subject} = {repr(value)[:60]} is not a number between -{LONGEST_S:g} and {LONGEST_S:g} [s]"
@@ -102,18 +104,18 @@ def _number(value: object, subject: str) -> float:
     return float(value)
 
 
-def _optional(table: dict[str, Any], name: str) -> float | None:
-    return None if name not in table else _number(table[name], f"clocks.{name}")
+def _optional_clock_seconds(table: dict[str, Any], name: str) -> float | None:
+    return None if name not in table else _validated_seconds(table[name], f"clocks.{name}")
 
 
-def _segment(number: int, data: Any) -> Segment:
+def _parse_segment(number: int, data: Any) -> Segment:
     if not isinstance(data, dict):
         raise RecordingError(f"run.toml: segment {number} is not a table")
     kind: Any = data.get("kind")
     if kind not in get_args(SegmentKind):
         raise RecordingError(f"run.toml: segment {number}: kind = {kind!r}; one of {', '.join(get_args(SegmentKind))}")
-    start = _number(data.get("t_start_plc_s"), f"segment {number}: t_start_plc_s")
-    end = _number(data.get("t_end_plc_s"), f"segment {number}: t_end_plc_s")
+    start = _validated_seconds(data.get("t_start_plc_s"), f"segment {number}: t_start_plc_s")
+    end = _validated_seconds(data.get("t_end_plc_s"), f"segment {number}: t_end_plc_s")
     if end < start:
         raise RecordingError(f"run.toml: segment {number}: t_end_plc_s = {end} s lies before t_start_plc_s = {start} s")
     return Segment(str(data.get("name", "")), kind, start, end, str(data.get("repeat_of", "")))

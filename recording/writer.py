@@ -115,7 +115,7 @@ class RunWriter:
             threading.Event(),
         )
         self._thread = threading.Thread(
-            target=self._work, args=(begun, metadata, opened), name="recording", daemon=True
+            target=self._run_writer_thread, args=(begun, metadata, opened), name="recording", daemon=True
         )
         self._thread.start()
         if opened.wait(open_wait_s) and self._error:
@@ -132,7 +132,7 @@ class RunWriter:
             self._writer = McapWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
             self._writer.start(profile="", library="longreach")
             for attachment in attachments:
-                self._attach(attachment)
+                self._write_attachment(attachment)
             self._writer.add_metadata("longreach", dict(metadata))
         except OSError as error:
             self._error = f"recording {self.path}: {error.strerror}; choose a folder that can be written"
@@ -149,11 +149,11 @@ class RunWriter:
 
     def transforms(self, poses: Sequence[FramePose], t_mono_ns: int) -> None:
         """Write edges of the transform tree."""
-        self._put_number(TRANSFORM_TOPIC, transforms_message(poses, self._utc(t_mono_ns)), t_mono_ns)
+        self._put_number(TRANSFORM_TOPIC, transforms_message(poses, self._utc_from_mono_ns(t_mono_ns)), t_mono_ns)
 
     def joint_states(self, names: Sequence[str], q_rad: Sequence[float], t_mono_ns: int) -> None:
         """Write encoder angles by the URDF's joint names [rad]: a viewer moves the robot of `robot` by them."""
-        self._put_number(JOINT_TOPIC, joint_states_message(names, q_rad, self._utc(t_mono_ns)), t_mono_ns)
+        self._put_number(JOINT_TOPIC, joint_states_message(names, q_rad, self._utc_from_mono_ns(t_mono_ns)), t_mono_ns)
 
     def robot(self, urdf: str, t_mono_ns: int) -> None:
         """Write the robot's description, for viewers that draw it."""
@@ -161,11 +161,11 @@ class RunWriter:
 
     def log(self, level: str, text: str, t_mono_ns: int) -> None:
         """Write one line of the log; level is debug, info, warning or error."""
-        self._put_number(LOG_TOPIC, log_message(level, text, self._utc(t_mono_ns)), t_mono_ns)
+        self._put_number(LOG_TOPIC, log_message(level, text, self._utc_from_mono_ns(t_mono_ns)), t_mono_ns)
 
     def camera(self, camera: StereoCamera, width_px: int, t_mono_ns: int) -> None:
         """Write the left eye's intrinsics for images of this width."""
-        message = calibration_message(camera, self._utc(t_mono_ns), width_px)
+        message = calibration_message(camera, self._utc_from_mono_ns(t_mono_ns), width_px)
         self._put_number(CALIBRATION_TOPIC, message, t_mono_ns)
 
     def image(self, jpeg: bytes, t_mono_ns: int, t_source_mono_ns: int) -> bool:
@@ -176,7 +176,9 @@ class RunWriter:
                 self.images_dropped += 1
                 return False
             self._images_waiting += 1
-        self._put_number(IMAGE_TOPIC, image_message(jpeg, self._utc(t_source_mono_ns)), t_mono_ns, t_source_mono_ns)
+        self._put_number(
+            IMAGE_TOPIC, image_message(jpeg, self._utc_from_mono_ns(t_source_mono_ns)), t_mono_ns, t_source_mono_ns
+        )
         return True
 
     @property
@@ -208,12 +210,14 @@ class RunWriter:
         try:
             if not self._error:
                 if self._final_run is not None:
-                    self._attach(Attachment("run.toml", "application/toml", run_to_toml(self._final_run).encode()))
+                    self._write_attachment(
+                        Attachment("run.toml", "application/toml", run_to_toml(self._final_run).encode())
+                    )
                 self._writer.add_metadata("longreach/end", {"images_dropped": str(self.images_dropped)})
                 self._writer.finish()
                 self._require_name()
         except Exception as error:  # whatever it is, the report says so and the run's end goes on
-            self._fail(error)
+            self._set_first_error(error)
         finally:
             self._close_stream()
 
@@ -228,9 +232,9 @@ class RunWriter:
         try:
             self._stream.close()
         except OSError as error:  # closing writes what its buffer still held
-            self._fail(error)
+            self._set_first_error(error)
 
-    def _utc(self, t_mono_ns: int) -> int:
+    def _utc_from_mono_ns(self, t_mono_ns: int) -> int:
         return t_mono_ns + self._mono_to_utc_ns
 
     def _put_number(
@@ -239,17 +243,17 @@ class RunWriter:
         if self._error or self._closing.is_set():
             return
         publish_ns = t_mono_ns if t_source_mono_ns is None else t_source_mono_ns
-        entry = _Entry(topic, content, self._utc(t_mono_ns), self._utc(publish_ns))
+        entry = _Entry(topic, content, self._utc_from_mono_ns(t_mono_ns), self._utc_from_mono_ns(publish_ns))
         if self._patient:
-            return self._put(entry)
+            return self._enqueue_entry(entry)
         try:
             self._queue.put_nowait(entry)
         except queue.Full:
-            self._fail(
+            self._set_first_error(
                 RecordingError(f"{QUEUE_ENTRIES} entries wait for the disk, and no more are accepted: free disk space")
             )
 
-    def _put(self, entry: _Entry) -> None:
+    def _enqueue_entry(self, entry: _Entry) -> None:
         """Wait for room as long as the writer thread runs."""
         while self._thread.is_alive():
             try:
@@ -257,7 +261,9 @@ class RunWriter:
             except queue.Full:
                 continue
 
-    def _work(self, begun: Sequence[Attachment], metadata: Sequence[tuple[str, str]], opened: threading.Event) -> None:
+    def _run_writer_thread(
+        self, begun: Sequence[Attachment], metadata: Sequence[tuple[str, str]], opened: threading.Event
+    ) -> None:
         """Thread: the file's head, entries from the queue, a chunk at least every FLUSH_S, then the file's end.
 
         Whatever goes wrong ends the file and never the thread: it keeps emptying the queue, so that no producer waits.
@@ -267,29 +273,29 @@ class RunWriter:
             opened.set()
             flushed_s = mono_s()
             while not (self._closing.is_set() and self._queue.empty()):
-                flushed_s = self._step(flushed_s)
+                flushed_s = self._process_next_entry(flushed_s)
         except BaseException:  # the interpreter ends it: nothing more is taken, and the file has no index
-            self._fail(RecordingError("the writer thread has ended"))
+            self._set_first_error(RecordingError("the writer thread has ended"))
             raise
         finally:
             self._finish()
 
-    def _step(self, flushed_s: float) -> float:
+    def _process_next_entry(self, flushed_s: float) -> float:
         try:
             entry = self._queue.get(timeout=FLUSH_S)
         except queue.Empty:
             entry = None
         try:
-            self._take(entry)
+            self._write_unless_failed(entry)
             if mono_s() - flushed_s >= FLUSH_S and not self._error:
                 flushed_s = mono_s()
                 self._writer.flush()
                 self._require_name()
         except Exception as error:  # a row that cannot be written must not stop the machine
-            self._fail(error)
+            self._set_first_error(error)
         return flushed_s
 
-    def _take(self, entry: _Entry | None) -> None:
+    def _write_unless_failed(self, entry: _Entry | None) -> None:
         if entry is None:
             return
         if entry.topic == IMAGE_TOPIC:
@@ -298,7 +304,7 @@ class RunWriter:
         if not self._error:
             self._write(entry)
 
-    def _fail(self, error: Exception) -> None:
+    def _set_first_error(self, error: Exception) -> None:
         if self._error:
             return  # what came first is the cause
         why = error.strerror if isinstance(error, OSError) else str(error)
@@ -315,7 +321,7 @@ class RunWriter:
         number = self._sequence.get(entry.topic, 0)
         self._sequence[entry.topic] = number + 1
         self._writer.add_message(
-            channel_id=self._channel(entry),
+            channel_id=self._get_or_register_channel(entry),
             log_time=entry.log_ns,
             data=data,
             publish_time=entry.publish_ns if stamped else entry.log_ns,
@@ -323,7 +329,7 @@ class RunWriter:
         )
         self._messages += 1
 
-    def _channel(self, entry: _Entry) -> int:
+    def _get_or_register_channel(self, entry: _Entry) -> int:
         if entry.topic not in self._channels:
             name, schema = _schema_of(entry.topic, entry.content)
             message, described = ("json", "jsonschema") if isinstance(entry.content, str) else ("protobuf", "protobuf")
@@ -331,7 +337,7 @@ class RunWriter:
             self._channels[entry.topic] = self._writer.register_channel(entry.topic, message, schema_id)
         return self._channels[entry.topic]
 
-    def _attach(self, attachment: Attachment) -> None:
+    def _write_attachment(self, attachment: Attachment) -> None:
         now_ns = time.time_ns()
         self._writer.add_attachment(now_ns, now_ns, attachment.name, attachment.media_type, attachment.data)
 

@@ -39,7 +39,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def _noted(method: Callable[Concatenate["Recorder", P], T]) -> Callable[Concatenate["Recorder", P], T | None]:
+def _give_up_on_error(
+    method: Callable[Concatenate["Recorder", P], T],
+) -> Callable[Concatenate["Recorder", P], T | None]:
     """Whatever fails in it ends the recording, with a fault, and nothing else: not the job, not the link's reports."""
 
     @wraps(method)
@@ -99,7 +101,7 @@ class Recorder:
             writer.close(wait_s=0.0)
             self._late.append(writer)
 
-    @_noted
+    @_give_up_on_error
     def start(self, run_id: str, settings_json: str, machine_toml: str, seed: int | None = None) -> None:
         """Begin a run's file; a run that is on is closed first."""
         self.stop()
@@ -116,14 +118,16 @@ class Recorder:
         ]
         path = self._folder / f"{now:%Y%m%dT%H%M%S}-{run_id}.mcap"
         try:
-            self._writer = RunWriter(path, self._run, attachments, self._metadata(seed), open_wait_s=DISK_WAIT_S)
+            self._writer = RunWriter(
+                path, self._run, attachments, self._recording_metadata(seed), open_wait_s=DISK_WAIT_S
+            )
             self._writer.robot(urdf, mono_ns())
             self._problem, self._last = "", None
         except RecordingError as error:
             self._problem = str(error)
             _log.error("%s; the run continues without a recording", error)
 
-    def _metadata(self, seed: int | None) -> list[tuple[str, str]]:
+    def _recording_metadata(self, seed: int | None) -> list[tuple[str, str]]:
         return [
             ("longreach", __version__),
             ("python", platform.python_version()),
@@ -132,7 +136,7 @@ class Recorder:
             ("seed", "" if seed is None else str(seed)),
         ]
 
-    @_noted
+    @_give_up_on_error
     def sample(self, sample: PlcSample) -> None:
         """A PLC state."""
         restarted = sample.t_plc_ns < self._last_plc_ns - CLOCK_RESTART_NS
@@ -159,7 +163,7 @@ class Recorder:
         self._end_segments()
         self._first_plc_ns = self._plc_offset_ns = None
 
-    @_noted
+    @_give_up_on_error
     def report(self, report: FrameReport) -> None:
         """A processed stereo pair."""
         writer = self._writer
@@ -169,9 +173,9 @@ class Recorder:
         for row in report_rows(report):
             writer.row(row, report.t_receive_mono_ns, report.t_exposure_mapped_ns)
         if self._images and report.preview_jpeg is not None:
-            self._image(writer, report.preview_jpeg, report)
+            self._write_image_if_due(writer, report.preview_jpeg, report)
 
-    def _image(self, writer: RunWriter, jpeg: bytes, report: FrameReport) -> None:
+    def _write_image_if_due(self, writer: RunWriter, jpeg: bytes, report: FrameReport) -> None:
         if report.t_receive_mono_ns - self._image_ns < IMAGE_PERIOD_NS:
             return
         self._image_ns = report.t_receive_mono_ns
@@ -180,7 +184,7 @@ class Recorder:
             self._camera_ns = report.t_receive_mono_ns
             writer.camera(self._machine.camera, report.preview_width_px, report.t_receive_mono_ns)
 
-    @_noted
+    @_give_up_on_error
     def event(self, level: str, text: str) -> None:
         """One line of the log; level is debug, info, warning or error."""
         if self._writer is not None:
@@ -189,19 +193,19 @@ class Recorder:
     def look(self, look: Look, error: Floats = (NAN, NAN, NAN, NAN)) -> None:
         """A look, with its error x, y, z [mm] and rotation [deg] when it gave one."""
         now_ns = mono_ns()
-        self._row(look_row(look, now_ns * 1e-9, error), now_ns)
+        self._write_row(look_row(look, now_ns * 1e-9, error), now_ns)
 
     def calibration(self, estimate: CameraRotationEstimate) -> None:
         """A local calibration."""
         now_ns = mono_ns()
-        self._row(calibration_row(estimate, now_ns * 1e-9), now_ns)
+        self._write_row(calibration_row(estimate, now_ns * 1e-9), now_ns)
 
     def plan(self, plan: PathPlan) -> None:
         """A planned path."""
         now_ns = mono_ns()
-        self._row(plan_row(plan, now_ns * 1e-9), now_ns)
+        self._write_row(plan_row(plan, now_ns * 1e-9), now_ns)
 
-    @_noted
+    @_give_up_on_error
     def record(self, item: object, text: str = "") -> None:
         """A finding of a job, each kind in its own channel; what has none goes to /findings as JSON."""
         match item:
@@ -213,19 +217,19 @@ class Recorder:
                 self.look(item)
             case _:
                 now_ns = mono_ns()
-                self._row(finding_row(item, now_ns * 1e-9, text), now_ns)
+                self._write_row(finding_row(item, now_ns * 1e-9, text), now_ns)
 
     def result(self, result: object) -> None:
         """How the run ended."""
         self.record(result, "result")
 
-    @_noted
+    @_give_up_on_error
     def begin_segment(self, name: str, kind: SegmentKind, repeat_of: str = "") -> None:
         """From the latest PLC state on, what happens belongs to this segment."""
         self.end_segment()
         self._open_segment = (name, kind, repeat_of, self._last_plc_ns)
 
-    @_noted
+    @_give_up_on_error
     def end_segment(self) -> None:
         """Close the segment that is open, if any."""
         if self._open_segment is not None:
@@ -234,12 +238,12 @@ class Recorder:
             self._segments.append(Segment(name, kind, start_ns * 1e-9, end_ns * 1e-9, repeat_of))
             self._open_segment = None
 
-    @_noted
+    @_give_up_on_error
     def begin_marks(self, marks: tuple[SegmentMark, ...]) -> None:
         """A trajectory is about to be played of which these stretches are segments."""
         self._marks = marks, self._last_plc_ns
 
-    @_noted
+    @_give_up_on_error
     def end_marks(self) -> None:
         """The trajectory ended, or was stopped: what was driven of its stretches are segments.
 
@@ -261,7 +265,7 @@ class Recorder:
             span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9
             self._segments.append(Segment(self._run.name, "positioning", *span))
 
-    @_noted
+    @_give_up_on_error
     def stop(self) -> Path | None:
         """Close the run's file and return it; None when no run was on, or its disk is late (see `problem`)."""
         writer, self._writer = self._writer, None
@@ -288,6 +292,6 @@ class Recorder:
         for late in self._late:
             late.close()
 
-    def _row(self, row: Row, t_mono_ns: int) -> None:
+    def _write_row(self, row: Row, t_mono_ns: int) -> None:
         if self._writer is not None:
             self._writer.row(row, t_mono_ns)

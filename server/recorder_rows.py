@@ -32,7 +32,7 @@ from server.motion.contracts import PathPlan
 from server.vision.contracts import Look, MarkerView, ObjectPose, OdometryPose
 
 
-def _floats(array: Array | None) -> Floats:
+def _flattened_floats(array: Array | None) -> Floats:
     return () if array is None else tuple(np.asarray(array, float).ravel().tolist())
 
 
@@ -79,27 +79,27 @@ def report_rows(report: FrameReport) -> list[Row]:
     for view in observation.views:
         for eye, corners in (("left", view.corners_left_px), ("right", view.corners_right_px)):
             if corners is not None:
-                rows.append(_corners(view, eye, corners, t_camera_s))
+                rows.append(_marker_corners_row(view, eye, corners, t_camera_s))
     if report.odometry is not None:
         rows.append(odometry_row(report.odometry))
     return rows
 
 
-def _corners(view: MarkerView, eye: str, corners: Array, t_camera_s: float) -> MarkerCorners:
-    u0, v0, u1, v1, u2, v2, u3, v3 = _floats(corners)
+def _marker_corners_row(view: MarkerView, eye: str, corners: Array, t_camera_s: float) -> MarkerCorners:
+    u0, v0, u1, v1, u2, v2, u3, v3 = _flattened_floats(corners)
     return MarkerCorners(
         t_camera_s, eye, view.marker_id, u0, v0, u1, v1, u2, v2, u3, v3, view.residual_rms_px, view.used, view.reason
     )
 
 
 def _marker_pose(pose: ObjectPose, t_camera_s: float) -> MarkerPose:
-    sigma = () if pose.covariance is None else _floats(np.sqrt(np.diag(pose.covariance)))
+    sigma = () if pose.covariance is None else _flattened_floats(np.sqrt(np.diag(pose.covariance)))
     return MarkerPose(
         t_camera_s=t_camera_s,
         on=pose.on,
         status=pose.status.value,
         reason=pose.reason,
-        T_cam_object=_floats(pose.T_cam_object),
+        T_cam_object=_flattened_floats(pose.T_cam_object),
         sigma_rotation_rad=sigma[:3],
         sigma_translation_m=sigma[3:],
         residual_rms_px=pose.residual_rms_px,
@@ -108,9 +108,9 @@ def _marker_pose(pose: ObjectPose, t_camera_s: float) -> MarkerPose:
 
 def odometry_row(pose: OdometryPose) -> OdometryRow:
     """One odometry pose."""
-    x, y, z = _floats(pose.T_vo_cam[:3, 3])
-    w, i, j, k = _floats(quat_wxyz_from_rotation(pose.T_vo_cam[:3, :3]))
-    covariance = _floats(pose.covariance)
+    x, y, z = _flattened_floats(pose.T_vo_cam[:3, 3])
+    w, i, j, k = _flattened_floats(quat_wxyz_from_rotation(pose.T_vo_cam[:3, :3]))
+    covariance = _flattened_floats(pose.covariance)
     return OdometryRow(pose.t_exposure_ns * 1e-9, x, y, z, w, i, j, k, pose.status.value, pose.n_points, covariance)
 
 
@@ -120,10 +120,10 @@ def look_row(look: Look, t_pc_s: float, error: Floats = (NAN, NAN, NAN, NAN)) ->
         t_pc_s=t_pc_s,
         status=look.status.value,
         reason=look.reason,
-        T_cam_tool=_floats(look.T_cam_tool),
-        T_cam_ooi=_floats(look.T_cam_ooi),
-        tool_covariance=_floats(look.tool_covariance),
-        ooi_covariance=_floats(look.ooi_covariance),
+        T_cam_tool=_flattened_floats(look.T_cam_tool),
+        T_cam_ooi=_flattened_floats(look.T_cam_ooi),
+        tool_covariance=_flattened_floats(look.tool_covariance),
+        ooi_covariance=_flattened_floats(look.ooi_covariance),
         n_pairs=look.n_pairs,
         n_used=look.n_used,
         spread_mm=look.spread_mm,
@@ -141,8 +141,8 @@ def calibration_row(estimate: CameraRotationEstimate, t_pc_s: float) -> Calibrat
         status=estimate.status.value,
         reason=estimate.reason,
         method=estimate.method,
-        R_tcp_cam=_floats(estimate.R_tcp_cam),
-        covariance=_floats(estimate.covariance),
+        R_tcp_cam=_flattened_floats(estimate.R_tcp_cam),
+        covariance=_flattened_floats(estimate.covariance),
         time_offset_s=estimate.time_offset_s,
         residual_rms_mm=estimate.residual_rms_mm,
         residual_max_mm=estimate.residual_max_mm,
@@ -164,9 +164,9 @@ def plan_row(plan: PathPlan, t_pc_s: float) -> PlanRow:
         tcp_speed_max_m_s=plan.tcp_speed_max_m_s,
         clearance_m=plan.clearance_m,
         sigma_min=plan.sigma_min,
-        q_end_rad=_floats(plan.q_end),
-        knot_t_s=() if trajectory is None else _floats(trajectory.t_s),
-        knot_q_rad=() if trajectory is None else _floats(trajectory.q),
+        q_end_rad=_flattened_floats(plan.q_end),
+        knot_t_s=() if trajectory is None else _flattened_floats(trajectory.t_s),
+        knot_q_rad=() if trajectory is None else _flattened_floats(trajectory.q),
     )
 
 
@@ -174,21 +174,21 @@ def finding_row(item: object, t_pc_s: float, text: str = "") -> Finding:
     """Anything else: its type's name, and its fields as JSON. A plain text becomes the text itself."""
     if isinstance(item, str):
         return Finding(t_pc_s, "text", item, "")
-    return Finding(t_pc_s, type(item).__name__, text, json.dumps(_plain(item), allow_nan=False))
+    return Finding(t_pc_s, type(item).__name__, text, json.dumps(_json_value(item), allow_nan=False))
 
 
-def _plain(value: object) -> object:
+def _json_value(value: object) -> object:
     """Frozen dataclasses, arrays and enums as what JSON knows; numbers that are not finite become null."""
     if is_dataclass(value):
-        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
+        return {each.name: _json_value(getattr(value, each.name)) for each in fields(value)}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return _json_value(value.tolist())
     if isinstance(value, Enum):
-        return _plain(value.value)
+        return _json_value(value.value)
     if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
+        return [_json_value(each) for each in value]
     if isinstance(value, dict):
-        return {str(key): _plain(each) for key, each in value.items()}
+        return {str(key): _json_value(each) for key, each in value.items()}
     if isinstance(value, float | np.floating):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, bool | int | str) or value is None:
@@ -203,14 +203,14 @@ def frame_poses(chain: Chain, T_tcp_cam_left: Array, q_rad: Floats) -> list[Fram
     parent = "base"
     for number in range(1, len(poses)):
         child = f"link_{number}"
-        edges.append(_edge(parent, child, np.linalg.inv(poses[number - 1]) @ poses[number]))
+        edges.append(_frame_pose_row(parent, child, np.linalg.inv(poses[number - 1]) @ poses[number]))
         parent = child
-    edges.append(_edge(parent, "tcp", chain.T_flange_tcp))
-    edges.append(_edge("tcp", LEFT_FRAME, T_tcp_cam_left))
+    edges.append(_frame_pose_row(parent, "tcp", chain.T_flange_tcp))
+    edges.append(_frame_pose_row("tcp", LEFT_FRAME, T_tcp_cam_left))
     return edges
 
 
-def _edge(parent: str, child: str, T_parent_child: Array) -> FramePose:
-    x, y, z = _floats(T_parent_child[:3, 3])
-    w, i, j, k = _floats(quat_wxyz_from_rotation(T_parent_child[:3, :3]))
+def _frame_pose_row(parent: str, child: str, T_parent_child: Array) -> FramePose:
+    x, y, z = _flattened_floats(T_parent_child[:3, 3])
+    w, i, j, k = _flattened_floats(quat_wxyz_from_rotation(T_parent_child[:3, :3]))
     return FramePose(parent, child, (x, y, z), (w, i, j, k))

@@ -42,10 +42,10 @@ class ServiceManager:
         while self._address:
             self._send("WATCHDOG=1")
             if not self._stopping:
-                self._send(f"STATUS={self._text()}")
+                self._send(f"STATUS={self._status_text()}")
             await asyncio.sleep(period_s)
 
-    def _text(self) -> str:
+    def _status_text(self) -> str:
         try:
             return " ".join(self._status().split())
         except Exception as error:  # the watchdog's datagram must go on; /readyz shows the defect as well

@@ -38,7 +38,7 @@ class SupervisedTasks:
 
     def start(self, name: str, loop: Loop, on_failure: Loop | None = None) -> None:
         """Run `loop` until `close`. `on_failure` comes after each failure, before the next start."""
-        self._tasks.append(asyncio.create_task(self._keep(name, loop, on_failure), name=name))
+        self._tasks.append(asyncio.create_task(self._keep_running(name, loop, on_failure), name=name))
 
     async def close(self) -> None:
         """End all of them."""
@@ -47,21 +47,21 @@ class SupervisedTasks:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         self._tasks.clear()
 
-    async def _keep(self, name: str, loop: Loop, on_failure: Loop | None) -> None:
+    async def _keep_running(self, name: str, loop: Loop, on_failure: Loop | None) -> None:
         wait_s = FIRST_S
         while True:
             begun_s = mono_s()
-            why = await _ended(name, loop)
+            why = await _run_until_ended(name, loop)
             ended_s = mono_s()
             self._failed[name] = ended_s, f"{name} failed ({why}) and was restarted; see the server's log"
             if on_failure is not None:
-                await _ended(f"what follows a failure of {name}", on_failure)
+                await _run_until_ended(f"what follows a failure of {name}", on_failure)
             wait_s = FIRST_S if ended_s - begun_s > WELL_S else wait_s
             await asyncio.sleep(wait_s)
             wait_s = min(2.0 * wait_s, MAX_S)
 
 
-async def _ended(name: str, loop: Loop) -> str:
+async def _run_until_ended(name: str, loop: Loop) -> str:
     """Run it; why it ended. Only our own cancellation goes through."""
     try:
         await loop()

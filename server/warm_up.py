@@ -61,7 +61,7 @@ def exit_process(code: int) -> NoReturn:
 
 def warm_up(machine: Machine, chain: Chain) -> None:
     """Plan, match and trim once on the nominal machine, in the middle of its ranges; the results are thrown away."""
-    q = _posture(chain)
+    q = _nonsingular_posture(chain)
     T = tcp_pose(chain, q)
     plan_approach(machine, q, pose(T[:3, :3], T[:3, 3] + 0.05), DEFAULT_PLAN_SETTINGS)
     stall = first_stall(machine)
@@ -81,7 +81,7 @@ def warm_up(machine: Machine, chain: Chain) -> None:
     tcp_poses_with_errors(model, motion.q, model.mean)
 
 
-def _posture(chain: Chain) -> Array:
+def _nonsingular_posture(chain: Chain) -> Array:
     """Away from limits and singularities on a machine of Table 1; the middle of the ranges on any other."""
     q = (chain.q_min + chain.q_max) / 2.0
     if chain.n == 6:

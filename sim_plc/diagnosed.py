@@ -41,7 +41,9 @@ def with_effects(world: World) -> World:
     return world
 
 
-def _joint(world: World, part: str, name: str, entry: EffectEntry, change: Callable[[float], float]) -> World:
+def _change_joint_parameter(
+    world: World, part: str, name: str, entry: EffectEntry, change: Callable[[float], float]
+) -> World:
     """One number of one joint changed: `part` and `name` of the plant's truth."""
     group = getattr(world.plant, part)
     values = np.array(getattr(group, name), dtype=float)
@@ -54,18 +56,20 @@ def _oil_only(world: World, entry: EffectEntry) -> None:
         raise PresetError(f"effect {entry.name} needs a plant with oil and springs; preset '{world.preset}' has none")
 
 
-def _deadband(world: World, entry: EffectEntry) -> World:
+def _apply_deadband(world: World, entry: EffectEntry) -> World:
     _oil_only(world, entry)
     half = entry.value("half_width_frac")
     if entry.option == "lost":  # this plant's valves pass their full flow nonetheless
         left = 1.0 - float(world.plant.valve.dead_band_frac[(entry.joint or 1) - 1])
         world = _flow_times(world, entry, 1.0 - half / left)
-    return _joint(world, "valve", "dead_band_frac", entry, lambda x: x + half)
+    return _change_joint_parameter(world, "valve", "dead_band_frac", entry, lambda x: x + half)
 
 
-def _hysteresis(world: World, entry: EffectEntry) -> World:
+def _apply_hysteresis(world: World, entry: EffectEntry) -> World:
     _oil_only(world, entry)
-    return _joint(world, "valve", "hysteresis_frac", entry, lambda x: x + entry.value("half_width_frac"))
+    return _change_joint_parameter(
+        world, "valve", "hysteresis_frac", entry, lambda x: x + entry.value("half_width_frac")
+    )
 
 
 def _flow_gain(world: World, entry: EffectEntry) -> World:
@@ -76,22 +80,24 @@ def _flow_times(world: World, entry: EffectEntry, factor: float) -> World:
     gains = np.array(world.plant.velocity_gain_rad_s, dtype=float)
     gains[(entry.joint or 1) - 1] *= factor
     world = replace(world, plant=replace(world.plant, velocity_gain_rad_s=gains))
-    return _joint(world, "valve", "flow_gain_m3_s_sqrt_pa", entry, lambda x: x * factor)
+    return _change_joint_parameter(world, "valve", "flow_gain_m3_s_sqrt_pa", entry, lambda x: x * factor)
 
 
-def _backlash(world: World, entry: EffectEntry) -> World:
-    return _joint(world, "kinematics", "backlash_rad", entry, lambda x: x + entry.value("width_rad"))
+def _apply_backlash(world: World, entry: EffectEntry) -> World:
+    return _change_joint_parameter(world, "kinematics", "backlash_rad", entry, lambda x: x + entry.value("width_rad"))
 
 
-def _bias(world: World, entry: EffectEntry) -> World:
-    return _joint(world, "kinematics", "theta_zero_rad", entry, lambda x: x - entry.value("bias_rad"))
+def _apply_joint_zero_bias(world: World, entry: EffectEntry) -> World:
+    return _change_joint_parameter(world, "kinematics", "theta_zero_rad", entry, lambda x: x - entry.value("bias_rad"))
 
 
-def _length(world: World, entry: EffectEntry) -> World:
-    return _joint(world, "kinematics", f"{entry.option}_m", entry, lambda x: x + entry.value("error_m"))
+def _apply_length_error(world: World, entry: EffectEntry) -> World:
+    return _change_joint_parameter(
+        world, "kinematics", f"{entry.option}_m", entry, lambda x: x + entry.value("error_m")
+    )
 
 
-def _sag(world: World, entry: EffectEntry) -> World:
+def _apply_gravity_sag(world: World, entry: EffectEntry) -> World:
     _oil_only(world, entry)
     if entry.joint not in SPRUNG:
         raise PresetError(f"effect gravity_sag, joint {entry.joint}: the plant bends at joints 2 and 3 only")
@@ -101,7 +107,7 @@ def _sag(world: World, entry: EffectEntry) -> World:
     return replace(world, plant=replace(world.plant, flex=replace(world.plant.flex, stiffness_nm_rad=stiffness)))
 
 
-def _lens(world: World, entry: EffectEntry) -> World:
+def _apply_lens_error(world: World, entry: EffectEntry) -> World:
     eyes = {}
     for name in ("left", "right"):
         eye = getattr(world.camera, name)
@@ -116,7 +122,7 @@ def _lens(world: World, entry: EffectEntry) -> World:
     return replace(world, camera=replace(world.camera, **eyes))
 
 
-def _mount(world: World, entry: EffectEntry) -> World:
+def _apply_hand_eye_error(world: World, entry: EffectEntry) -> World:
     T, along = world.camera.T_tcp_cam_left, np.array(entry.direction)
     if entry.name == "hand_eye_rotation":
         turned = pose(T[:3, :3] @ rotation_from_rotvec(entry.value("angle_rad") * along), T[:3, 3])
@@ -125,7 +131,7 @@ def _mount(world: World, entry: EffectEntry) -> World:
     return replace(world, camera=replace(world.camera, T_tcp_cam_left=turned))
 
 
-def _print(world: World, entry: EffectEntry) -> World:
+def _apply_marker_size_error(world: World, entry: EffectEntry) -> World:
     scale = 1.0 + entry.value("scale_frac")
     scene = world.scene
     bigger = {
@@ -145,7 +151,7 @@ def _tool_marker(world: World, entry: EffectEntry) -> World:
     return replace(world, scene=replace(world.scene, tool_markers=markers))
 
 
-def _clock(world: World, entry: EffectEntry) -> World:
+def _apply_camera_time_error(world: World, entry: EffectEntry) -> World:
     camera = world.camera
     if entry.name == "clock_offset":
         return replace(world, camera=replace(camera, clock_offset_s=camera.clock_offset_s + entry.value("offset_s")))
@@ -157,22 +163,22 @@ def _clock(world: World, entry: EffectEntry) -> World:
 
 
 CHANGES: dict[str, Change] = {
-    "valve_deadband": _deadband,
-    "valve_hysteresis": _hysteresis,
+    "valve_deadband": _apply_deadband,
+    "valve_hysteresis": _apply_hysteresis,
     "flow_gain_error": _flow_gain,
-    "backlash": _backlash,
-    "encoder_bias": _bias,
-    "link_length_error": _length,
-    "gravity_sag": _sag,
-    "focal_length_error": _lens,
-    "principal_point_error": _lens,
-    "lens_distortion": _lens,
-    "hand_eye_rotation": _mount,
-    "hand_eye_translation": _mount,
+    "backlash": _apply_backlash,
+    "encoder_bias": _apply_joint_zero_bias,
+    "link_length_error": _apply_length_error,
+    "gravity_sag": _apply_gravity_sag,
+    "focal_length_error": _apply_lens_error,
+    "principal_point_error": _apply_lens_error,
+    "lens_distortion": _apply_lens_error,
+    "hand_eye_rotation": _apply_hand_eye_error,
+    "hand_eye_translation": _apply_hand_eye_error,
     "tool_marker_rotation": _tool_marker,
     "tool_marker_translation": _tool_marker,
-    "marker_size_error": _print,
-    "clock_offset": _clock,
-    "camera_latency": _clock,
-    "rolling_shutter": _clock,
+    "marker_size_error": _apply_marker_size_error,
+    "clock_offset": _apply_camera_time_error,
+    "camera_latency": _apply_camera_time_error,
+    "rolling_shutter": _apply_camera_time_error,
 }

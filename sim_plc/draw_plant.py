@@ -30,7 +30,7 @@ def draw_plant(machine: Machine, preset: str, seed: int) -> PlantTruth:
     return PlantTruth(
         rigid=rigid,
         velocity_gain_rad_s=np.array([joint.velocity_gain_rad_s for joint in machine.joints]),
-        kinematics=_kinematics(nominal, preset, seed),
+        kinematics=_draw_kinematics(nominal, preset, seed),
         inertia=inertia,
         flex=FlexTruth(
             stiffness_nm_rad=np.concatenate(
@@ -71,7 +71,7 @@ def nominal_kinematics(machine: Machine) -> KinematicTruth:
     )
 
 
-def _kinematics(nominal: KinematicTruth, preset: str, seed: int) -> KinematicTruth:
+def _draw_kinematics(nominal: KinematicTruth, preset: str, seed: int) -> KinematicTruth:
     lengths = spread_of(preset, "dh_length").draw(rng_for(seed, "dh_length"), 12)
     zeros = spread_of(preset, "joint_zero").draw(rng_for(seed, "joint_zero"), 6)
     slew = spread_of(preset, "backlash_slew").draw(rng_for(seed, "backlash_slew")) * 1e-3

@@ -125,8 +125,8 @@ def draw_scene(
 
     return SceneTruth(
         T_base_ooi=T_base_tcp @ T_tcp_tool @ inverse_pose(T_ooi_tool),
-        ooi_markers=tuple(_printed(m, preset, seed, laid_out=True) for m in machine.markers_on("ooi")),
-        tool_markers=tuple(_printed(m, preset, seed, laid_out=False) for m in machine.markers_on("tool")),
+        ooi_markers=tuple(_draw_true_marker(m, preset, seed, laid_out=True) for m in machine.markers_on("ooi")),
+        tool_markers=tuple(_draw_true_marker(m, preset, seed, laid_out=False) for m in machine.markers_on("tool")),
         T_tcp_tool=T_tcp_tool,
         wall_offset_m=WALL_OFFSET_M,
         wall_relief_m=draw("wall_relief"),
@@ -137,7 +137,7 @@ def draw_scene(
     )
 
 
-def _printed(marker: Marker, preset: str, seed: int, laid_out: bool) -> Marker:
+def _draw_true_marker(marker: Marker, preset: str, seed: int, laid_out: bool) -> Marker:
     """A marker as it truly is: its printed side, and for the OOI its place against the measured layout."""
     key = f"_{marker.marker_id}"
     side_mm = spread_of(preset, "marker_size").draw(rng_for(seed, "marker_size" + key))[0]

@@ -67,7 +67,7 @@ def posture_fault(machine: Machine, q_start: Array | None) -> str | None:
     """Why a start posture is unusable, or None: limits, wrist angle, look direction, height."""
     if q_start is None:
         return "reach"
-    chain = _narrowed(chain_of(machine))
+    chain = _narrow_joint_limits(chain_of(machine))
     if np.any(q_start < chain.q_min) or np.any(q_start > chain.q_max):
         return "joint limits at the start"
     if not START_THETA5_RAD[0] <= abs(q_start[4]) <= START_THETA5_RAD[1]:
@@ -96,7 +96,7 @@ def scene_fault(
     T_nominal_true = tcp_pose(chain, q_start) @ inverse_pose(T_base_tcp)
     T_tool_tcp = inverse_pose(scene.T_tcp_tool)
     Ts_base_tcp = [T_nominal_true @ scene.T_base_ooi @ T_ooi_tool @ T_tool_tcp for T_ooi_tool in Ts_ooi_tool]
-    return inverse_fault(_narrowed(chain), Ts_base_tcp, q_start)
+    return inverse_fault(_narrow_joint_limits(chain), Ts_base_tcp, q_start)
 
 
 def tool_stations(T_ooi_start: Array, T_ooi_goal: Array) -> list[Array]:
@@ -142,14 +142,16 @@ def all_in_view(camera: CameraTruth, scene: SceneTruth, T_ooi_tool: Array, margi
     shift = np.eye(4)
     shift[0, 3] = -camera.left.baseline_m
     for eye, T_eye_left in ((camera.left, np.eye(4)), (camera.right, shift)):
-        on_wall = [_seen(eye, T_eye_left @ T_left_ooi, marker, margin_px) for marker in scene.ooi_markers]
-        on_tool = [_seen(eye, T_eye_left @ T_left_tool, marker, margin_px) for marker in scene.tool_markers]
+        on_wall = [_is_marker_visible(eye, T_eye_left @ T_left_ooi, marker, margin_px) for marker in scene.ooi_markers]
+        on_tool = [
+            _is_marker_visible(eye, T_eye_left @ T_left_tool, marker, margin_px) for marker in scene.tool_markers
+        ]
         if not all(on_wall + on_tool):
             return False
     return True
 
 
-def _seen(eye: StereoCamera, T_eye_object: Array, marker: Marker, margin_px: float) -> bool:
+def _is_marker_visible(eye: StereoCamera, T_eye_object: Array, marker: Marker, margin_px: float) -> bool:
     T_eye_marker = T_eye_object @ marker.T_on_marker
     centre = T_eye_marker[:3, 3]
     if centre[2] <= 0.05 or -T_eye_marker[:3, 2] @ centre / np.linalg.norm(centre) < FACING_COSINE_MIN:
@@ -159,5 +161,5 @@ def _seen(eye: StereoCamera, T_eye_object: Array, marker: Marker, margin_px: flo
     return bool(np.all(pixels >= margin_px) and np.all(pixels <= last))
 
 
-def _narrowed(chain: Chain) -> Chain:
+def _narrow_joint_limits(chain: Chain) -> Chain:
     return replace(chain, q_min=chain.q_min + JOINT_MARGIN_RAD, q_max=chain.q_max - JOINT_MARGIN_RAD)

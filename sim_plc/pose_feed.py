@@ -89,9 +89,9 @@ class PoseFeed:
         Raises:  PoseFeedError: the time is not held (too old, or still to come).
         """
         for _ in range(_RETRIES):
-            found = self._around(t_plc_ns)
+            found = self._entries_around_time(t_plc_ns)
             if found is not None:
-                return _between(*found, t_plc_ns)
+                return _interpolate_pose(*found, t_plc_ns)
         raise PoseFeedError("pose feed: entries stay torn; the writer died while writing, or the reader is too slow")
 
     def close(self) -> None:
@@ -101,7 +101,7 @@ class PoseFeed:
         if self._owner:
             self._memory.unlink()
 
-    def _around(self, t_plc_ns: int) -> tuple[tuple[int, Array], tuple[int, Array]] | None:
+    def _entries_around_time(self, t_plc_ns: int) -> tuple[tuple[int, Array], tuple[int, Array]] | None:
         """The neighbours of a time; None when an entry was torn or overwritten under our hands."""
         count = _COUNT.unpack_from(self._buffer, 0)[0]
         low, high = max(0, count - SLOTS + _MARGIN), count - 1
@@ -140,7 +140,7 @@ def _buffer_of(memory: shared_memory.SharedMemory) -> memoryview:
     return memory.buf
 
 
-def _between(first: tuple[int, Array], second: tuple[int, Array], t_ns: int) -> Array:
+def _interpolate_pose(first: tuple[int, Array], second: tuple[int, Array], t_ns: int) -> Array:
     share = (t_ns - first[0]) / max(1, second[0] - first[0])
     A, B = first[1], second[1]
     turn = rotvec_from_rotation(B[:, :3] @ A[:, :3].T)

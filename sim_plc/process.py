@@ -154,7 +154,7 @@ def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: "_Stop
         _run_first()
         gc.freeze()
         stopped.prepared = True
-        loop.run(_watched(stopped, loop.health, camera))
+        loop.run(_health_logging_stop_check(stopped, loop.health, camera))
         if loop.health.behind_max_ms > _LATE_MS:
             log.warning("in all: %s", _too_slow(loop.health))
         log.info("simulated machine stopped: %s", loop.health)
@@ -216,7 +216,9 @@ def _too_slow(health: LoopHealth) -> str:
     return f"this computer is too slow for real time: {health.behind_max_ms:.0f} ms late, {health.lost_ms} ms let go"
 
 
-def _watched(stopped: Callable[[], bool], health: LoopHealth, camera: BaseProcess | None) -> Callable[[], bool]:
+def _health_logging_stop_check(
+    stopped: Callable[[], bool], health: LoopHealth, camera: BaseProcess | None
+) -> Callable[[], bool]:
     """`stopped`, and on the way a line in the log when the cycles were late or the camera has died."""
     reported, camera_reported, next_ns = (_LATE_MS, 0), False, mono_ns() + _HEALTH_NS
 

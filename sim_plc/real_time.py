@@ -90,7 +90,7 @@ class RealTimeLoop:
         """Take what has arrived, run the cycles that are due (20 ms at most); what is left to catch up [ns]."""
         machine, health = self._machine, self.health
         now_ns = self._clock() + self._offset_ns
-        self._drain(now_ns)
+        self._receive_waiting_datagrams(now_ns)
         behind_ns = now_ns - machine.t_plc_ns
         health.wakes += 1
         health.behind_max_ms = max(health.behind_max_ms, behind_ns / MS)
@@ -102,10 +102,10 @@ class RealTimeLoop:
             health.lost_ms += let_go * machine.cycle_ns // MS
         until_ns = min(now_ns, machine.t_plc_ns + BATCH_NS - machine.cycle_ns)
         while machine.t_plc_ns <= until_ns:
-            self._cycle()
+            self._run_cycle()
         return max(now_ns - machine.t_plc_ns, 0)
 
-    def _cycle(self) -> None:
+    def _run_cycle(self) -> None:
         machine = self._machine
         datagram = machine.cycle()
         self.health.cycles += 1
@@ -116,7 +116,7 @@ class RealTimeLoop:
             if isinstance(receiver, tuple):
                 self._udp.send(datagram, (receiver[0], receiver[1]))
 
-    def _drain(self, now_ns: int) -> None:
+    def _receive_waiting_datagrams(self, now_ns: int) -> None:
         for _ in range(_DRAIN):
             arrived = self._udp.receive()
             if arrived is None:

@@ -33,7 +33,7 @@ class TruthLog:
 
     def __init__(self, folder: Path, world: World, stand_off_m: float = 0.1) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        drawn = {"stand_off_m": stand_off_m, **_plain(world)}
+        drawn = {"stand_off_m": stand_off_m, **_to_json_value(world)}
         (folder / "world.json").write_text(json.dumps(drawn, indent=1), encoding="utf-8")
         self._file = (folder / "truth.csv").open("w", encoding="utf-8", newline="")
         self._rows = csv.writer(self._file)
@@ -68,14 +68,14 @@ class TruthLog:
         self._file.close()
 
 
-def _plain(value: Any) -> Any:
+def _to_json_value(value: Any) -> Any:
     """Dataclasses and arrays as JSON."""
     if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+        return {field.name: _to_json_value(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, np.ndarray):
         return value.tolist() if value.size <= _LISTED else f"array {value.shape}"
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [_to_json_value(item) for item in value]
     if isinstance(value, (np.floating, np.integer)):
         return value.item()
     return value

@@ -41,15 +41,15 @@ def reach_segments(chain: Chain) -> Array:
 
     Returns: segments (k, 2, 3) [m, base].
     """
-    points = _reachable(chain)
+    points = _reachable_tcp_points(chain)
     radius = np.hypot(points[:, 0], points[:, 1])
-    rim = _arc(float(radius.max()), float(chain.q_min[0]), float(chain.q_max[0]))
-    return np.concatenate([rim, _outline(radius, points[:, 2], _slew_middle(chain))])
+    rim = _arc_segments(float(radius.max()), float(chain.q_min[0]), float(chain.q_max[0]))
+    return np.concatenate([rim, _reach_outline_segments(radius, points[:, 2], _slew_middle(chain))])
 
 
 def slew_limits(chain: Chain) -> Array:
     """Two lines on the floor from the base to the reach, at both ends of the first joint (2, 2, 3) [m, base]."""
-    points = _reachable(chain)
+    points = _reachable_tcp_points(chain)
     radius = float(np.hypot(points[:, 0], points[:, 1]).max())
     ends = [np.array([radius * np.cos(q), radius * np.sin(q), CLEAR_M]) for q in (chain.q_min[0], chain.q_max[0])]
     return np.array([[[0.0, 0.0, CLEAR_M], end] for end in ends])
@@ -59,7 +59,7 @@ def _slew_middle(chain: Chain) -> float:
     return 0.5 * float(chain.q_min[0] + chain.q_max[0])
 
 
-def _reachable(chain: Chain) -> Array:
+def _reachable_tcp_points(chain: Chain) -> Array:
     """TCP positions (k, 3) over a grid of the second and third joint, the others in their middle."""
     q_mid = 0.5 * (chain.q_min + chain.q_max)
     lift, tilt = (np.linspace(chain.q_min[i], chain.q_max[i], GRID) for i in (1, 2))
@@ -68,13 +68,13 @@ def _reachable(chain: Chain) -> Array:
     return tcp_poses(chain, qs)[:, :3, 3]
 
 
-def _arc(radius: float, start: float, end: float) -> Array:
+def _arc_segments(radius: float, start: float, end: float) -> Array:
     angles = np.linspace(start, end, SECTORS + 1)
     rim = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full_like(angles, CLEAR_M)])
     return np.array(list(pairwise(rim)))
 
 
-def _outline(radius: Array, height: Array, azimuth: float) -> Array:
+def _reach_outline_segments(radius: Array, height: Array, azimuth: float) -> Array:
     """The outermost point of each sector about the middle of the reach, joined."""
     middle = np.array([radius.mean(), height.mean()])
     away = np.column_stack([radius, height]) - middle
@@ -114,8 +114,12 @@ class Scene:
         self._server.initial_camera.position = (1.1, -4.4, 2.6)
         self._server.initial_camera.look_at = (2.0, 0.0, 1.35)
         text = urdf_text(self._machine)
-        self._live = ViserUrdf(self._server, _urdf(text), root_node_name="/machine", mesh_color_override=LIVE_COLOR)
-        self._ghost = ViserUrdf(self._server, _urdf(text), root_node_name="/ghost", mesh_color_override=GHOST_COLOR)
+        self._live = ViserUrdf(
+            self._server, _load_urdf(text), root_node_name="/machine", mesh_color_override=LIVE_COLOR
+        )
+        self._ghost = ViserUrdf(
+            self._server, _load_urdf(text), root_node_name="/ghost", mesh_color_override=GHOST_COLOR
+        )
         self._ghost_root = scene.add_frame("/ghost", show_axes=False, visible=False)
         camera = self._machine.camera
         fov = 2.0 * np.arctan2(camera.height_px / 2.0, camera.fy_px)
@@ -154,22 +158,22 @@ class Scene:
         before = self._shown
         if view.picture_jpeg is not None:
             self._show_picture(view.picture_jpeg)
-        if before is not None and _same(view, before):
+        if before is not None and _is_visually_same(view, before):
             return
         with self._server.atomic():
             self._live.update_cfg(np.array(view.q_rad))
-            _place(self._frustum, view.T_base_cam)
-            _place(self._tool, view.T_base_tool)
+            _set_node_pose(self._frustum, view.T_base_cam)
+            _set_node_pose(self._tool, view.T_base_tool)
             self._ooi.visible = view.T_base_ooi is not None
             if view.T_base_ooi is not None:
-                _place(self._ooi, view.T_base_ooi)
+                _set_node_pose(self._ooi, view.T_base_ooi)
             if before is None or _plan_name(view) != _plan_name(before):
                 self._show_plan(view.plan)
             if view.plan is not None:
                 self._show_on_path(view.plan, view.scrub_frac)
-            if before is None or not _alike(view.track_base_m, before.track_base_m):
+            if before is None or not _is_same_array(view.track_base_m, before.track_base_m):
                 self._show_track(view.track_base_m)
-            if before is None or not _alike(view.map_base_m, before.map_base_m):
+            if before is None or not _is_same_array(view.map_base_m, before.map_base_m):
                 self._show_map(view.map_base_m)
         self._shown = view
 
@@ -180,7 +184,7 @@ class Scene:
             return
         segments = np.stack([plan.path_base_m[:-1], plan.path_base_m[1:]], axis=1)
         self._server.scene.add_line_segments("/path", points=segments, colors=PATH_COLOR, thickness=0.012)
-        _place(self._ellipsoid, plan.T_base_ellipsoid)
+        _set_node_pose(self._ellipsoid, plan.T_base_ellipsoid)
         x, y, z = ELLIPSOID_TIMES * plan.ellipsoid_radii_m
         self._ellipsoid.scale = (float(x), float(y), float(z))
 
@@ -210,17 +214,17 @@ class Scene:
             self._frustum.image = np.ascontiguousarray(image[:, :, ::-1])
 
 
-def _same(a: SceneView, b: SceneView) -> bool:
+def _is_visually_same(a: SceneView, b: SceneView) -> bool:
     """Whether no viewer could see a difference: an encoder that flickers must not redraw every viewer's screen."""
     turned = max(abs(x - y) for x, y in zip(a.q_rad, b.q_rad, strict=True))
     moved = float(np.abs(a.T_base_cam - b.T_base_cam).max())
-    way = _alike(a.track_base_m, b.track_base_m) and _alike(a.map_base_m, b.map_base_m)
-    rest = _alike(a.T_base_ooi, b.T_base_ooi) and way
+    way = _is_same_array(a.track_base_m, b.track_base_m) and _is_same_array(a.map_base_m, b.map_base_m)
+    rest = _is_same_array(a.T_base_ooi, b.T_base_ooi) and way
     plan = _plan_name(a) == _plan_name(b) and a.scrub_frac == b.scrub_frac
     return turned < STILL_RAD and moved < STILL_RAD and rest and plan
 
 
-def _alike(a: Array | None, b: Array | None) -> bool:
+def _is_same_array(a: Array | None, b: Array | None) -> bool:
     return (a is None and b is None) or (a is not None and b is not None and np.array_equal(a, b))
 
 
@@ -228,10 +232,10 @@ def _plan_name(view: SceneView) -> str:
     return "" if view.plan is None else view.plan.name
 
 
-def _urdf(text: str) -> yourdfpy.URDF:
+def _load_urdf(text: str) -> yourdfpy.URDF:
     return yourdfpy.URDF.load(io.StringIO(text))
 
 
-def _place(node: viser.SceneNodeHandle, T_base_node: Array) -> None:
+def _set_node_pose(node: viser.SceneNodeHandle, T_base_node: Array) -> None:
     node.position = T_base_node[:3, 3]
     node.wxyz = quat_wxyz_from_rotation(T_base_node[:3, :3])

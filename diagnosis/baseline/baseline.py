@@ -1,6 +1,6 @@
 """The baseline of a machine: effects that it has without a fault, and what they leave of the model's form.
 
-Fitted on some recordings, judged on others. Why a remainder at all: docs/decisions/0011-baseline-of-effects-and-remainders.md.
+Fitted on some recordings, judged on others. Why a remainder at all: decision 11 (docs/decisions).
 """
 
 from collections.abc import Callable
@@ -91,10 +91,10 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
             f"a baseline from {len(wholes)} recordings: give at least {1 + CHECKED_MIN}, of which 1 is fitted and "
             f"{CHECKED_MIN} judge"
         )
-    entries = _sized(wholes, _settled(fitted, progress), progress)
+    entries = _refit_effect_sizes(wholes, _fit_until_effects_stable(fitted, progress), progress)
     progress("what the model is wrong by on all recordings alike")
-    forms = _forms(wholes, entries)
-    predicted = _predicted(wholes, entries, forms)[len(fitted) :]
+    forms = _common_remainder_forms(wholes, entries)
+    predicted = _cross_validated_forms(wholes, entries, forms)[len(fitted) :]
     progress("what is left on the other recordings")
     seen = _with_predicted(checked, entries, predicted)
     left = remainders_of(seen)
@@ -106,7 +106,7 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     remainders = with_mosts(remainders, [with_baseline(recording, entries, remainders) for recording in wholes])
     progress("what each effect gains on the other recordings")
     gains = usual_gains(judged)
-    return Baseline(entries, with_usual(remainders, gains, len(checked)), _judged(checked, seen, entries))
+    return Baseline(entries, with_usual(remainders, gains, len(checked)), _evaluate_baseline(checked, seen, entries))
 
 
 def with_usual(remainders: tuple[Remainder, ...], gains: Gains, days: int) -> tuple[Remainder, ...]:
@@ -124,13 +124,13 @@ def with_usual(remainders: tuple[Remainder, ...], gains: Gains, days: int) -> tu
     return (*out, *(Remainder(stage, None, "", 0.0, 0.0, usual=tuple(own.items())) for stage, own in behind))
 
 
-def _forms(wholes: list[Read], entries: tuple[EffectEntry, ...]) -> tuple[Remainder, ...]:
+def _common_remainder_forms(wholes: list[Read], entries: tuple[EffectEntry, ...]) -> tuple[Remainder, ...]:
     """What the effects leave of all recordings alike, each weighed by what it is left with."""
     left = remainders_of([with_baseline(recording, entries, ()) for recording in wholes])
     return forms_of([with_baseline(recording, entries, left) for recording in wholes])
 
 
-def _predicted(
+def _cross_validated_forms(
     wholes: list[Read], entries: tuple[EffectEntry, ...], forms: tuple[Remainder, ...]
 ) -> list[tuple[Remainder, ...]]:
     """For each recording the form that the others have; with few of them the form of all.
@@ -141,7 +141,8 @@ def _predicted(
     if len(wholes) < FOLDS * TOGETHER_MIN:
         return [forms for _ in wholes]
     apart = [
-        _forms([recording for k, recording in enumerate(wholes) if k % FOLDS != fold], entries) for fold in range(FOLDS)
+        _common_remainder_forms([recording for k, recording in enumerate(wholes) if k % FOLDS != fold], entries)
+        for fold in range(FOLDS)
     ]
     return [apart[k % FOLDS] for k in range(len(wholes))]
 
@@ -165,7 +166,7 @@ def _with_forms(remainders: tuple[Remainder, ...], forms: tuple[Remainder, ...])
     )
 
 
-def _settled(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
+def _fit_until_effects_stable(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
     """Effects of each cell by the floor that they leave themselves, fitted again until their names stay.
 
     Why: the oil oscillates by several floors. Weighed by the noise alone, that oscillation decides what is worth
@@ -177,12 +178,12 @@ def _settled(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
     found: dict[str, Fit] = {}
     for number in range(1, PASSES + 1):
         before = [(effect.name, effect.joint) for effect in entries]
-        groups = _grouped([with_baseline(recording, (), remainders) for recording in fitted])
+        groups = _cells_by_label([with_baseline(recording, (), remainders) for recording in fitted])
         if not groups:
             raise DiagnosisError("no stage of these recordings can be replayed; see `longreach recording check`")
         for label, cell in groups.items():
             progress(f"fitting {label}, pass {number} of at most {PASSES}")
-            found[label] = _whole(cell)
+            found[label] = _fit_all_effects(cell)
         entries = tuple(entry for fitting in found.values() for entry in entries_of(fitting))
         if [(effect.name, effect.joint) for effect in entries] == before:
             break
@@ -190,13 +191,13 @@ def _settled(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
     return found
 
 
-def _whole(cell: Cell) -> Fit:
+def _fit_all_effects(cell: Cell) -> Fit:
     """All effects of a cell together, pruned."""
     best = fit_and_prune(cell, library_of(cell)).best
     return fit_of(best.terms, best.lin)
 
 
-def _sized(wholes: list[Read], fits: dict[str, Fit], progress: Progress) -> tuple[EffectEntry, ...]:
+def _refit_effect_sizes(wholes: list[Read], fits: dict[str, Fit], progress: Progress) -> tuple[EffectEntry, ...]:
     """The sizes of the effects that were found, by cell, fitted again on all recordings.
 
     Why on those, too, that judge: three recordings know a flow gain to half a percent, and every later one would show
@@ -205,14 +206,14 @@ def _sized(wholes: list[Read], fits: dict[str, Fit], progress: Progress) -> tupl
     first = tuple(entry for fitting in fits.values() for entry in entries_of(fitting))
     remainders = remainders_of([with_baseline(recording, first, ()) for recording in wholes])
     found: list[EffectEntry] = []
-    for label, cell in _grouped([with_baseline(recording, (), remainders) for recording in wholes]).items():
+    for label, cell in _cells_by_label([with_baseline(recording, (), remainders) for recording in wholes]).items():
         if label in fits and fits[label].hypothesis:
             progress(f"sizes of {label} on {len(wholes)} recordings")
             found += entries_of(fit_hypothesis(cell, fits[label].hypothesis, fits[label].theta, ROUNDS))
     return tuple(found)
 
 
-def _grouped(wholes: list[Read]) -> dict[str, Cell]:
+def _cells_by_label(wholes: list[Read]) -> dict[str, Cell]:
     """The same cell of all recordings as one, by its label."""
     found: dict[str, list[Cell]] = {}
     for whole in wholes:
@@ -221,16 +222,20 @@ def _grouped(wholes: list[Read]) -> dict[str, Cell]:
     return {label: join_cells(cells) if len(cells) > 1 else cells[0] for label, cells in found.items()}
 
 
-def _judged(checked: list[Read], seen: list[Read], effects: tuple[EffectEntry, ...]) -> tuple[CellBaseline, ...]:
+def _evaluate_baseline(
+    checked: list[Read], seen: list[Read], effects: tuple[EffectEntry, ...]
+) -> tuple[CellBaseline, ...]:
     """RMS in units of the noise floor, before and with the baseline, on recordings whose names were not fitted.
 
     Args: seen: the same recordings, with the effects and with the form that the others have.
     """
-    before, after = _grouped([with_baseline(recording, (), ()) for recording in checked]), _grouped(seen)
+    before, after = _cells_by_label([with_baseline(recording, (), ()) for recording in checked]), _cells_by_label(seen)
     return tuple(
-        CellBaseline(label, effects, _rms(before[label]), _rms(after[label])) for label in before if label in after
+        CellBaseline(label, effects, _cell_rms(before[label]), _cell_rms(after[label]))
+        for label in before
+        if label in after
     )
 
 
-def _rms(cell: Cell) -> float:
+def _cell_rms(cell: Cell) -> float:
     return float(np.sqrt(mean_square(cell)))

@@ -121,9 +121,9 @@ def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:
     out: list[Remainder] = []
     for (stage, joint, on), cells in _by_place(checked).items():
         if stage in DRIVEN_STAGES:
-            out += _dynamic(stage, cells)
+            out += _dynamic_remainders(stage, cells)
         else:
-            out.append(_plain(cells, Remainder(stage, joint, on, 0.0, 0.0)))
+            out.append(_unwhitened_remainder(cells, Remainder(stage, joint, on, 0.0, 0.0)))
     return tuple(out)
 
 
@@ -136,7 +136,7 @@ def _by_place(wholes: list[Read]) -> dict[tuple[str, int | None, str], list[Cell
     return found
 
 
-def _plain(cells: list[Cell], where: Remainder) -> Remainder:
+def _unwhitened_remainder(cells: list[Cell], where: Remainder) -> Remainder:
     """Remainder [m or px] of points or corners, in all and by axis: nothing is whitened there."""
     if where.stage == "camera":
         return _of_corners(cells, where)
@@ -174,7 +174,7 @@ def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
     return replace(where, sigma=left, rms=both, by_axis=tuple(float(x) for x in np.sqrt(shared)))
 
 
-def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
+def _dynamic_remainders(stage: str, cells: list[Cell]) -> list[Remainder]:
     """Remainders of one stage, joint by joint: the autoregression of what all recordings have beyond their noise."""
     replays = [cell.whitened for cell in cells if isinstance(cell.whitened, Replay)]
     out = []
@@ -183,7 +183,7 @@ def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
         for cell, replay in zip(cells, replays, strict=True):
             sets = _own_joints(cell, replay)
             runs = [part_increments(stage, part, sets)[0][0][SKIPPED:, column] for part in replay.parts]
-            noise = [rows[:, 0] for rows in _noise(stage, cell, replay, column)]
+            noise = [rows[:, 0] for rows in _repeat_noise_increments(stage, cell, replay, column)]
             totals.append(lagged_products(runs))
             noises.append(lagged_products(noise) if noise else np.zeros_like(totals[-1]))
         ar, sigma, rms = common_process(np.array(totals), np.array(noises))
@@ -231,7 +231,7 @@ def _own_joints(cell: Cell, replay: Replay) -> ParameterSets:
     return replace(cell.base, joint=np.ascontiguousarray(cell.base.joint[:, joints]))
 
 
-def _noise(stage: str, cell: Cell, replay: Replay, column: int) -> list[Array]:
+def _repeat_noise_increments(stage: str, cell: Cell, replay: Replay, column: int) -> list[Array]:
     """Increments (m, 1) of the repeats' deviations from their mean."""
     by_name = {part.stretch.name: part for part in replay.parts}
     groups = repeat_groups(tuple(part.stretch for part in replay.parts))

@@ -38,11 +38,11 @@ class ChordResidual:
 
     def foreseen(self, sets: ParameterSets, plain: ParameterSets, k: int) -> Array:
         """Lengths (m,) [m] that one set foresees."""
-        ends = [self._places(sets, plain, k, t) for t in (self.start_s, self.end_s)]
+        ends = [self._camera_positions(sets, plain, k, t) for t in (self.start_s, self.end_s)]
         scale = 1.0 + float(sets.machine[k, ODOMETRY_SCALE])
         return scale * np.linalg.norm(ends[1] - ends[0], axis=1)
 
-    def _places(self, sets: ParameterSets, plain: ParameterSets, k: int, stamps_s: Array) -> Array:
+    def _camera_positions(self, sets: ParameterSets, plain: ParameterSets, k: int, stamps_s: Array) -> Array:
         """The camera in the base (m, 3)."""
         arm, mount = self.nominal.arm, self.nominal.T_tcp_cam_left
         if arm is None or mount is None:

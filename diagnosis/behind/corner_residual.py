@@ -70,7 +70,7 @@ class CornerResidual:
         plain = without_encoders(sets)
         white = self.noise.white(self.nuisance.T, self.frames.groups).T
         arms: dict[bytes, Array] = {}
-        rows = [self._one(sets, plain, k, white, arms) for k in range(sets.sets)]
+        rows = [self._unwhitened_residual(sets, plain, k, white, arms) for k in range(sets.sets)]
         out = self.noise.white(np.array(rows), self.frames.groups)
         return out if self.layout is None else self.layout.white(out)
 
@@ -89,7 +89,9 @@ class CornerResidual:
                 columns.append(other.difference(plain, 0, Ts, None, self.T_base_ooi) - here)
         return replace(self, layout=day_noise(self.placeless(np.array(columns).T)))
 
-    def _one(self, sets: ParameterSets, plain: ParameterSets, k: int, white: Array, arms: dict[bytes, Array]) -> Array:
+    def _unwhitened_residual(
+        self, sets: ParameterSets, plain: ParameterSets, k: int, white: Array, arms: dict[bytes, Array]
+    ) -> Array:
         """Not yet whitened (N,); `white`: the whitened nuisance (N, 6 or 7), which the parameters do not change."""
         later = bool(sets.machine[k, READOUT])
         T = self.poses(sets, plain, k, 0.0, arms=arms)
@@ -99,11 +101,11 @@ class CornerResidual:
         residual = self.difference(plain, k, T, T_later, self.T_base_ooi)
         if self.nuisance.shape[1] == 0:
             return residual
-        moved = self.T_base_ooi @ small_motion(-self._place(white, residual)[:6])
+        moved = self.T_base_ooi @ small_motion(-self._best_nuisance_change(white, residual)[:6])
         residual = self.difference(plain, k, T, T_later, moved)
-        return np.asarray(residual - self.nuisance @ self._place(white, residual), dtype=float)
+        return np.asarray(residual - self.nuisance @ self._best_nuisance_change(white, residual), dtype=float)
 
-    def _place(self, white: Array, residual: Array) -> Array:
+    def _best_nuisance_change(self, white: Array, residual: Array) -> Array:
         """Change of the OOI's place, and of the clock (6 or 7,), that explains most of a residual (N,) [px]."""
         return least_squares(white, self.noise.white(residual[None], self.frames.groups)[0])
 

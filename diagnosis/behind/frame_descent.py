@@ -25,7 +25,7 @@ def gauss_newton_rotations(Q: Array, g: Array, starts: Array, steps: int) -> tup
     slope = np.empty(3)
     for s in range(len(starts)):
         R = found[s]
-        value, pull = _value(Q, g, R)
+        value, pull = _form_value_and_gradient(Q, g, R)
         damping = 1e-3
         for _ in range(steps):
             for k in range(3):
@@ -48,9 +48,9 @@ def gauss_newton_rotations(Q: Array, g: Array, starts: Array, steps: int) -> tup
             ridge = max(damping, FLAT) * ((A[0, 0] + A[1, 1] + A[2, 2]) / 3.0 + 1e-300)
             for a in range(3):
                 A[a, a] += ridge
-            x, y, z = _solved(A, slope)
-            _turned(-x, -y, -z, R, moved)
-            new, new_pull = _value(Q, g, moved)
+            x, y, z = _solve_symmetric_3x3(A, slope)
+            _rotate_by_rotvec(-x, -y, -z, R, moved)
+            new, new_pull = _form_value_and_gradient(Q, g, moved)
             if new <= value:
                 R[:] = moved
                 value, pull, damping = new, new_pull, 0.1 * damping
@@ -63,7 +63,7 @@ def gauss_newton_rotations(Q: Array, g: Array, starts: Array, steps: int) -> tup
 
 
 @njit(cache=True)
-def _value(Q: Array, g: Array, R: Array) -> tuple[float, Array]:
+def _form_value_and_gradient(Q: Array, g: Array, R: Array) -> tuple[float, Array]:
     """The form at R (3, 3), and half its derivative (9,) by R's entries."""
     pull = np.empty(9)
     value = 0.0
@@ -77,7 +77,7 @@ def _value(Q: Array, g: Array, R: Array) -> tuple[float, Array]:
 
 
 @njit(cache=True)
-def _solved(A: Array, b: Array) -> tuple[float, float, float]:
+def _solve_symmetric_3x3(A: Array, b: Array) -> tuple[float, float, float]:
     """x of A x = b for a symmetric A (3, 3), by cofactors; zeros where it has no inverse."""
     c0 = A[1, 1] * A[2, 2] - A[1, 2] * A[1, 2]
     c1 = A[0, 2] * A[1, 2] - A[0, 1] * A[2, 2]
@@ -96,7 +96,7 @@ def _solved(A: Array, b: Array) -> tuple[float, float, float]:
 
 
 @njit(cache=True)
-def _turned(x: float, y: float, z: float, R: Array, out: Array) -> None:
+def _rotate_by_rotvec(x: float, y: float, z: float, R: Array, out: Array) -> None:
     """R (3, 3) turned by a rotation vector [rad] (Rodrigues), into `out`."""
     angle = math.sqrt(x * x + y * y + z * z)
     along = math.sin(angle) / angle if angle > 1e-9 else 1.0

@@ -72,10 +72,10 @@ def best_rotation(form: QuadraticForm) -> Array:
     """The rotation (3, 3) of the least sum of squares: damped Gauss-Newton from the cube's 24, the best to its end."""
     R, value = gauss_newton_rotations(form.Q, form.g, STARTS, TRIED)
     best, _ = gauss_newton_rotations(form.Q, form.g, R[np.argmin(value)][None], SETTLED)
-    return _polished(form, best[0])
+    return _refine_by_newton(form, best[0])
 
 
-def _polished(form: QuadraticForm, R: Array) -> Array:
+def _refine_by_newton(form: QuadraticForm, R: Array) -> Array:
     """A rotation (3, 3) by plain Newton steps: values of the form no longer show which is better there.
 
     Why: a residual that is left makes Gauss-Newton slow, and derivatives of the fit are taken by small differences.
@@ -92,7 +92,7 @@ def _polished(form: QuadraticForm, R: Array) -> Array:
     return R
 
 
-def _cube() -> Array:
+def _cube_rotations() -> Array:
     """The 24 rotations of a cube: no rotation is farther than 63 degrees from one of them."""
     found = []
     for order in permutations(range(3)):
@@ -104,4 +104,4 @@ def _cube() -> Array:
     return np.array(found)
 
 
-STARTS = _cube()
+STARTS = _cube_rotations()

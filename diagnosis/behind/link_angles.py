@@ -112,14 +112,16 @@ def link_angles(
             values = path.enc[:, j]
             if path.step_s is not None and loose[j]:
                 values = _behind_joint(path, path.step_s, sets.joint[which, j], j, keys[j], side)
-            _interpolate(path.t_s, values, at, k, times, out[:, j])
+            _interpolate_cubic(path.t_s, values, at, k, times, out[:, j])
     rows = encoders[at]
     # the encoders' map is smooth: after the interpolation it costs a tenth
     return np.where(rows, true_angles(sets, out, which), out) if rows.any() else out
 
 
 @njit(cache=True)
-def _interpolate(at_s: Array, values: Array, path_of: NDArray[np.int64], path: int, times_s: Array, out: Array) -> None:
+def _interpolate_cubic(
+    at_s: Array, values: Array, path_of: NDArray[np.int64], path: int, times_s: Array, out: Array
+) -> None:
     """Those of `out` (m,) that lie in `path`: values (k,) at at_s (k,), evenly apart, by the cubic through the four
     nearest; straight at the ends, held beyond them.
 

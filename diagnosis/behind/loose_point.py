@@ -48,7 +48,7 @@ def off_its_link(xyz: Array, which: NDArray[np.int64], when: Array, joints: Sequ
         of_link = [k for k, other in enumerate(joints) if other == joint]
         if len(of_link) < LINK_POINTS_MIN:
             continue
-        scatter = np.array([[_scatter(at[:, a] - at[:, b]) for b in of_link] for a in of_link])
+        scatter = np.array([[_distance_std(at[:, a] - at[:, b]) for b in of_link] for a in of_link])
         for k, point in enumerate(of_link):
             own = np.delete(scatter[k], k)
             rest = np.delete(np.delete(scatter, k, axis=0), k, axis=1)
@@ -60,7 +60,7 @@ def off_its_link(xyz: Array, which: NDArray[np.int64], when: Array, joints: Sequ
     return ""
 
 
-def _scatter(apart: Array) -> float:
+def _distance_std(apart: Array) -> float:
     """Standard deviation of a distance, of vectors (m, 3) [m]; infinite where too few were seen, 0 to itself."""
     seen = apart[np.isfinite(apart).all(axis=1)]
     return float(np.std(np.linalg.norm(seen, axis=1))) if len(seen) >= SEEN_MIN else np.inf

@@ -36,7 +36,7 @@ def without_spikes(
     """
     left, spikes = table, np.zeros(len(table.xyz), dtype=bool)
     for _ in range(ROUNDS):
-        found = _spikes(nominal, left, stretches)
+        found = _spike_mask(nominal, left, stretches)
         if not found.any():
             break
         spikes |= found
@@ -51,13 +51,13 @@ def without_spikes(
     return left, [Finding("lost_points", "problem", "tracker.csv", text, int(spikes.sum()))]
 
 
-def _spikes(nominal: Nominal, table: PointTable, stretches: tuple[Stretch, ...]) -> NDArray[np.bool_]:
+def _spike_mask(nominal: Nominal, table: PointTable, stretches: tuple[Stretch, ...]) -> NDArray[np.bool_]:
     found = np.zeros(len(table.xyz), dtype=bool)
     data, q = tracked_data(nominal, table, stretches), tracked_angles(nominal, table, stretches)
     if data is None or len(data.xyz) < NEIGHBOURS:
         return found
     rows = np.nonzero(usable_rows(nominal, table, q))[0]
-    residual = _residual(nominal, data)
+    residual = _point_residual(nominal, data)
     away = np.zeros(len(rows))
     for point in np.unique(data.which):
         own = np.nonzero(data.which == point)[0]
@@ -69,7 +69,7 @@ def _spikes(nominal: Nominal, table: PointTable, stretches: tuple[Stretch, ...])
     return found
 
 
-def _residual(nominal: Nominal, data: PointData) -> Array:
+def _point_residual(nominal: Nominal, data: PointData) -> Array:
     return fit_points(nominal, pack_under(nominal.baseline, nominal.n), data).residual
 
 

@@ -39,7 +39,7 @@ class MeasuredAgain:
 def measured_again(rough: PointResidual, base: ParameterSets) -> MeasuredAgain | None:
     """From deviations of the residual where one point was measured again in the same pose; None if it hardly was."""
     residual = rough(base)[0].reshape(-1, 3)
-    direction = _directions(rough)
+    direction = _motion_directions(rough)
     points = rough.nominal.points
     of_point, again = np.zeros((len(points), 3)), np.zeros(len(points), dtype=np.int64)
     deviation = np.zeros_like(residual)
@@ -67,14 +67,14 @@ def measured_again(rough: PointResidual, base: ParameterSets) -> MeasuredAgain |
     places = [(point.joint, point.name) for point in points]
     loose = "" if rough.paths else loose_point(of_point.sum(axis=1), again, *zip(*places, strict=True))
     sigma = np.sqrt(squares / dof if dof >= ENOUGH else np.full(3, squares.mean() / dof))
-    together = 0.0 if loose else _shared(deviation[repeated], rough.noise.instants[repeated])
+    together = 0.0 if loose else _shared_variance_fraction(deviation[repeated], rough.noise.instants[repeated])
     per_pose = dof / float(again.max())  # points measured in a pose
     common_m = float(np.sqrt(together) * sigma.min())
     independent = 3.0 * dof / (1.0 + (per_pose - 1.0) * together)
     return MeasuredAgain(sigma, common_m, round(independent), 3 * dof, loose)
 
 
-def _shared(deviation: Array, instants: NDArray[np.int64]) -> float:
+def _shared_variance_fraction(deviation: Array, instants: NDArray[np.int64]) -> float:
     """The share of the variance of deviations (m, 3) [m] that all points of one instant have alike, 0 to MOST_SHARED.
 
     Why: what an encoder's step hides moves all that lies beyond its joint. Counted point by point such a pose would
@@ -89,7 +89,7 @@ def _shared(deviation: Array, instants: NDArray[np.int64]) -> float:
     return float(np.clip(products / pairs / np.mean(deviation**2), 0.0, MOST_SHARED))
 
 
-def _directions(rough: PointResidual) -> Array:
+def _motion_directions(rough: PointResidual) -> Array:
     """Sign of each joint's motion (m, n); 0 for poses at rest."""
     out = np.zeros_like(rough.data.q)
     for k, path in enumerate(rough.paths):

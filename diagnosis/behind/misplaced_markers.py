@@ -23,12 +23,12 @@ Layout = dict[int, Array]
 
 def misplaced_markers(tables: Tables, nominal: Nominal) -> list[Finding]:
     """Misplaced markers, by looks at two or more markers of one object, each in both eyes."""
-    return _on(tables, nominal, "tool") + _on(tables, nominal, "ooi")
+    return _findings_on_object(tables, nominal, "tool") + _findings_on_object(tables, nominal, "ooi")
 
 
-def _on(tables: Tables, nominal: Nominal, on: Literal["tool", "ooi"]) -> list[Finding]:
+def _findings_on_object(tables: Tables, nominal: Nominal, on: Literal["tool", "ooi"]) -> list[Finding]:
     layout = object_corners(marker for marker in nominal.markers if marker.on == on)
-    looks = _looks(tables, nominal, layout)
+    looks = _triangulated_views(tables, nominal, layout)
     if len(looks) < LOOKS_MIN:
         return []
     as_written = _off_m(looks, layout)
@@ -53,7 +53,7 @@ def _on(tables: Tables, nominal: Nominal, on: Literal["tool", "ooi"]) -> list[Fi
     return [Finding(code, "fatal", "markers.csv", f"{text}them, the other way {1e3 * away:.3g} mm")]
 
 
-def _looks(tables: Tables, nominal: Nominal, layout: Layout) -> list[tuple[list[int], Array]]:
+def _triangulated_views(tables: Tables, nominal: Nominal, layout: Layout) -> list[tuple[list[int], Array]]:
     """Ids of an object's markers and their corners (4 k, 3) [m] in the left eye, of some looks at two or more."""
     camera = nominal.camera
     if camera is None or tables.markers is None or len(layout) < 2:

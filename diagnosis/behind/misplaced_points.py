@@ -45,7 +45,7 @@ def _of_file(subject: str, nominal: Nominal, data: PointData) -> list[Finding]:
         return []
     written, wanted = f"as written they lie {1e3 * as_written:.3g} mm from the arm", as_written / TIMES
     named = [k for k in np.unique(data.which).tolist() if nominal.points[k].xyz_m is not None]
-    ways = [(_away_m(nominal, _renamed(data, pair)), pair) for pair in combinations(named, 2)]
+    ways = [(_away_m(nominal, _swap_point_names(data, pair)), pair) for pair in combinations(named, 2)]
     if ways and min(ways)[0] < wanted:
         away, pair = min(ways)
         a, b = (nominal.points[k].name for k in pair)
@@ -69,7 +69,7 @@ def _of_file(subject: str, nominal: Nominal, data: PointData) -> list[Finding]:
     return []
 
 
-def _renamed(data: PointData, pair: tuple[int, int]) -> PointData:
+def _swap_point_names(data: PointData, pair: tuple[int, int]) -> PointData:
     a, b = pair
     return replace(data, which=np.where(data.which == a, b, np.where(data.which == b, a, data.which)))
 

@@ -63,7 +63,7 @@ def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, l
            out last come back while they are not twice as far as what stays.
     """
     rounds, left, away = [], table, np.zeros(len(table.xyz))
-    off = _seen(nominal, left)
+    off = _static_point_outliers(nominal, left)
     while left.q is not None and off is not None and off.outside.any() and len(rounds) < ROUNDS:
         rows = np.nonzero(usable_rows(nominal, left, left.q))[0][off.outside]
         further = away.copy()
@@ -72,18 +72,18 @@ def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, l
             break
         rounds.append((left, away, off))
         left, away = left.without(rows), further
-        off = _seen(nominal, left)
+        off = _static_point_outliers(nominal, left)
     while rounds and off is not None and not rounds[-1][2].alone(off):
         left, away, off = rounds.pop()
-    return left, [_finding(table, away)] if rounds else []
+    return left, [_outlier_finding(table, away)] if rounds else []
 
 
-def _seen(nominal: Nominal, table: PointTable) -> _Off | None:
+def _static_point_outliers(nominal: Nominal, table: PointTable) -> _Off | None:
     data = None if nominal.arm is None else static_data(nominal, table)
-    return None if data is None else _off(nominal, data)
+    return None if data is None else _point_outliers(nominal, data)
 
 
-def _off(nominal: Nominal, data: PointData) -> _Off | None:
+def _point_outliers(nominal: Nominal, data: PointData) -> _Off | None:
     """None where too few points were measured, or the frame cannot be fitted."""
     if len(data.xyz) < POINTS_MIN:
         return None
@@ -106,7 +106,7 @@ def _off(nominal: Nominal, data: PointData) -> _Off | None:
     return _Off(away, scatter, float(np.median(np.linalg.norm(r0.reshape(-1, 3), axis=1))))
 
 
-def _finding(table: PointTable, away: Array) -> Finding:
+def _outlier_finding(table: PointTable, away: Array) -> Finding:
     worst = [k for k in np.argsort(-away, kind="stable") if away[k] > 0.0]
     worst_points = ", ".join(f"{table.names[k]} in pose {table.t_s[k]:.0f} by {away[k]:.3g} m" for k in worst[:NAMED])
     more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""

@@ -45,20 +45,20 @@ class PointResidual:
         plain = without_encoders(sets)
         rows = []
         for k in range(sets.sets):
-            data = replace(self.data, q=self._sided(sets, plain, k))
+            data = replace(self.data, q=self._angles_on_backlash_side(sets, plain, k))
             rows.append(_about_upright(fit_points(self.nominal, plain, data, k), data.xyz).ravel())
         return np.array(rows) - (0.0 if self.known is None else self.known)
 
     def reach_m(self, sets: ParameterSets) -> Array:
         """How far each point is from the base's upright (m,)."""
-        data = replace(self.data, q=self._angles(sets, 0))
+        data = replace(self.data, q=self._true_joint_angles(sets, 0))
         T = fit_points(self.nominal, without_encoders(sets), data, 0).T_base_tracker
         p = transform_points(T, data.xyz)
         return np.hypot(p[:, 0], p[:, 1])
 
     def moved_by_each(self, sets: ParameterSets) -> Array:
         """How far an angle more at each joint takes each point (n, m, 3) [m/rad]: radial, tangential, up."""
-        plain, data = without_encoders(sets), replace(self.data, q=self._angles(sets, 0))
+        plain, data = without_encoders(sets), replace(self.data, q=self._true_joint_angles(sets, 0))
         found = fit_points(self.nominal, plain, data)
         here = modelled_points(self.nominal, plain, data, found.places)
         moved = [
@@ -67,21 +67,21 @@ class PointResidual:
         ]
         return np.array([_about_upright(replace(found, residual=shift / NUDGE_RAD), self.data.xyz) for shift in moved])
 
-    def _angles(self, sets: ParameterSets, which: int, side: float = 0.0) -> Array:
+    def _true_joint_angles(self, sets: ParameterSets, which: int, side: float = 0.0) -> Array:
         if not self.paths:
             return true_angles(sets, self.data.q, which)
         when = self.data.when if self.t_start_s is None else true_times(sets, self.data.when, self.t_start_s, which)
         return link_angles(self.paths, sets, which, self.at, when, side)
 
-    def _sided(self, sets: ParameterSets, plain: ParameterSets, which: int) -> Array:
+    def _angles_on_backlash_side(self, sets: ParameterSets, plain: ParameterSets, which: int) -> Array:
         """Angles (m, n) with each course begun on that side of the plays that its points are nearer to.
 
         Why: until a joint has gone through its play, it is unknown where in it the link stands. Begun in the middle,
              fifteen points of three hundred spoke against a play that was there.
         """
         if not self.paths or not sets.joint[which, :, kernel.BACKLASH].any():
-            return self._angles(sets, which)
-        sided = np.stack([self._angles(sets, which, side) for side in SIDES])
+            return self._true_joint_angles(sets, which)
+        sided = np.stack([self._true_joint_angles(sets, which, side) for side in SIDES])
         unsure = np.ptp(sided, axis=0).max(axis=1) > 0.0
         off = [fit_points(self.nominal, plain, replace(self.data, q=q), which).residual[unsure] for q in sided]
         by_path = [np.bincount(self.at[unsure], (residual**2).sum(axis=1), len(self.paths)) for residual in off]

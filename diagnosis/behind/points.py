@@ -44,12 +44,12 @@ def static_data(nominal: Nominal, table: PointTable) -> PointData | None:
     """Usable rows of static.csv; None without any."""
     if table.q is None:
         return None
-    return _data(nominal, table, table.q)
+    return _usable_point_data(nominal, table, table.q)
 
 
 def tracked_data(nominal: Nominal, table: PointTable, stretches: tuple[Stretch, ...]) -> PointData | None:
     """Usable rows of tracker.csv with the encoders' angles of the same time; None without any."""
-    return _data(nominal, table, tracked_angles(nominal, table, stretches))
+    return _usable_point_data(nominal, table, tracked_angles(nominal, table, stretches))
 
 
 def tracked_angles(nominal: Nominal, table: PointTable, stretches: tuple[Stretch, ...]) -> Array:
@@ -63,19 +63,19 @@ def tracked_angles(nominal: Nominal, table: PointTable, stretches: tuple[Stretch
     return q
 
 
-def _data(nominal: Nominal, table: PointTable, q: Array) -> PointData | None:
-    which = _which(nominal, table)
+def _usable_point_data(nominal: Nominal, table: PointTable, q: Array) -> PointData | None:
+    which = _point_indices(nominal, table)
     good = usable_rows(nominal, table, q)
     return PointData(q[good], which[good], table.xyz[good], table.t_s[good]) if good.any() else None
 
 
 def usable_rows(nominal: Nominal, table: PointTable, q: Array) -> NDArray[np.bool_]:
     """Rows (m,) of a point that the machine file knows, with all their numbers, said once."""
-    good = (_which(nominal, table) >= 0) & np.isfinite(q).all(axis=1) & np.isfinite(table.xyz).all(axis=1)
+    good = (_point_indices(nominal, table) >= 0) & np.isfinite(q).all(axis=1) & np.isfinite(table.xyz).all(axis=1)
     return good & _first_of_each(table.t_s, table.xyz)
 
 
-def _which(nominal: Nominal, table: PointTable) -> NDArray[np.int64]:
+def _point_indices(nominal: Nominal, table: PointTable) -> NDArray[np.int64]:
     index = {point.name: k for k, point in enumerate(nominal.points)}
     return np.array([index.get(name, -1) for name in table.names], dtype=np.int64)
 
@@ -94,7 +94,7 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
              are found by least squares (`behind/frame_fit.py`): they take up what they can of any effect.
     Raises:  DiagnosisError: no arm, or too few points for an unknown frame.
     """
-    T_base_link = _links(nominal, sets, data, set_number)
+    T_base_link = _link_poses_of_points(nominal, sets, data, set_number)
     known = np.array([point.xyz_m is not None for point in nominal.points])
     places = np.array([point.xyz_m or (0.0, 0.0, 0.0) for point in nominal.points])
     T = nominal.T_base_tracker
@@ -104,16 +104,16 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
         T, places = frame_and_places(T_base_link[:, :3, :3], T_base_link[:, :3, 3], data.xyz, data.which, places, known)
     measured = transform_points(T, data.xyz)
     if nominal.T_base_tracker is not None:
-        places = _places(T_base_link, measured, data.which, places, known)
-    return PointFit(measured - _put(T_base_link, places[data.which]), T, places)
+        places = _points_on_links(T_base_link, measured, data.which, places, known)
+    return PointFit(measured - _transform_points(T_base_link, places[data.which]), T, places)
 
 
 def modelled_points(nominal: Nominal, sets: ParameterSets, data: PointData, places: Array) -> Array:
     """Where the model puts points (m, 3) [m, base axes] at the first of the sets, by their places (k, 3) on links."""
-    return _put(_links(nominal, sets, data, 0), places[data.which])
+    return _transform_points(_link_poses_of_points(nominal, sets, data, 0), places[data.which])
 
 
-def _links(nominal: Nominal, sets: ParameterSets, data: PointData, set_number: int) -> Array:
+def _link_poses_of_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_number: int) -> Array:
     """T_base_link (m, 4, 4) of the link that each point is on."""
     if nominal.arm is None:
         raise DiagnosisError(f"points need the arm's geometry; {nominal.why_absent('structure')}")
@@ -122,7 +122,7 @@ def _links(nominal: Nominal, sets: ParameterSets, data: PointData, set_number: i
     return links[np.arange(len(links)), joints]
 
 
-def _put(T_base_link: Array, on_link: Array) -> Array:
+def _transform_points(T_base_link: Array, on_link: Array) -> Array:
     return np.einsum("mij,mj->mi", T_base_link[:, :3, :3], on_link) + T_base_link[:, :3, 3]
 
 
@@ -132,7 +132,7 @@ def numbers_fitted(nominal: Nominal, data: PointData) -> int:
     return places + (0 if nominal.T_base_tracker is not None else 6)
 
 
-def _places(
+def _points_on_links(
     T_base_link: Array, measured: Array, which: NDArray[np.int64], places: Array, known: NDArray[np.bool_]
 ) -> Array:
     """Places of the points on their links, the unknown ones by their mean over all samples."""

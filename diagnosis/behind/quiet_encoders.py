@@ -37,12 +37,12 @@ def smooth_encoders(enc: Array, dt_s: float) -> Array:
         smooth = raw.copy()
         smooth[half:-half] = np.convolve(raw, weights[::-1], mode="valid")
         left = np.convolve((raw - smooth) ** 2, np.full(window, 1.0 / window), mode="same")
-        noise_only = left <= most * _sigma(raw) ** 2
+        noise_only = left <= most * _encoder_noise_sigma(raw) ** 2
         out[noise_only, j] = smooth[noise_only]
     return out
 
 
-def _sigma(raw: Array) -> float:
+def _encoder_noise_sigma(raw: Array) -> float:
     """An encoder's own noise [rad], from differences that no motion shows."""
     left = np.abs(np.diff(raw, n=DIFFERENCES))
     return float(NORMAL_MAD * np.median(left) / np.sqrt(comb(2 * DIFFERENCES, DIFFERENCES)))

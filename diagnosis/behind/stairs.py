@@ -21,7 +21,7 @@ def smooth_encoder_steps(enc: Array, steps_rad: Array, dt_s: float) -> Array:
     """
     out = enc.copy()
     for j in np.nonzero(steps_rad)[0]:
-        out[:, j] = _ramp(enc[:, j], dt_s)
+        out[:, j] = _replace_steps_by_ramps(enc[:, j], dt_s)
     return out
 
 
@@ -30,7 +30,7 @@ def steps_visible_at_tip(steps_rad: Array) -> Array:
     return np.where(steps_rad >= COARSE_RAD, steps_rad, 0.0)
 
 
-def _ramp(raw: Array, dt_s: float) -> Array:
+def _replace_steps_by_ramps(raw: Array, dt_s: float) -> Array:
     change = np.diff(raw)
     at = np.nonzero(change != 0.0)[0]
     if len(at) < 2:

@@ -73,7 +73,7 @@ def join_cells(parts: list[Cell]) -> Cell:
     for part in parts:
         for candidate in part.candidates:
             candidates.setdefault((candidate.key, candidate.option, candidate.fixed), candidate)
-    pieces = [_Remembered(part.whitened, *_columns(part)) for part in parts]
+    pieces = [_Remembered(part.whitened, *_relevant_parameters(part)) for part in parts]
 
     def whitened(sets: ParameterSets) -> Array:
         return np.concatenate([piece(sets) for piece in pieces], axis=1)
@@ -86,7 +86,7 @@ def join_cells(parts: list[Cell]) -> Cell:
         candidates=tuple(candidates.values()),
         base=parts[0].base,
         whitened=whitened,
-        rows=_rows([part.rows for part in parts]),
+        rows=_join_residual_rows([part.rows for part in parts]),
         scale=np.concatenate([part.scale for part in parts]),
         quiet=float(np.average([part.quiet for part in parts], weights=[part.rows.count for part in parts])),
         floor_known=2 * sum(part.rows.count for part in parts if part.floor_known) >= sum(p.rows.count for p in parts),
@@ -97,7 +97,7 @@ def join_cells(parts: list[Cell]) -> Cell:
     )
 
 
-def _rows(rows: list[ResidualRows]) -> ResidualRows:
+def _join_residual_rows(rows: list[ResidualRows]) -> ResidualRows:
     def shifted(name: str) -> NDArray[np.int64]:
         out, first = [], 0
         for row in rows:
@@ -110,7 +110,7 @@ def _rows(rows: list[ResidualRows]) -> ResidualRows:
     return ResidualRows(fold, shifted("block"), shifted("series"), shifted("channel"), alike=shifted("together"))
 
 
-def _columns(part: Cell) -> tuple[bool, list[int] | None]:
+def _relevant_parameters(part: Cell) -> tuple[bool, list[int] | None]:
     """Whether a part feels the joints' parameters, and which of the machine's; None: all."""
     if part.parts or isinstance(part.whitened, ChordResidual):
         return True, None
@@ -129,23 +129,23 @@ class _Remembered:
     known: dict[bytes, Array] = field(default_factory=dict)
 
     def __call__(self, sets: ParameterSets) -> Array:
-        keys = [self._key(sets, k) for k in range(sets.sets)]
+        keys = [self._cache_key(sets, k) for k in range(sets.sets)]
         found = {key: self.known[key] for key in keys if key in self.known}
         fresh = {key: k for k, key in enumerate(keys) if key not in found}
         if fresh:
             chosen = np.array(list(fresh.values()))
             rows = self.whitened(ParameterSets(sets.joint[chosen].copy(), sets.machine[chosen].copy()))
             found.update(zip(fresh, rows, strict=True))
-            self._keep(found, fresh)
+            self._cache_results(found, fresh)
         return np.stack([found[key] for key in keys])
 
-    def _keep(self, found: dict[bytes, Array], fresh: dict[bytes, int]) -> None:
+    def _cache_results(self, found: dict[bytes, Array], fresh: dict[bytes, int]) -> None:
         for key in fresh:
             self.known[key] = found[key]
         while len(self.known) > REMEMBERED:
             self.known.pop(next(iter(self.known)))
 
-    def _key(self, sets: ParameterSets, k: int) -> bytes:
+    def _cache_key(self, sets: ParameterSets, k: int) -> bytes:
         machine = sets.machine[k] if self.machine is None else sets.machine[k, self.machine]
         return machine.tobytes() + (sets.joint[k].tobytes() if self.joints else b"")
 
@@ -169,7 +169,7 @@ def shown_behind(cells: list[Cell]) -> tuple[str, ...]:
 
 def cells_without(cells: list[Cell], names: tuple[str, ...]) -> list[Cell]:
     """Cells whose library is without these effects."""
-    return _kept(cells, lambda one: one.name not in names) if names else cells
+    return _filter_candidates(cells, lambda one: one.name not in names) if names else cells
 
 
 def cells_fitting_joint(cells: list[Cell], nominal: Nominal) -> list[Cell]:
@@ -185,10 +185,10 @@ def cells_fitting_joint(cells: list[Cell], nominal: Nominal) -> list[Cell]:
     if not any(nominal.sliding):
         return cells
     slides = [False, *nominal.sliding]  # by joint; the machine's own are at 0
-    return _kept(cells, lambda one: one.name not in OF_A_TURN or not slides[one.joint or 0])
+    return _filter_candidates(cells, lambda one: one.name not in OF_A_TURN or not slides[one.joint or 0])
 
 
-def _kept(cells: list[Cell], wanted: Callable[[Candidate], bool]) -> list[Cell]:
+def _filter_candidates(cells: list[Cell], wanted: Callable[[Candidate], bool]) -> list[Cell]:
     return [
         replace(cell, candidates=tuple(candidate for candidate in cell.candidates if wanted(candidate)))
         for cell in cells

@@ -78,7 +78,9 @@ def camera_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | Non
     def cells_of(on: Literal["tool", "ooi"], late_s: float | None = None) -> list[Cell]:
         table = replace(markers, t_s=markers.t_s + to_plc_s - (late_s or 0.0))
         frames = frames_of(nominal, table, on, paths)
-        return [] if frames is None else _cell(whole, nominal, frames, on, paths, base, table, late_s is not None)
+        return (
+            [] if frames is None else _camera_cells(whole, nominal, frames, on, paths, base, table, late_s is not None)
+        )
 
     seen = cells_of("ooi")
     if seen and is_offset_guessed(tables):
@@ -109,7 +111,7 @@ def frames_of(
     return Frames.of(np.array([table.t_s[groups[k][0]] for k in chosen]), pixels, markers)
 
 
-def _cell(
+def _camera_cells(
     whole: Read,
     nominal: Nominal,
     frames: Frames,
@@ -122,7 +124,7 @@ def _cell(
     at = path_index(paths, frames.t_s) if on == "ooi" else np.zeros(len(frames.t_s), dtype=np.int64)
     start_s = float(paths[0].t_s[0]) if paths else 0.0
     rough = CornerResidual(nominal, frames, on, paths, at, start_s, np.eye(4), np.zeros((0, 0)), PLAIN, untimed)
-    placed = _placed(rough, nominal, table, base)
+    placed = _residual_at_nominal_place(rough, nominal, table, base)
     if placed is None:
         return []
     joints = tuple(range(1, nominal.n + 1))
@@ -135,7 +137,7 @@ def _cell(
         candidates = tuple(candidate for candidate in candidates if candidate.name not in TIMED)
     undetermined = ("odometry_scale", *(UNDETERMINED if untimed else ()))
     candidates = tuple(candidate for candidate in candidates if candidate.name not in undetermined)
-    visits = _visits(placed, base)
+    visits = _repeated_pose_corners(placed, base)
     known = noise_of_visits(visits, 1 if on == "tool" else VISITED_MIN)
     loose = loose_marker(visits, len(frames.markers))
     stated = nominal.sensors.corners_px
@@ -144,9 +146,9 @@ def _cell(
     noise = known if known is not None else _of_two(saturated_noise(placed, base, candidates, frames.groups))
     noise = replace(noise, own=np.maximum(noise.own, SIGMA_MIN_PX))
     record = nominal.remainder("camera", on=on)
-    rows, t_s = _rows(frames)
+    rows, t_s = _seen_corner_rows(frames)
     if on == "ooi":
-        rows = replace(rows, alike=_postures(link_angles(paths, base, 0, at, frames.t_s))[frames.frame_of_each])
+        rows = replace(rows, alike=_posture_groups(link_angles(paths, base, 0, at, frames.t_s))[frames.frame_of_each])
     noise = noise.with_remainder(record)
     off_m = (nominal.sensors.layout_m or LAYOUT_M) if record is None else 0.0  # a baseline has them in its remainder
     placed = replace(placed, noise=noise, layout_m=off_m).with_layout(base)
@@ -174,7 +176,9 @@ def _of_two(own_and_shared: tuple[float, float]) -> CornerNoise:
     return CornerNoise(np.full(AXES, own), np.full(AXES, shared))
 
 
-def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: ParameterSets) -> CornerResidual | None:
+def _residual_at_nominal_place(
+    rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: ParameterSets
+) -> CornerResidual | None:
     """With the object's nominal place: the tool's by the machine file, the OOI's by what was seen."""
     if rough.on == "tool":
         T = nominal.T_tcp_tool
@@ -198,7 +202,7 @@ def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: P
     return replace(placed, nuisance=nuisance_of(placed, base))
 
 
-def _postures(q: Array) -> NDArray[np.int64]:
+def _posture_groups(q: Array) -> NDArray[np.int64]:
     """Numbers of at most POSTURES groups of frames whose joints stand alike, from angles (m, n).
 
     Why: what a model is wrong by in one posture it is wrong by whenever the arm comes back, so that the frames of one
@@ -208,7 +212,7 @@ def _postures(q: Array) -> NDArray[np.int64]:
     return np.unique(group, return_inverse=True)[1].astype(np.int64)
 
 
-def _rows(frames: Frames) -> tuple[ResidualRows, Array]:
+def _seen_corner_rows(frames: Frames) -> tuple[ResidualRows, Array]:
     """Rows by frame; the residual holds only what was seen."""
     seen = np.isfinite(frames.pixels).reshape(len(frames.t_s), -1)
     whole = rows_of(len(frames.t_s), seen.shape[1])
@@ -219,7 +223,7 @@ def _rows(frames: Frames) -> tuple[ResidualRows, Array]:
     return cut, np.repeat(frames.t_s, seen.shape[1])[kept]
 
 
-def _visits(placed: CornerResidual, base: ParameterSets) -> list[Array]:
+def _repeated_pose_corners(placed: CornerResidual, base: ParameterSets) -> list[Array]:
     """Corners (k, C, 2) [px] of each pose that was looked at again, seconds apart.
 
     Residuals, not corners: a pose that repeats to a millimetre only would look like noise of pixels.

@@ -39,13 +39,13 @@ def regressors_of(
         skip = 1 + order + skipped
         for j in joints:
             moves = MOVES_RAD if one.enc_step is None else max(MOVES_RAD, float(one.enc_step[j]))
-            for name, values in _signals(q, u, t - one.t_s[0], j, moves).items():
+            for name, values in _explanatory_signals(q, u, t - one.t_s[0], j, moves).items():
                 by_name.setdefault(name, []).append(values[skip : skip + rows])
             times.append(t[skip : skip + rows])
     return tuple((name, np.concatenate(values)) for name, values in by_name.items()), np.concatenate(times)
 
 
-def _signals(q: Array, u: Array, t: Array, j: int, moves: float) -> dict[str, Array]:
+def _explanatory_signals(q: Array, u: Array, t: Array, j: int, moves: float) -> dict[str, Array]:
     """`moves`: change within a block [rad] from which a joint moves: a step of its encoder is in the residual, too."""
     v, du = np.gradient(q[:, j]), np.gradient(u[:, j])
     others = np.delete(np.abs(u), j, axis=1).sum(axis=1)
@@ -84,7 +84,7 @@ def stage_cells(
     if not some:
         return []
     floor = stage_floor(replayer, stage, some, base)
-    seen = [j for j in range(replayer.nominal.n) if all(_recorded(stage, entry, j) for entry in some)]
+    seen = [j for j in range(replayer.nominal.n) if all(_has_replay_signals(stage, entry, j) for entry in some)]
     groups = [tuple(seen)] if stage == "link" else [(j,) for j in seen]
     cells = (cell_of(stage, joints, some, floor, base, replayer) for joints in groups if joints)
     return [replace(cell, course=course) for cell in cells]
@@ -96,14 +96,14 @@ def coupled_cell(
     """All joints' actuators together, for what couples them: the pump's sharing."""
     some = [entry for entry in (replayer.prepare(s, course) for s in stretches) if "actuator" in entry.drives]
     n = replayer.nominal.n
-    if not some or n < 2 or not all(_recorded("actuator", entry, j) for entry in some for j in range(n)):
+    if not some or n < 2 or not all(_has_replay_signals("actuator", entry, j) for entry in some for j in range(n)):
         return None
     floor = stage_floor(replayer, "actuator", some, base)
     cell = cell_of("actuator", tuple(range(n)), some, floor, base, replayer)
     return replace(cell, candidates=candidates_of_effects((DROOP,), ()))
 
 
-def _recorded(stage: str, one: PreparedStretch, j: int) -> bool:
+def _has_replay_signals(stage: str, one: PreparedStretch, j: int) -> bool:
     """Whether everything that a joint's replay needs was recorded."""
     needed = {
         "link": (one.stretch.ref,),
@@ -150,7 +150,7 @@ def cell_of(
         stage=stage,
         joint=None if whole else one_based[0],
         unit=units.pop() if one_unit else MIXED_UNIT,
-        candidates=_candidates(stage, one_based, prepared, replayer),
+        candidates=_dynamic_candidates(stage, one_based, prepared, replayer),
         base=base,
         whitened=replay,
         rows=rows,
@@ -182,7 +182,7 @@ def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int
     return np.split(blocks, cuts), np.split(folds, cuts)
 
 
-def _candidates(
+def _dynamic_candidates(
     stage: str, joints: tuple[int, ...], prepared: list[PreparedStretch], replayer: Replayer
 ) -> tuple[Candidate, ...]:
     machine = stage == "link"

@@ -32,12 +32,12 @@ def merged_cells(
 
     everything, droop = tuple(range(replayer.nominal.n)), candidates_of_effects((DROOP,), ())
     if "link" in merge.stages:
-        return [cell(everything, (*_candidates(merge, everything, replayer), *droop))], None
-    found = [cell((j,), _candidates(merge, (j,), replayer)) for j in everything]
+        return [cell(everything, (*_merged_candidates(merge, everything, replayer), *droop))], None
+    found = [cell((j,), _merged_candidates(merge, (j,), replayer)) for j in everything]
     return found, cell(everything, droop) if len(everything) > 1 else None
 
 
-def _candidates(merge: MergedStages, joints: tuple[int, ...], replayer: Replayer) -> tuple[Candidate, ...]:
+def _merged_candidates(merge: MergedStages, joints: tuple[int, ...], replayer: Replayer) -> tuple[Candidate, ...]:
     """What may be wrong with joints (0-based), each by itself; of the link, too, where it is among what merges."""
     found = tuple(
         candidate

@@ -37,13 +37,13 @@ def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) ->
         return []
     if nominal.T_tcp_cam_left is None or not paths:
         return []
-    rough = _chords(nominal, tables.odometry, camera_to_plc_s(tables), paths)
+    rough = _odometry_chords(nominal, tables.odometry, camera_to_plc_s(tables), paths)
     long = rough.length_m > LONG_M
     if int(long.sum()) < CHORDS_MIN:
         return []
     cut = {name: getattr(rough, name)[long] for name in ("at", "start_s", "end_s", "length_m")}
     rough = replace(rough, **cut)
-    candidates = _candidates(tuple(range(1, nominal.n + 1)), is_logged_densely(paths))
+    candidates = _odometry_candidates(tuple(range(1, nominal.n + 1)), is_logged_densely(paths))
     count = len(rough.at)
     # the noise across a chord makes it longer by sigma^2 / length on the average: taken off below
     sigma = max(saturated_noise(rough, base, candidates, np.arange(count))[0], SIGMA_MIN_M)
@@ -65,7 +65,7 @@ def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) ->
     ]
 
 
-def _chords(nominal: Nominal, table: OdometryTable, to_plc_s: float, paths: tuple[Path, ...]) -> ChordResidual:
+def _odometry_chords(nominal: Nominal, table: OdometryTable, to_plc_s: float, paths: tuple[Path, ...]) -> ChordResidual:
     """At most 200 chords of a second, evenly spread over what lies within stretches."""
     good = np.isfinite(table.t_s) & np.isfinite(table.position).all(axis=1)
     order = np.argsort(table.t_s[good], kind="stable")
@@ -79,5 +79,5 @@ def _chords(nominal: Nominal, table: OdometryTable, to_plc_s: float, paths: tupl
     return ChordResidual(nominal, paths, start_in[some], t[some], t[end[some]], length, float(paths[0].t_s[0]))
 
 
-def _candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
+def _odometry_candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
     return arm_candidates(joints, moving) + candidates_of_effects(MOUNT, joints) + candidates_of("time", joints, True)

@@ -78,7 +78,7 @@ def share_of(cell: Cell) -> StepShare | None:
         left, along, *nuisance = ((signal * row_weights(part, replay.whitener))[0, :, 0] for signal in white)
         if len(left) <= len(nuisance):
             continue
-        left, along = _without(np.stack([left, along], axis=1), np.stack(nuisance, axis=1)).T
+        left, along = _project_out_columns(np.stack([left, along], axis=1), np.stack(nuisance, axis=1)).T
         both, own = both + float(left @ along), own + float(along @ along)
         energy, free = energy + float(left @ left), free + len(left) - len(nuisance)
     if own <= 0.0 or free <= 0:
@@ -90,7 +90,7 @@ def share_of(cell: Cell) -> StepShare | None:
     return replace(share, left=1.0) if share.sigma < SURE else None
 
 
-def _without(signals: Array, columns: Array) -> Array:
+def _project_out_columns(signals: Array, columns: Array) -> Array:
     """Signals (m, k) less what the columns (m, p) can explain of them."""
     size = np.linalg.norm(columns, axis=0)
     scaled = columns / np.where(size > 0.0, size, 1.0)

@@ -32,12 +32,12 @@ def point_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None
     cells = []
     static = static_data(nominal, tables.static) if tables.static is not None else None
     if static is not None and len(static.xyz) >= ROWS_MIN:
-        cells.append(_with_loose_point(_cell(nominal, _thinned(static), (), base), nominal, static))
+        cells.append(_with_loose_point(_point_cell(nominal, _thin_points(static), (), base), nominal, static))
     tracked = tracked_data(nominal, tables.tracker, whole.stretches) if tables.tracker is not None else None
     if tracked is not None and len(tracked.xyz) >= ROWS_MIN:
         courses = paths_of(whole.stretches) if paths is None else paths
         repeats = noise_by_repeats(nominal, tracked, courses, base, whole.stretches)
-        cell = _cell(nominal, _thinned(tracked), courses, base, repeats, clocked=tables.markers is None)
+        cell = _point_cell(nominal, _thin_points(tracked), courses, base, repeats, clocked=tables.markers is None)
         cells.append(_with_loose_point(cell, nominal, tracked))
     return cells
 
@@ -57,12 +57,12 @@ def left_out(nominal: Nominal, tables: Tables) -> list[str]:
     ]
 
 
-def _thinned(data: PointData) -> PointData:
+def _thin_points(data: PointData) -> PointData:
     rows = np.unique(np.linspace(0, len(data.xyz) - 1, ROWS_MAX).astype(int))
     return PointData(data.q[rows], data.which[rows], data.xyz[rows], data.when[rows])
 
 
-def _cell(
+def _point_cell(
     nominal: Nominal,
     data: PointData,
     paths: tuple[Path, ...],

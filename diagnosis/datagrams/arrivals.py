@@ -120,16 +120,16 @@ def arrival_times(
              sending period: beyond, it is a fault of the link.
     """
     known = on_schedule(sent, rows)
-    bounds = _bounds(sent, rows)
+    bounds = _delay_bounds(sent, rows)
     if bounds is None:
         return known
     period_s = float(np.median(np.diff(sent[0])))
     if cycle_s > FINE_CYCLE_S and float(np.median(np.diff(rows[0]))) < WIDER * cycle_s:
         return _now_and_then(known, bounds, cycle_s, nominal_s)
     most_s = cycle_s + period_s
-    delay = _steady(bounds, nominal_s, most_s)
+    delay = _steady_or_drifting_delay(bounds, nominal_s, most_s)
     if clock_known and delay.rate == 0.0 and abs(delay.nearest(nominal_s) - nominal_s) > ALLOWED_S:
-        delay = _drifting(bounds, nominal_s, delay)
+        delay = _least_drift_delay(bounds, nominal_s, delay)
     off = delay.rate * (sent[0] - bounds.middle_s)
     ends = np.array([-0.5, 0.5]) * delay.rate * bounds.span_s
     near = delay.nearest(nominal_s)
@@ -148,7 +148,7 @@ def arrival_times(
     if known.lost is not None and late_enough(known.lost, came, (bounds.t_s, bounds.shown)):
         lost, with_next = with_next, known.lost
     earliest, latest = _rows_around(bounds, len(came), cycle_s)
-    moved = _into(earliest, latest, came)
+    moved = _correction_into_rows(earliest, latest, came)
     moved[(np.abs(moved) > most_s) & ~with_next] = 0.0
     if lost is not None:
         moved[lost] = 0.0
@@ -177,7 +177,7 @@ def _now_and_then(known: Arrivals, bounds: _Bounds, cycle_s: float, nominal_s: f
     """
     delay = _least_missed(bounds, nominal_s)
     if delay.most_s < nominal_s - EPS_S:  # no fault of a link makes it faster
-        delay = _drifting(bounds, nominal_s, delay)
+        delay = _least_drift_delay(bounds, nominal_s, delay)
         if delay.rate:
             drifted = known.t_s + delay.least_s - nominal_s + delay.rate * (known.t_s - bounds.middle_s)
             _, shown_s = _rows_around(bounds, len(drifted), cycle_s)
@@ -198,7 +198,7 @@ def _now_and_then(known: Arrivals, bounds: _Bounds, cycle_s: float, nominal_s: f
     return replace(known, t_s=np.maximum.accumulate(known.t_s + cycle_s * late))
 
 
-def _bounds(sent: Numbered, rows: Numbered) -> _Bounds | None:
+def _delay_bounds(sent: Numbered, rows: Numbered) -> _Bounds | None:
     """What the rows say of the delay; None where numbers are missing, or not in order."""
     t_sent, number = sent
     t_row, seq = rows
@@ -223,7 +223,7 @@ def _next_shown(t_sent: Array, shown: NDArray[np.int64]) -> Array:
     return np.append(t_sent[seen], np.inf)[np.searchsorted(seen, shown, side="right")]
 
 
-def _steady(bounds: _Bounds, nominal_s: float, most_s: float) -> _Delay:
+def _steady_or_drifting_delay(bounds: _Bounds, nominal_s: float, most_s: float) -> _Delay:
     """The delay, with a drift of the clocks only where that contradicts less than half as many rows as a steady one.
 
     Rates are tried that lie half of most_s apart at the ends.
@@ -241,7 +241,7 @@ def _steady(bounds: _Bounds, nominal_s: float, most_s: float) -> _Delay:
     return _Delay(found.least_s, found.most_s, found.misses, best) if better else steady
 
 
-def _drifting(bounds: _Bounds, nominal_s: float, steady: _Delay) -> _Delay:
+def _least_drift_delay(bounds: _Bounds, nominal_s: float, steady: _Delay) -> _Delay:
     """The least drift of the clocks from no delay at the first or the last row that contradicts hardly any row, or
     clearly fewer than a steady delay; else that delay.
 
@@ -299,7 +299,7 @@ def _rows_around(bounds: _Bounds, count: int, cycle_s: float) -> tuple[Array, Ar
     return np.minimum(lo, hi), hi
 
 
-def _into(earliest: Array, latest: Array, came: Array) -> Array:
+def _correction_into_rows(earliest: Array, latest: Array, came: Array) -> Array:
     """By how much each arrival (k,) lies outside the two rows between which the log saw it appear."""
     moved = np.where(np.isfinite(earliest + latest), np.clip(came, earliest, latest) - came, 0.0)
     moved[np.abs(moved) < EPS_S] = 0.0

@@ -29,7 +29,7 @@ def by_value(rows: tuple[Array, Array], sent: tuple[Array, Array]) -> NDArray[np
     if len(t_sent) < 2 or ref.shape[1:] != q.shape[1:]:
         return found
     alone = np.ones(len(q), dtype=bool)
-    stays = _equal(q[1:], q[:-1])
+    stays = _equal_rows(q[1:], q[:-1])
     alone[1:] &= ~stays
     alone[:-1] &= ~stays
     last = np.searchsorted(t_sent, t_row, side="right") - 1
@@ -38,12 +38,12 @@ def by_value(rows: tuple[Array, Array], sent: tuple[Array, Array]) -> NDArray[np
     for back in range(-EARLY, tried + 1):
         at = last - back
         open_ = np.nonzero((found < 0) & (at >= 0) & (at < len(q)))[0]
-        fits = alone[at[open_]] & _equal(ref[open_], q[at[open_]])
+        fits = alone[at[open_]] & _equal_rows(ref[open_], q[at[open_]])
         found[open_[fits]] = at[open_[fits]]
     return found
 
 
-def _equal(a: Array, b: Array) -> NDArray[np.bool_]:
+def _equal_rows(a: Array, b: Array) -> NDArray[np.bool_]:
     """Rows whose known numbers are all the same, and some are known."""
     apart = np.abs(a - b)
     return np.asarray((np.isnan(apart) | (apart < OFF_RAD)).all(axis=1) & np.isfinite(apart).any(axis=1))
@@ -92,7 +92,7 @@ def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
     given = tables.run.plc_to_pc_offset_s
     delays = _apparent_delays(tables)
     if given is not None:
-        if not _meet(tables, given):
+        if not _is_sent_during_log(tables, given):
             text = f"clocks.plc_to_pc_offset_s = {given:g} puts sent and plc rows at times that never meet"
             text += ": the link is not judged; give t_pc - t_plc"
             findings.append(Finding("clock_offset_wrong", "problem", "run.toml", text))
@@ -117,7 +117,7 @@ def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
     return SentClock(-float(delays.min()), False)
 
 
-def _meet(tables: Tables, offset_s: float) -> bool:
+def _is_sent_during_log(tables: Tables, offset_s: float) -> bool:
     """Whether datagrams were sent, by this offset, while the PLC logged, or shortly before."""
     if tables.sent is None or tables.plc is None:
         return True

@@ -60,44 +60,44 @@ def experiment_for(whole: Read, cells: list[list[Pair]], settled: bool) -> dict[
         return {"what": None, "minutes": None, "separates": [], "expected_nats": None, "why": why}
     nothing: list[dict[str, Any]] = []
     for pairs in cells[:CELLS_MAX]:
-        proposal = _proposed(whole, nominal, pairs)
+        proposal = _best_experiment(whole, nominal, pairs)
         if proposal["what"] is not None:
             return proposal
         nothing.append(proposal)
     return nothing[0]
 
 
-def _proposed(whole: Read, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any]:
+def _best_experiment(whole: Read, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any]:
     """The experiment that best separates one cell's open pairs."""
-    library = _library(whole, nominal, pairs)
-    table = {experiment.name: [_nats(whole, pair, experiment) for pair in pairs] for experiment in library}
+    library = _possible_experiments(whole, nominal, pairs)
+    table = {experiment.name: [_expected_nats(whole, pair, experiment) for pair in pairs] for experiment in library}
     able = [experiment for experiment in library if max(table[experiment.name]) >= SEPARATES_NATS]
-    best = max(able, key=lambda experiment: _worth(pairs, table[experiment.name], experiment), default=None)
+    best = max(able, key=lambda experiment: _experiment_value(pairs, table[experiment.name], experiment), default=None)
     if best is None:
-        return _nothing(pairs[0], table)
+        return _missing_signal_advice(pairs[0], table)
     first = next(k for k, nats in enumerate(table[best.name]) if nats >= SEPARATES_NATS)  # the weightiest of them
     return {
         "what": best.name,
         "minutes": round(best.minutes, 2),
         "separates": _pair_members(pairs[first]),
-        "expected_nats": _digits(table[best.name][first]),
-        "alternatives": {name: _digits(row[first]) for name, row in table.items()},
-        "why": f"the recording does not distinguish {_word(pairs[first].names[0])} from {_word(pairs[first].names[1])}",
+        "expected_nats": _round_significant(table[best.name][first]),
+        "alternatives": {name: _round_significant(row[first]) for name, row in table.items()},
+        "why": "the recording does not distinguish " + " from ".join(map(_hypothesis_name, pairs[first].names)),
         "pairs": [
-            {"separates": _pair_members(pair), "expected_nats": _digits(nats)}
+            {"separates": _pair_members(pair), "expected_nats": _round_significant(nats)}
             for pair, nats in zip(pairs, table[best.name], strict=True)
         ],
         "execute": describe_motions(best, nominal.sliding),
     }
 
 
-def _library(whole: Read, nominal: Nominal, pairs: list[Pair]) -> tuple[Experiment, ...]:
+def _possible_experiments(whole: Read, nominal: Nominal, pairs: list[Pair]) -> tuple[Experiment, ...]:
     """Everything that this machine can do about these pairs."""
     cell = pairs[0].cell
     centre = middle_posture(whole)
     near = candidate_postures(nominal, centre, np.random.default_rng(POOL_SEED))
     if isinstance(cell.whitened, Replay):
-        joints = _joints(pairs, nominal.n)
+        joints = _joints_of_pairs(pairs, nominal.n)
         return library_motions(nominal, centre, joints, gravity_extremes(nominal, cell.base, near, joints))
     parts = [part.whitened for part in cell.parts or (cell,)]
     seen = next((residual for residual in parts if isinstance(residual, CornerResidual) and residual.on == "ooi"), None)
@@ -118,7 +118,7 @@ def middle_posture(whole: Read) -> Array:
     return np.nan_to_num(np.nanmedian(np.concatenate(recorded), axis=0)) if recorded else np.zeros(n)
 
 
-def _joints(pairs: list[Pair], n: int) -> tuple[int, ...]:
+def _joints_of_pairs(pairs: list[Pair], n: int) -> tuple[int, ...]:
     """The joints (0-based) that the open names are about; all where one is the machine's own."""
     names = [name for pair in pairs for name in pair.names if name is not None]
     if any(joint is None for _, joint in names):
@@ -126,7 +126,7 @@ def _joints(pairs: list[Pair], n: int) -> tuple[int, ...]:
     return tuple(sorted({joint - 1 for _, joint in names if joint is not None}))
 
 
-def _nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
+def _expected_nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
     """The least expected nats of the pair, whichever of the two is true."""
     cell = pair.cell
     both = []
@@ -142,26 +142,26 @@ def _nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
     return min(both)
 
 
-def _worth(pairs: list[Pair], nats: list[float], experiment: Experiment) -> float:
+def _experiment_value(pairs: list[Pair], nats: list[float], experiment: Experiment) -> float:
     """Nats that count, weighed over the pairs, less what the machine's time costs."""
     gained = sum(pair.weight * min(nats_of, ENOUGH_NATS) for pair, nats_of in zip(pairs, nats, strict=True))
     return gained / sum(pair.weight for pair in pairs) - MINUTES_COST * experiment.minutes
 
 
-def _nothing(pair: Pair, table: dict[str, list[float]]) -> dict[str, Any]:
+def _missing_signal_advice(pair: Pair, table: dict[str, list[float]]) -> dict[str, Any]:
     """No experiment of the library separates the pair: which signal would."""
     cell = pair.cell
     signal = SIGNALS.get(cell.stage, SIGNALS["structure"])
     if cell.joint is None and cell.stage == "actuator":
         signal = "log the received reference (q_ref) and the valve command (u)"
     behind = cell.stage == "actuator" and any(name is not None and name[0] in SEEN_BEHIND for name in pair.names)
-    names = f"{_word(pair.names[0])} from {_word(pair.names[1])}"
+    names = f"{_hypothesis_name(pair.names[0])} from {_hypothesis_name(pair.names[1])}"
     return {
         "what": "look at a marker, or track a point, from ten postures" if behind else None,
         "minutes": 5.0 if behind else None,
         "separates": _pair_members(pair),
         "expected_nats": None,
-        "alternatives": {name: _digits(row[0]) for name, row in table.items()},
+        "alternatives": {name: _round_significant(row[0]) for name, row in table.items()},
         "why": f"no motion distinguishes {names} by what was logged; needed: {signal}",
         "signal": signal,
     }
@@ -171,9 +171,9 @@ def _pair_members(pair: Pair) -> list[dict[str, Any]]:
     return [{"name": name[0], "joint": name[1]} for name in pair.names if name is not None]
 
 
-def _word(name: Key | None) -> str:
+def _hypothesis_name(name: Key | None) -> str:
     return "a sound machine" if name is None else name[0]
 
 
-def _digits(nats: float) -> float:
+def _round_significant(nats: float) -> float:
     return float(f"{nats:.3g}")

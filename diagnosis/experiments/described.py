@@ -21,16 +21,16 @@ def describe_motions(experiment: Experiment, sliding: tuple[bool, ...] = ()) -> 
     `t_knot_s`: between two knots; the course between them is the cubic spline with zero speed at both ends.
     `joint_units`: of every joint's numbers in `start_rad` and `q_rad`, where some joint slides: these are in m.
     """
-    description = _described(experiment)
+    description = _experiment_json(experiment)
     units = [unit_of("rad", sliding, j) for j in range(len(sliding))]
     return {**description, "joint_units": units} if any(sliding) else description
 
 
-def _described(experiment: Experiment) -> dict[str, Any]:
+def _experiment_json(experiment: Experiment) -> dict[str, Any]:
     if isinstance(experiment, Postures):
         postures = np.round(experiment.q, DIGITS).tolist()
         return {"kind": "looks", "name": experiment.name, "q_rad": postures, "look_s": LOOK_S, "from_below": True}
-    knots = experiment.q[_knots(len(experiment.q))]
+    knots = experiment.q[_knot_rows(len(experiment.q))]
     moving = np.nonzero(np.abs(knots - knots[0]).max(axis=0) > MOVED_RAD)[0]
     return {
         "kind": "motion",
@@ -43,7 +43,7 @@ def _described(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def _knots(rows: int) -> NDArray[np.int64]:
+def _knot_rows(rows: int) -> NDArray[np.int64]:
     return np.arange(0, rows, KNOT_ROWS, dtype=np.int64)
 
 

@@ -68,14 +68,14 @@ def library_motions(
     everyone = tuple(range(nominal.n))
 
     def around(name: str, kind: SegmentKind, shape: Shape, moving: tuple[int, ...] = joints) -> Motion:
-        return Motion(name, kind, _driven(nominal, centre, moving, shape, t))
+        return Motion(name, kind, _reference_within_limits(nominal, centre, moving, shape, t))
 
     found = [
         around("multisine", "multisine", _multisine),
-        *(around(f"{word}steps", "steps", _steps(size)) for word, size in STEP_SIZES),
-        around("jogs there and back", "workcycle", _jogs),
+        *(around(f"{word}steps", "steps", _step_sequence_shape(size)) for word, size in STEP_SIZES),
+        around("jogs there and back", "workcycle", _constant_speed_jogs),
         around("slow reversals through zero", "sweep", lambda t, j: 0.3 * np.sin((0.25 + 0.03 * j) * t)),
-        around("staircase around zero", "staircase", _staircase),
+        around("staircase around zero", "staircase", _growing_steps),
     ]
     if len(joints) < nominal.n:
         found.append(around("all joints together", "multisine", _multisine, everyone))
@@ -95,12 +95,14 @@ def _under_load(
     legs = []
     here = centre
     for posture in loaded:
-        there = _driven(nominal, _inward(nominal, posture, joints), joints, _jogs, t)
-        legs += [_travel(nominal, here, there[0]), there]
+        there = _reference_within_limits(
+            nominal, _posture_away_from_limits(nominal, posture, joints), joints, _constant_speed_jogs, t
+        )
+        legs += [_quintic_travel(nominal, here, there[0]), there]
         here = there[-1]
-    legs.append(_travel(nominal, here, centre))
+    legs.append(_quintic_travel(nominal, here, centre))
     still = np.tile(loaded[0], (round(HOLD_S / SAMPLE_S), 1))
-    hold = [_travel(nominal, centre, loaded[0]), still, _travel(nominal, loaded[0], centre)]
+    hold = [_quintic_travel(nominal, centre, loaded[0]), still, _quintic_travel(nominal, loaded[0], centre)]
     return (
         Motion("the same motion at high and at low load", "workcycle", np.concatenate(legs)),
         Motion("hold under load", "hold", np.concatenate(hold)),
@@ -114,32 +116,32 @@ def speed_limits(nominal: Nominal) -> Array:
     return SPEED_SHARE * nominal.actuators.joints[:, 0]
 
 
-def _driven(nominal: Nominal, centre: Array, joints: tuple[int, ...], shape: Shape, t: Array) -> Array:
+def _reference_within_limits(nominal: Nominal, centre: Array, joints: tuple[int, ...], shape: Shape, t: Array) -> Array:
     """Reference (m, n): each joint's shape scaled into its range, speed and acceleration."""
     low, high = posture_bounds(nominal)
     q = np.tile(np.clip(centre, low, high), (len(t), 1))
     u = np.clip(np.minimum(t, t[-1] - t) / FADE_S, 0.0, 1.0)
     fade = 10 * u**3 - 15 * u**4 + 6 * u**5
     for j in joints:
-        course = _within(_size(nominal, j) * fade * shape(t, j), speed_limits(nominal)[j])
+        course = _limit_speed_acceleration(_motion_amplitude(nominal, j) * fade * shape(t, j), speed_limits(nominal)[j])
         up, down = high[j] - q[0, j], q[0, j] - low[j]
         share = min(1.0, up / max(float(course.max()), 1e-9), down / max(float(-course.min()), 1e-9))
         q[:, j] += share * course  # scaled, not clipped: no machine can follow a corner at the range's end
     return q
 
 
-def _size(nominal: Nominal, j: int) -> float:
+def _motion_amplitude(nominal: Nominal, j: int) -> float:
     """How far a joint (0-based) is moved to either side at most."""
     span = float(nominal.q_max[j] - nominal.q_min[j])
     return min(RANGE_SHARE * span, REACH_RAD) if np.isfinite(span) else REACH_RAD
 
 
-def _inward(nominal: Nominal, posture: Array, joints: tuple[int, ...]) -> Array:
+def _posture_away_from_limits(nominal: Nominal, posture: Array, joints: tuple[int, ...]) -> Array:
     """A posture (n,) moved in from the ends of the ranges, so that these joints have room to either side."""
     low, high = posture_bounds(nominal)
     out = np.clip(posture, low, high)
     for j in joints:
-        size = min(_size(nominal, j), 0.5 * float(high[j] - low[j]))
+        size = min(_motion_amplitude(nominal, j), 0.5 * float(high[j] - low[j]))
         out[j] = np.clip(out[j], low[j] + size, high[j] - size)
     return out
 
@@ -150,30 +152,30 @@ def posture_bounds(nominal: Nominal) -> tuple[Array, Array]:
     return np.minimum(nominal.q_min + MARGIN_RAD, high), high
 
 
-def _within(x: Array, speed: float) -> Array:
+def _limit_speed_acceleration(x: Array, speed: float) -> Array:
     """A course from 0 to 0 within a speed and PER_S / SPEED_SHARE times as much acceleration.
 
     Model: what is smooth already is scaled; what has corners is averaged (Hann) over as little as the limits ask for.
     """
     acceleration = speed * PER_S / SPEED_SHARE
     y, width_s = x, WIDTH_MIN_S
-    if _excess(x, speed, acceleration) > CORNERS:
+    if _limit_excess_ratio(x, speed, acceleration) > CORNERS:
         while True:
-            y = _smoothed(x, round(0.5 * width_s / SAMPLE_S))
-            if _excess(y, speed, acceleration) <= 1.0 or width_s > WIDTH_MAX_S:
+            y = _hann_smoothed(x, round(0.5 * width_s / SAMPLE_S))
+            if _limit_excess_ratio(y, speed, acceleration) <= 1.0 or width_s > WIDTH_MAX_S:
                 break
             width_s *= 1.25
-    return y / max(1.0, _excess(y, speed, acceleration))
+    return y / max(1.0, _limit_excess_ratio(y, speed, acceleration))
 
 
-def _excess(x: Array, speed: float, acceleration: float) -> float:
+def _limit_excess_ratio(x: Array, speed: float, acceleration: float) -> float:
     """How many times over its limits a course (m,) is."""
     v = np.diff(x) / SAMPLE_S
     a = np.diff(v) / SAMPLE_S
     return max(float(np.abs(v).max(initial=0.0)) / speed, float(np.abs(a).max(initial=0.0)) / acceleration)
 
 
-def _smoothed(x: Array, half: int) -> Array:
+def _hann_smoothed(x: Array, half: int) -> Array:
     """A course averaged over 2 half + 1 samples, at rest at 0 at both ends."""
     held = x.copy()
     held[: half + 1] = held[-half - 1 :] = 0.0
@@ -181,7 +183,7 @@ def _smoothed(x: Array, half: int) -> Array:
     return np.asarray(np.convolve(np.pad(held, half), window / window.sum(), mode="valid"), dtype=float)
 
 
-def _travel(nominal: Nominal, start: Array, end: Array) -> Array:
+def _quintic_travel(nominal: Nominal, start: Array, end: Array) -> Array:
     """From rest to rest by a quintic, no faster than the limits."""
     slowest = float((1.9 * np.abs(end - start) / speed_limits(nominal)).max())
     rows = round(max(TRAVEL_S, slowest) / SAMPLE_S)
@@ -194,7 +196,7 @@ def _multisine(t: Array, j: int) -> Array:
     return 0.5 * np.sin(w * t) + 0.3 * np.sin(2.3 * w * t + 1.0) + 0.2 * np.sin(5.1 * w * t + 2.0)
 
 
-def _steps(size: float) -> Shape:
+def _step_sequence_shape(size: float) -> Shape:
     def shape(t: Array, j: int) -> Array:
         w = 0.8 + 0.11 * j
         return size * np.sign(np.sin(w * t)) * (0.3 + 0.7 * np.abs(np.sin(0.29 * w * t)))
@@ -202,13 +204,13 @@ def _steps(size: float) -> Shape:
     return shape
 
 
-def _jogs(t: Array, j: int) -> Array:
+def _constant_speed_jogs(t: Array, j: int) -> Array:
     """Constant speed up and down, at four speeds."""
     period = 11.0 + 0.7 * j
     return (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * t / period)) * (1.0 - 0.2 * np.floor(t / period) % 0.8)
 
 
-def _staircase(t: Array, j: int) -> Array:
+def _growing_steps(t: Array, j: int) -> Array:
     """Steps of growing size to both sides: commands around the middle of the valve."""
     number = np.floor(t / (2.5 + 0.1 * j))
     return np.where(number % 2 == 0, 1.0, -1.0) * 0.012 * (1.0 + number % 8)

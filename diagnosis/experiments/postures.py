@@ -56,7 +56,7 @@ def look_posture_choices(
     near = qs[np.argsort(np.abs(qs - centre).max(axis=1), kind="stable")[:COUNT]]
     features = {
         "postures across the range": (qs - centre) / REACH_RAD,
-        "postures of high and of low load": _loads(nominal, sets, qs),
+        "postures of high and of low load": _relative_gravity_torques(nominal, sets, qs),
         "the wrist turned about several axes": Ts[:, :3, :3].reshape(len(qs), 9),
     }
     if T_base_ooi is not None:
@@ -65,11 +65,11 @@ def look_posture_choices(
         features["two distances, the wrist turned"] = np.hstack(
             [2.0 * distance / max(float(np.ptp(distance)), 1e-9), Ts[:, :3, :3].reshape(len(qs), 9)]
         )
-    spread = [Postures(name, qs[_farthest(values)]) for name, values in features.items()]
+    spread = [Postures(name, qs[_farthest_point_rows(values)]) for name, values in features.items()]
     return (Postures("postures near each other", near), *spread)
 
 
-def _loads(nominal: Nominal, sets: ParameterSets, qs: Array) -> Array:
+def _relative_gravity_torques(nominal: Nominal, sets: ParameterSets, qs: Array) -> Array:
     """Gravity's torques (m, n) over the largest of each joint."""
     if nominal.arm is None:
         return np.zeros((len(qs), 1))
@@ -77,7 +77,7 @@ def _loads(nominal: Nominal, sets: ParameterSets, qs: Array) -> Array:
     return torques / np.maximum(np.abs(torques).max(axis=0), 1.0)
 
 
-def _farthest(features: Array) -> NDArray[np.int64]:
+def _farthest_point_rows(features: Array) -> NDArray[np.int64]:
     """COUNT rows, each as far as possible from those before it (Gonzalez 1985)."""
     chosen = [int(np.argmax(np.linalg.norm(features - features.mean(axis=0), axis=1)))]
     away = np.linalg.norm(features - features[chosen[0]], axis=1)

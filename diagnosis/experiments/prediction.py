@@ -63,7 +63,7 @@ def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets
     replayer = replayer_of(whole.nominal, whole.stretches) if whole.nominal is not None else None
     if not isinstance(replay, Replay) or replayer is None or not replayer.nominal.has_controller:
         return None
-    stretch = _predicted(whole, replayer, motion, truth)
+    stretch = _predicted_motion_log(whole, replayer, motion, truth)
     merge = merge_of(whole.stretches)
     if merge is not None and cell.stage == "actuator":
         prepared = merge_stages(replayer, stretch, merge, cell.base)
@@ -76,7 +76,7 @@ def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets
     return there.whitened
 
 
-def _predicted(whole: Read, replayer: Replayer, motion: Motion, truth: ParameterSets) -> Stretch:
+def _predicted_motion_log(whole: Read, replayer: Replayer, motion: Motion, truth: ParameterSets) -> Stretch:
     """The log of a motion: the signals that the recording has, at its rate."""
     like = whole.stretches[0]
     plant = replayer.at_rate(like.dt_s)
@@ -95,14 +95,14 @@ def _predicted(whole: Read, replayer: Replayer, motion: Motion, truth: Parameter
 def residuals_with_postures(whole: Read, cell: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
     """Residuals of the cell's looks or points together with those from more postures; None where it has neither."""
     parts = cell.parts or (cell,)
-    extended = [_extended(part, postures, truth) for part in parts]
+    extended = [_rows_with_postures(part, postures, truth) for part in parts]
     if all(residual is None for residual in extended):
         return None
     rows = [part.whitened if more is None else more for part, more in zip(parts, extended, strict=True)]
     return lambda sets: np.concatenate([row(sets) for row in rows], axis=1)
 
 
-def _extended(part: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
+def _rows_with_postures(part: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
     if isinstance(part.whitened, CornerResidual) and part.whitened.on == "ooi":
         return _more_frames(part.whitened, part.base, postures, truth)
     if isinstance(part.whitened, PointResidual):
@@ -116,7 +116,7 @@ def _more_frames(seen: CornerResidual, base: ParameterSets, postures: Postures, 
     if camera is None:
         return None
     q = postures.q
-    t_s, course = _dwelling(q, max((float(path.t_s[-1]) for path in seen.paths), default=0.0))
+    t_s, course = _look_times_and_path(q, max((float(path.t_s[-1]) for path in seen.paths), default=0.0))
     at = np.full(len(q), len(seen.paths), dtype=np.int64)
     blank = np.full((len(q), *seen.frames.pixels.shape[1:]), np.nan)
     alone = replace(seen, frames=Frames.of(t_s, blank, seen.frames.markers), paths=(*seen.paths, course), at=at)
@@ -134,7 +134,7 @@ def _more_frames(seen: CornerResidual, base: ParameterSets, postures: Postures, 
     return replace(more, nuisance=nuisance_of(more, base)).with_layout(base)
 
 
-def _dwelling(q: Array, end_s: float) -> tuple[Array, Path]:
+def _look_times_and_path(q: Array, end_s: float) -> tuple[Array, Path]:
     """When each posture (k, n) is looked from (k,) [s], and the encoders' course: at rest around each look."""
     start = np.asarray(end_s + LATER_S + LOOK_S * np.arange(len(q)), dtype=float)
     t_s = np.asarray((start[:, None] + np.array([0.0, 0.5 * LOOK_S])).ravel(), dtype=float)
@@ -168,7 +168,9 @@ def _more_points(measured: PointResidual, postures: Postures, truth: ParameterSe
     base = points_on_links(links, joints, places).reshape(-1, 3)
     T = np.asarray(np.linalg.inv(nominal.T_base_tracker), dtype=float)
     xyz = transform_points(T, base)
-    looked, course = _dwelling(postures.q, max((float(path.t_s[-1]) for path in measured.paths), default=0.0))
+    looked, course = _look_times_and_path(
+        postures.q, max((float(path.t_s[-1]) for path in measured.paths), default=0.0)
+    )
     when = np.repeat(looked, len(known))
     more = PointData(
         np.concatenate([data.q, q]),

@@ -26,15 +26,15 @@ def separation_nats(
     Args:   holds: the rows are of the experiment alone, so that the recording counts by `other.hold`.
     """
     own = rows(truth)[0]
-    cell = replace(cell, whitened=_aimed(rows, own))
+    cell = replace(cell, whitened=_residual_against_truth(rows, own))
     residual = _residual_of(cell, other, holds, spread)
     theta = other.fit.theta
     if other.fit.k == 0:
-        return _nats(residual(theta[None])[0], spread)
+        return _cost_in_nats(residual(theta[None])[0], spread)
     low, high = parameter_bounds(other.fit.hypothesis)
     best = residual(theta[None])[0]
     for _ in range(ROUNDS):
-        J = _jacobian(residual, theta, best, low, high)
+        J = _numeric_jacobian(residual, theta, best, low, high)
         trials = np.clip(theta + damped_steps(J, best, high - low), low, high)
         tried = residual(trials)
         totals = soft_l1_costs(tried).sum(axis=1)
@@ -45,10 +45,10 @@ def separation_nats(
         theta, best = trials[k], tried[k]
         if gained < SETTLED_NATS:
             break
-    return _nats(best, spread)
+    return _cost_in_nats(best, spread)
 
 
-def _aimed(rows: Rows, own: Array) -> Callable[[ParameterSets], Array]:
+def _residual_against_truth(rows: Rows, own: Array) -> Callable[[ParameterSets], Array]:
     return lambda sets: rows(sets) - own
 
 
@@ -65,11 +65,11 @@ def _residual_of(cell: Cell, other: Hypothesis, holds: bool, spread: float) -> C
     return residual
 
 
-def _nats(residual: Array, spread: float) -> float:
+def _cost_in_nats(residual: Array, spread: float) -> float:
     return float(soft_l1_costs(residual).sum()) / spread
 
 
-def _jacobian(residual: Callable[[Array], Array], theta: Array, at: Array, low: Array, high: Array) -> Array:
+def _numeric_jacobian(residual: Callable[[Array], Array], theta: Array, at: Array, low: Array, high: Array) -> Array:
     steps = STEP_SHARE * (high - low)
     signs = np.where(theta + steps > high, -1.0, 1.0)
     return ((residual(theta + np.diag(signs * steps)) - at) / (signs * steps)[:, None]).T

@@ -23,7 +23,7 @@ def diagnose_case(path: str, machine_file: str | None = None) -> dict[str, Any]:
     Returns: `status` "diagnosed", "unusable" (see `findings`) or "failed" (see `reason`); whose and when.
     """
     whole = read_for_diagnosis(Path(path), None if machine_file is None else Path(machine_file))
-    out: dict[str, Any] = {"format_version": FORMAT, "recording": Path(path).name, **_whose(whole)}
+    out: dict[str, Any] = {"format_version": FORMAT, "recording": Path(path).name, **_recording_identity(whole)}
     findings = [
         {"code": finding.code, "severity": finding.severity, "text": str(finding)} for finding in whole.findings
     ]
@@ -41,11 +41,11 @@ def fingerprint(path: Path, machine_file: Path | None, version: str) -> str:
     files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
     for file in [*files, *([machine_file] if machine_file is not None else [])]:
         digest.update(os.fsencode(file.name) + b"\0")
-        digest.update(_digest(file))
+        digest.update(_file_digest(file))
     return digest.hexdigest()
 
 
-def _digest(file: Path) -> bytes:
+def _file_digest(file: Path) -> bytes:
     """Of its content; of a broken link or a file that cannot be read, that it cannot: its answer says why."""
     try:
         with file.open("rb") as stream:
@@ -54,7 +54,7 @@ def _digest(file: Path) -> bytes:
         return b"unreadable"
 
 
-def _whose(whole: Read) -> dict[str, Any]:
+def _recording_identity(whole: Read) -> dict[str, Any]:
     """Machine, serial number, folder and time of a recording; empty texts where it does not say.
 
     Whose it is says its own machine file, whatever file it is judged by: one file for a whole fleet has one serial.

@@ -16,11 +16,13 @@ def fleet_page(fleet: Fleet, name: str) -> str:
         facts += f". {fleet.no_serial} state no serial: those of one folder count as one machine's; {SERIAL}"
     body = [
         f"<h1>Sim-to-real gap of a fleet: {escape(name)}</h1><p>{escape(facts)}.</p>",
-        _section("Effects that machines share", [_shared(effect) for effect in fleet.shared], SHARED),
-        _section("Drift", [_drift(drift) for drift in fleet.drifts], DRIFT),
-        _section("Machine by machine", [(m, _verdicts(fleet.verdicts[m])) for m in fleet.machines], MACHINES),
-        _section("Every size found", [_found(fleet, k) for k in range(len(fleet.found))], FOUND),
-        _section("Not usable", list(fleet.unusable), ("recording", "why")),
+        _table_section("Effects that machines share", [_shared_effect_row(effect) for effect in fleet.shared], SHARED),
+        _table_section("Drift", [_drift_row(drift) for drift in fleet.drifts], DRIFT),
+        _table_section(
+            "Machine by machine", [(m, _verdicts_text(fleet.verdicts[m])) for m in fleet.machines], MACHINES
+        ),
+        _table_section("Every size found", [_finding_row(fleet, k) for k in range(len(fleet.found))], FOUND),
+        _table_section("Not usable", list(fleet.unusable), ("recording", "why")),
     ]
     return html_document(name, "".join(body))
 
@@ -32,22 +34,22 @@ MACHINES = ("machine", "verdicts in the order of time")
 FOUND = ("machine", "recording", "effect", "joint", "size", "90 %", "unit")
 
 
-def _shared(shared: SharedEffect) -> tuple[str, ...]:
+def _shared_effect_row(shared: SharedEffect) -> tuple[str, ...]:
     return (
         shared.name,
-        _joint(shared.joint),
+        _joint_text(shared.joint),
         f"{len(shared.machines)}: {', '.join(shared.machines)}",
         ", ".join(shared.without),
     )
 
 
-def _drift(drift: EffectDrift) -> tuple[str, ...]:
+def _drift_row(drift: EffectDrift) -> tuple[str, ...]:
     limits = f"{drift.low:.3g} to {drift.high:.3g}"
     word = "drifts" if drift.drifts else "no drift found"
     return (
         drift.machine,
         drift.name,
-        _joint(drift.joint),
+        _joint_text(drift.joint),
         f"{drift.per_day:.3g} {drift.unit}",
         limits,
         str(drift.n),
@@ -55,27 +57,27 @@ def _drift(drift: EffectDrift) -> tuple[str, ...]:
     )
 
 
-def _verdicts(verdicts: tuple[tuple[str, str], ...]) -> str:
+def _verdicts_text(verdicts: tuple[tuple[str, str], ...]) -> str:
     return ", ".join(f"{WORDS[word]} ({name})" for name, word in verdicts)
 
 
-def _found(fleet: Fleet, k: int) -> tuple[str, ...]:
+def _finding_row(fleet: Fleet, k: int) -> tuple[str, ...]:
     finding = fleet.found[k]
     limits = f"{finding.low:.4g} to {finding.high:.4g}"
     return (
         finding.machine,
         finding.recording,
         finding.name,
-        _joint(finding.joint),
+        _joint_text(finding.joint),
         f"{finding.value:.4g}",
         limits,
         finding.unit,
     )
 
 
-def _joint(joint: int | None) -> str:
+def _joint_text(joint: int | None) -> str:
     return "" if joint is None else str(joint)
 
 
-def _section(title: str, rows: list[tuple[str, ...]], columns: tuple[str, ...]) -> str:
+def _table_section(title: str, rows: list[tuple[str, ...]], columns: tuple[str, ...]) -> str:
     return html_section(title, html_table(columns, rows))

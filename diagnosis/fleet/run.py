@@ -45,20 +45,20 @@ def diagnose_all(
     results: dict[str, dict[str, Any]] = {}
     marks = {name: fingerprint(path, machine_file, version) for name, path in zip(names, paths, strict=True)}
     for name in names:
-        known = _loaded(saved / f"{name}.json", marks[name])
+        known = _load_cached_result(saved / f"{name}.json", marks[name])
         if known is not None:
             results[name] = known
     file = None if machine_file is None else str(machine_file.resolve())
     paired = zip(names, paths, strict=True)
     todo = [(name, (str(path.resolve()), file)) for name, path in paired if name not in results]
     for name, future in Workers(executor, renewed).run(diagnose_case, todo, at_once):
-        results[name] = result = _result(called[name], future)
+        results[name] = result = _worker_result(called[name], future)
         _save(saved / f"{name}.json", marks[name], result)
         report(called[name], len(results), len(names))
     return [results[name] for name in names]
 
 
-def _result(name: str, future: Future[dict[str, Any]]) -> dict[str, Any]:
+def _worker_result(name: str, future: Future[dict[str, Any]]) -> dict[str, Any]:
     """A worker that died takes one recording along, not the fleet."""
     error = future.exception()
     if error is not None:
@@ -72,7 +72,7 @@ def _name(path: Path, base: Path | None) -> str:
     return f"{path.name.removesuffix('.mcap')}-{hashlib.sha256(place.as_posix().encode()).hexdigest()[:8]}"
 
 
-def _loaded(file: Path, mark: str) -> dict[str, Any] | None:
+def _load_cached_result(file: Path, mark: str) -> dict[str, Any] | None:
     try:
         held = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):

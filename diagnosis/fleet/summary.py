@@ -13,12 +13,12 @@ Key = tuple[str, int | None]
 
 def equals_of(result: dict[str, Any], effect: dict[str, Any]) -> list[dict[str, Any]]:
     """What this recording cannot distinguish from an effect."""
-    own = _key(effect)
-    classes = [members for members in result["indistinguishable"] if own in {_key(member) for member in members}]
-    return [member for members in classes for member in members if _key(member) != own]
+    own = _effect_key(effect)
+    classes = [members for members in result["indistinguishable"] if own in {_effect_key(member) for member in members}]
+    return [member for members in classes for member in members if _effect_key(member) != own]
 
 
-def _key(effect: dict[str, Any]) -> Key:
+def _effect_key(effect: dict[str, Any]) -> Key:
     return effect["name"], effect["joint"]
 
 
@@ -91,7 +91,7 @@ def summary_of(results: Sequence[dict[str, Any]]) -> Fleet:
     """Of the dictionaries that `diagnosed` gives."""
     good = [result for result in results if result["status"] == "diagnosed"]
     good.sort(key=lambda result: (machine_of(result), result["started_utc"], result["recording"]))
-    found = tuple(item for result in good for item in _found(result))
+    found = tuple(item for result in good for item in _confirmed_effect_sizes(result))
     machines = tuple(dict.fromkeys(machine_of(result) for result in good))
     verdicts = {
         machine: tuple(
@@ -99,9 +99,11 @@ def summary_of(results: Sequence[dict[str, Any]]) -> Fleet:
         )
         for machine in machines
     }
-    bad = tuple((result.get("recording", "?"), _why(result)) for result in results if result["status"] != "diagnosed")
+    bad = tuple(
+        (result.get("recording", "?"), _failure_reason(result)) for result in results if result["status"] != "diagnosed"
+    )
     nameless = sum(not result["serial"] for result in good)
-    return Fleet(machines, verdicts, found, _shared(good, found), _drifts(found), bad, nameless)
+    return Fleet(machines, verdicts, found, _shared_effects(good, found), _effect_drifts(found), bad, nameless)
 
 
 def machine_of(result: dict[str, Any]) -> str:
@@ -113,33 +115,33 @@ def machine_of(result: dict[str, Any]) -> str:
     return f"{result['machine']} in {result['folder']}" if result["machine"] else result["recording"]
 
 
-def _why(result: dict[str, Any]) -> str:
+def _failure_reason(result: dict[str, Any]) -> str:
     fatal = [finding["text"] for finding in result.get("findings", []) if finding["severity"] == "fatal"]
     return result.get("reason") or "; ".join(fatal) or result["status"]
 
 
-def _found(result: dict[str, Any]) -> list[EffectOnMachine]:
+def _confirmed_effect_sizes(result: dict[str, Any]) -> list[EffectOnMachine]:
     """Confirmed effects of a recording."""
     out = []
-    for effect in _confirmed(result["answer"]):
+    for effect in _confirmed_effects(result["answer"]):
         sized = [
             (name, x) for name, x in effect["parameters"].items() if x["low"] is not None and x["high"] is not None
         ]
         if sized:
             name, x = sized[0]
             size = (name, x["unit"], float(x["value"]), float(x["low"]), float(x["high"]))
-            when = _days(result["started_utc"])
+            when = _days_since_epoch(result["started_utc"])
             out.append(
                 EffectOnMachine(machine_of(result), result["recording"], effect["name"], effect["joint"], *size, when)
             )
     return out
 
 
-def _confirmed(answer: dict[str, Any]) -> list[dict[str, Any]]:
+def _confirmed_effects(answer: dict[str, Any]) -> list[dict[str, Any]]:
     return [effect for effect in answer["budget"]["effects"] if effect["status"] == "confirmed"]
 
 
-def _days(text: str) -> float | None:
+def _days_since_epoch(text: str) -> float | None:
     try:
         when = datetime.fromisoformat(text)
     except ValueError:
@@ -147,7 +149,7 @@ def _days(text: str) -> float | None:
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp() / SECONDS_A_DAY
 
 
-def _shared(good: list[dict[str, Any]], found: tuple[EffectOnMachine, ...]) -> tuple[SharedEffect, ...]:
+def _shared_effects(good: list[dict[str, Any]], found: tuple[EffectOnMachine, ...]) -> tuple[SharedEffect, ...]:
     """Effects by how many machines have them; a machine is without one only if its size there would have been seen."""
     out = []
     for key in dict.fromkeys((finding.name, finding.joint) for finding in found):
@@ -163,14 +165,14 @@ def _could_see(result: dict[str, Any], key: tuple[str, int | None], size: float)
     answer = result["answer"]
     if answer["verdict"] not in ("none", "effects", "partly"):
         return False
-    named = _confirmed(answer)
+    named = _confirmed_effects(answer)
     if key in {(other["name"], other["joint"]) for effect in named for other in equals_of(answer, effect)}:
         return False  # it may be what was named there: that recording cannot distinguish the two
     limit = {(x["name"], x["joint"]): x["size"] for x in answer["detection_limits"]}.get(key)
     return limit is not None and limit <= size
 
 
-def _drifts(found: tuple[EffectOnMachine, ...]) -> tuple[EffectDrift, ...]:
+def _effect_drifts(found: tuple[EffectOnMachine, ...]) -> tuple[EffectDrift, ...]:
     out = []
     for key in dict.fromkeys((finding.machine, finding.name, finding.joint) for finding in found):
         mine = [
@@ -179,11 +181,11 @@ def _drifts(found: tuple[EffectOnMachine, ...]) -> tuple[EffectDrift, ...]:
             if (finding.machine, finding.name, finding.joint) == key and finding.t_days is not None
         ]
         if len({finding.t_days for finding in mine}) >= DRIFT_MIN:
-            out.append(_drift(mine))
+            out.append(_fit_drift_line(mine))
     return tuple(out)
 
 
-def _drift(mine: list[EffectOnMachine]) -> EffectDrift:
+def _fit_drift_line(mine: list[EffectOnMachine]) -> EffectDrift:
     """Weighted straight line over time.
 
     Model: value = a + b t, weights 1 / sigma^2 with sigma = (high - low) / (2 * 1.645); where the line fits worse than

@@ -22,7 +22,7 @@ class Workers:
         self._executor = executor
         self._renewed = renewed
 
-    def _renew(self) -> bool:
+    def _renew_executor(self) -> bool:
         """Whether there is an executor again after a death."""
         if self._renewed is None:
             return False
@@ -43,7 +43,7 @@ class Workers:
             name, arguments = suspects.popleft()
             alone = self._handed_out(work, arguments)
             wait([alone])
-            if _died(alone) and self._renew():
+            if _has_worker_died(alone) and self._renew_executor():
                 left.extendleft(reversed(suspects))
                 suspects.clear()
             yield name, alone
@@ -59,11 +59,11 @@ class Workers:
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for finished in [future for future in running if future in done]:
                 task = running.pop(finished)
-                if _died(finished):
+                if _has_worker_died(finished):
                     dead.append((task, finished))
                 else:
                     yield task[0], finished
-        if not dead or self._renew():
+        if not dead or self._renew_executor():
             return [task for task, _ in dead]
         for (name, _), failed in dead:
             yield name, failed
@@ -79,5 +79,5 @@ class Workers:
             return failed
 
 
-def _died(answer: Answer) -> bool:
+def _has_worker_died(answer: Answer) -> bool:
     return isinstance(answer.exception(), BrokenExecutor)

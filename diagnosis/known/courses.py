@@ -47,7 +47,7 @@ class Course:
 
     def leaking(self, x: Array, tau_s: float) -> Array:
         """Signals (m, k) integrated, with what was gathered leaking away: what has to be caught up with afterwards."""
-        return np.asarray(_gathered(self.dt_s * x, np.exp(-self.dt_s / tau_s)))
+        return np.asarray(_leaky_sum(self.dt_s * x, np.exp(-self.dt_s / tau_s)))
 
     def smooth(self, x: Array) -> Array:
         """The mean over 45 ms."""
@@ -56,7 +56,7 @@ class Course:
 
 
 @njit(cache=True)
-def _gathered(x: Array, kept: float) -> Array:
+def _leaky_sum(x: Array, kept: float) -> Array:
     out = x.copy()
     for i in range(1, len(x)):
         out[i] += kept * out[i - 1]
@@ -65,7 +65,7 @@ def _gathered(x: Array, kept: float) -> Array:
 
 def courses_of(cell: Cell, replay: Replay, modelled: list[Array], channel: int) -> list[Course]:
     """One joint of a replay through each stretch. `modelled`: by `modelled_of`."""
-    return [_course(cell, replay, *piece, channel) for piece in zip(replay.parts, modelled, strict=True)]
+    return [_course_of_stretch(cell, replay, *piece, channel) for piece in zip(replay.parts, modelled, strict=True)]
 
 
 def modelled_of(cell: Cell, replay: Replay) -> list[Array]:
@@ -75,7 +75,7 @@ def modelled_of(cell: Cell, replay: Replay) -> list[Array]:
     return [np.asarray(getattr(run, OUTPUT[cell.stage])[0]) for run in runs]
 
 
-def _course(cell: Cell, replay: Replay, part: StretchReplay, outputs: Array, channel: int) -> Course:
+def _course_of_stretch(cell: Cell, replay: Replay, part: StretchReplay, outputs: Array, channel: int) -> Course:
     stretch, j, modelled = part.stretch, replay.joints[channel], outputs[:, channel]
     m = len(modelled)
     u = fill_gaps(stretch.u)[:m] if stretch.u is not None else np.zeros((m, j + 1))
@@ -113,13 +113,13 @@ def moving_families(c: Course) -> dict[str, Array]:
         ),
         "the load": c.whole(np.stack([c.load, v * c.load, np.abs(v) * c.load, c.load**2], axis=1)),
         "the angle": np.concatenate(
-            [c.whole(v[:, None] * np.stack([c.q, c.q**2], axis=1)), _waves(c.q, SLOW_ORDERS)], axis=1
+            [c.whole(v[:, None] * np.stack([c.q, c.q**2], axis=1)), _fourier_columns(c.q, SLOW_ORDERS)], axis=1
         ),
         "other joints": np.concatenate([c.whole(np.stack([v * busy, np.sign(v) * busy], axis=1)), c.others], axis=1),
     }
 
 
-def _waves(q: Array, orders: int) -> Array:
+def _fourier_columns(q: Array, orders: int) -> Array:
     turns = np.outer(q, np.arange(1, orders + 1))
     return np.concatenate([np.sin(turns), np.cos(turns)], axis=1)
 
@@ -136,28 +136,30 @@ RESPONSES = ("echoes", "catching up", "swings", "uneven swings", "the other join
 def actuator_responses(c: Course) -> dict[str, Array]:
     """Of one joint's actuator through a stretch: families (m, k)."""
     u, others = c.drive, list(c.others.T)
-    of_others = [_oscillations(c, other) for other in others] or [np.zeros((len(u), 0))]
+    of_others = [_excited_oscillations(c, other) for other in others] or [np.zeros((len(u), 0))]
     families = (
         np.stack([np.interp(c.t_s - late_s, c.t_s, u) for late_s in ECHOES_S], axis=1),
         np.concatenate([c.leaking(hat_functions(u, LAG_KNOTS), tau_s) for tau_s in LAGS_S], axis=1),
-        _oscillations(c, u),
-        _oscillations(c, u * np.abs(u)),
+        _excited_oscillations(c, u),
+        _excited_oscillations(c, u * np.abs(u)),
         np.concatenate(of_others, axis=1),
     )
     return dict(zip(RESPONSES, families, strict=True))
 
 
-def _oscillations(c: Course, x: Array) -> Array:
+def _excited_oscillations(c: Course, x: Array) -> Array:
     """The oscillations that a signal (m,) excites: both quadratures at each frequency (m, 2 frequencies)."""
     omega = 2.0 * np.pi * SWINGS_HZ
     poles = omega * (-DAMPING + 1j * np.sqrt(1.0 - DAMPING**2))
     kept = np.exp(poles * c.dt_s)
-    rung = _rung(np.ascontiguousarray(x), kept, (kept - 1.0) / poles)
+    rung = _filter_complex_poles(np.ascontiguousarray(x), kept, (kept - 1.0) / poles)
     return np.concatenate([rung.real, rung.imag], axis=1)
 
 
 @njit(cache=True)
-def _rung(x: Array, kept: NDArray[np.complex128], taken: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def _filter_complex_poles(
+    x: Array, kept: NDArray[np.complex128], taken: NDArray[np.complex128]
+) -> NDArray[np.complex128]:
     """z_k = kept z_(k-1) + taken x_(k-1) (m, poles), complex: dz/dt = s z + x with x held, exact at any step."""
     out = np.zeros((len(x), len(kept)), dtype=np.complex128)
     for i in range(1, len(x)):

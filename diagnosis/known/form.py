@@ -51,15 +51,15 @@ def with_form(cells: list[Cell], nominal: Nominal) -> list[Cell]:
 
     Raises: DiagnosisError: the machine file's numbers belong to an arm with other joints.
     """
-    return [_less(cell, nominal) for cell in cells]
+    return [_subtract_known_form(cell, nominal) for cell in cells]
 
 
-def _less(cell: Cell, nominal: Nominal) -> Cell:
+def _subtract_known_form(cell: Cell, nominal: Nominal) -> Cell:
     seen = cell.whitened
     if isinstance(seen, PointResidual) and seen.paths:
         form = _form_of(nominal, cell.stage, None, "tracker")
         if form:
-            known = _fitting({TRACKED: acceleration_columns(seen)}, form, "structure")
+            known = _evaluate_form({TRACKED: acceleration_columns(seen)}, form, "structure")
             return replace(cell, whitened=replace(seen, known=known))
     if isinstance(seen, Replay) and cell.stage == "actuator":
         return replace(cell, whitened=_course_taken_off(cell, seen, nominal))
@@ -81,8 +81,11 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
         if not form:
             continue
         courses = courses_of(cell, replay, modelled, channel)
-        known = [_fitting(course_columns, form, f"{cell.stage} {joint + 1}") for course_columns in _families(courses)]
-        if most[channel] and _power(replay, channel, known) > EXCEEDED_TIMES * most[channel]:
+        known = [
+            _evaluate_form(course_columns, form, f"{cell.stage} {joint + 1}")
+            for course_columns in _actuator_families(courses)
+        ]
+        if most[channel] and _whitened_mean_square(replay, channel, known) > EXCEEDED_TIMES * most[channel]:
             continue
         for own, said, otherwise, course in zip(measured, known, moved, courses, strict=True):
             own[: len(said), channel] -= said
@@ -109,14 +112,14 @@ class OtherMotion:
         """Of a stretch along whose `course` the model without a fault runs."""
         families = moving_families(course)
         own = tuple(entry for entry in form if entry[0] in families)
-        return cls(course, own, _fitting(families, own, "a joint"))
+        return cls(course, own, _evaluate_form(families, own, "a joint"))
 
     def __call__(self, q: Array) -> Array:
         """For a modelled course q (m,), in its unit (m,)."""
-        return _fitting(moving_families(replace(self.course, q=q)), self.form, "a joint") - self.said
+        return _evaluate_form(moving_families(replace(self.course, q=q)), self.form, "a joint") - self.said
 
 
-def _families(courses: list[Course]) -> list[dict[str, Array]]:
+def _actuator_families(courses: list[Course]) -> list[dict[str, Array]]:
     """Of one joint's actuator, for each stretch: its immediate response, and its later one (m, k)."""
     return [
         {
@@ -128,7 +131,7 @@ def _families(courses: list[Course]) -> list[dict[str, Array]]:
     ]
 
 
-def _power(replay: Replay, channel: int, signals: list[Array]) -> float:
+def _whitened_mean_square(replay: Replay, channel: int, signals: list[Array]) -> float:
     """Mean square of signals (m,) of one joint, as white as its residual.
 
     Why: asked about motions unlike those that it was fitted to, a form says much more than of any of those.
@@ -144,8 +147,10 @@ def most_of(cells: list[Cell], form: Form) -> float:
     for cell in cells:
         replay = cell.whitened
         if isinstance(replay, Replay):
-            families = _families(courses_of(cell, replay, modelled_of(cell, replay), 0))
-            found.append(_power(replay, 0, [_fitting(family, form, cell.label) for family in families]))
+            families = _actuator_families(courses_of(cell, replay, modelled_of(cell, replay), 0))
+            found.append(
+                _whitened_mean_square(replay, 0, [_evaluate_form(family, form, cell.label) for family in families])
+            )
     return max(found)
 
 
@@ -154,7 +159,7 @@ def _form_of(nominal: Nominal, stage: str, joint: int | None, on: str) -> Form:
     return () if record is None else record.form
 
 
-def _fitting(families: dict[str, Array], form: Form, where: str) -> Array:
+def _evaluate_form(families: dict[str, Array], form: Form, where: str) -> Array:
     """What the families come to (m,)."""
     total = np.zeros(len(next(iter(families.values()))))
     for name, numbers in form:
@@ -214,12 +219,12 @@ def form_of(cells: list[Cell]) -> Form:
            what the others predict of a recording are dropped by the ridge that predicts most. Then the largest ridge
            is taken that predicts nearly as much: numbers that the data do not need would be wrong outside of them.
     """
-    pairs = [(columns, neutral_fit(cell).residual) for cell in cells if (columns := _white(cell))]
+    pairs = [(columns, neutral_fit(cell).residual) for cell in cells if (columns := _whitened_families(cell))]
     if len(pairs) < TOGETHER_MIN:
         return ()
     names = list(pairs[0][0])
-    unlike = [columns for cell in cells[:TOGETHER_MIN] if (columns := _white(cell, jumbled=True))]
-    pile, size = _piled(pairs, unlike, names)
+    unlike = [columns for cell in cells[:TOGETHER_MIN] if (columns := _whitened_families(cell, jumbled=True))]
+    pile, size = _stack_recordings(pairs, unlike, names)
     best, loose = max((pile.gain(ridge), ridge) for ridge in RIDGES)
     kept = tuple(range(len(names)))
     while len(kept) > 1:
@@ -237,7 +242,7 @@ def form_of(cells: list[Cell]) -> Form:
     return tuple((names[k], tuple(map(float, x[chosen.family == k]))) for k in kept)
 
 
-def _piled(
+def _stack_recordings(
     pairs: list[tuple[dict[str, Array], Array]], unlike: list[dict[str, Array]], names: list[str]
 ) -> tuple[_Pile, Array]:
     """All recordings on one pile, and what each column (k,) was divided by; inf where one never moves."""
@@ -254,7 +259,7 @@ def _piled(
     return _Pile(rows, normal, family, prior), size
 
 
-def _white(cell: Cell, jumbled: bool = False) -> dict[str, Array]:
+def _whitened_families(cell: Cell, jumbled: bool = False) -> dict[str, Array]:
     """Families (N, k) of a cell of one joint, or of tracked points, as white as its residual.
 
     `jumbled`: of a motion unlike any that was recorded; none of tracked points, whose form has no memory.
@@ -266,8 +271,8 @@ def _white(cell: Cell, jumbled: bool = False) -> dict[str, Array]:
         return {}
     courses = courses_of(cell, seen, modelled_of(cell, seen), 0)
     if jumbled:
-        courses = [_jumbled(course) for course in courses]
-    pieces = zip(courses, _families(courses), strict=True)
+        courses = [_shuffled_course(course) for course in courses]
+    pieces = zip(courses, _actuator_families(courses), strict=True)
     white = [
         {name: white_columns(seen.whitener, 0, course.dt_s, families[name]) for name in DRIVEN}
         for course, families in pieces
@@ -275,7 +280,7 @@ def _white(cell: Cell, jumbled: bool = False) -> dict[str, Array]:
     return {name: np.concatenate([columns[name] for columns in white]) for name in DRIVEN}
 
 
-def _jumbled(c: Course) -> Course:
+def _shuffled_course(c: Course) -> Course:
     """A motion of the same sizes that jumps all the time: the pieces of a course in another order."""
     rows = max(1, round(PIECE_S / c.dt_s))
     pieces = np.array_split(np.arange(len(c.q)), max(1, len(c.q) // rows))
@@ -286,10 +291,12 @@ def _jumbled(c: Course) -> Course:
 
 def acceleration_columns(measured: PointResidual) -> Array:
     """(3 m, 3 n) of tracked points, not weighed: what radial, tangential and up do with each joint's acceleration."""
-    return np.asarray(np.kron(_accelerations(measured.paths, measured.at, measured.data.when), np.eye(3)), dtype=float)
+    return np.asarray(
+        np.kron(_encoder_accelerations(measured.paths, measured.at, measured.data.when), np.eye(3)), dtype=float
+    )
 
 
-def _accelerations(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: Array) -> Array:
+def _encoder_accelerations(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: Array) -> Array:
     """Encoders' accelerations (m, n) at times (m,) in paths `at` (m,)."""
     n = paths[0].enc.shape[1]
     a = np.zeros((len(t_s), n))

@@ -38,11 +38,13 @@ def _with_wander_of(cell: Cell, nominal: Nominal) -> Cell:
     for joint in replay.joints:
         record = nominal.remainder("actuator", joint + 1)
         for name, size in record.wander if record is not None else ():
-            columns += [size * _column(cell, effect) for effect in candidates_of_effects((name,), (joint + 1,))]
+            columns += [
+                size * _effect_sensitivity(cell, effect) for effect in candidates_of_effects((name,), (joint + 1,))
+            ]
     return replace(cell, whitened=replace(replay, day=day_noise(np.stack(columns, axis=1)))) if columns else cell
 
 
-def _column(cell: Cell, candidate: Candidate) -> Array:
+def _effect_sensitivity(cell: Cell, candidate: Candidate) -> Array:
     """How an effect moves the residual (N,), a unit of its size."""
     step = STEP * candidate.slots[0].high
     return (residuals_at(cell, (candidate,), np.array([[step]]))[0] - neutral_fit(cell).residual) / step
@@ -72,8 +74,12 @@ def wander_of(cells: list[Cell]) -> Sizes:
     """
     if len(cells) < DAYS_MIN or cells[0].stage != "actuator" or cells[0].joint is None:
         return ()
-    names = [effect for effect in cells[0].candidates if _moves(effect) and all(_known(cell, effect) for cell in cells)]
-    days = [_day(cell, names) for cell in cells]
+    names = [
+        effect
+        for effect in cells[0].candidates
+        if _has_single_size(effect) and all(_is_cell_candidate(cell, effect) for cell in cells)
+    ]
+    days = [_day_normal_equations(cell, names) for cell in cells]
     felt = [k for k in range(len(names)) if all(day.G[k, k] * names[k].slots[0].high ** 2 > FELT for day in days)]
     names, days = [names[k] for k in felt], [_Day(day.G[np.ix_(felt, felt)], day.b[felt]) for day in days]
     variances = np.zeros(len(names))
@@ -87,7 +93,7 @@ def wander_of(cells: list[Cell]) -> Sizes:
     return tuple((effect.name, float(np.sqrt(v))) for effect, v in zip(names, variances, strict=True) if v > 0.0)
 
 
-def _moves(candidate: Candidate) -> bool:
+def _has_single_size(candidate: Candidate) -> bool:
     """Whether an effect has one number, nothing at 0."""
     return (
         candidate.stage == "actuator"
@@ -97,11 +103,11 @@ def _moves(candidate: Candidate) -> bool:
     )
 
 
-def _known(cell: Cell, candidate: Candidate) -> bool:
+def _is_cell_candidate(cell: Cell, candidate: Candidate) -> bool:
     return any(other.key == candidate.key for other in cell.candidates)
 
 
-def _day(cell: Cell, names: list[Candidate]) -> _Day:
+def _day_normal_equations(cell: Cell, names: list[Candidate]) -> _Day:
     r = neutral_fit(cell).residual
-    J = np.stack([_column(cell, effect) for effect in names], axis=1)
+    J = np.stack([_effect_sensitivity(cell, effect) for effect in names], axis=1)
     return _Day(J.T @ J, -J.T @ r)

@@ -24,8 +24,8 @@ def machine_findings(tables: Tables, nominal: Nominal) -> list[Finding]:
         return [Finding("machine_mismatch", "fatal", "machine.toml", text)]
     plc = tables.plc
     if plc is not None and plc.enc is not None:
-        findings += _limits(plc.enc, nominal)
-    findings += _points(tables, nominal)
+        findings += _limit_findings(plc.enc, nominal)
+    findings += _point_findings(tables, nominal)
     if tables.markers is not None and nominal.markers:
         known = {marker.marker_id for marker in nominal.markers}
         strange = sorted(set(tables.markers.ids.tolist()) - known)
@@ -35,15 +35,15 @@ def machine_findings(tables: Tables, nominal: Nominal) -> list[Finding]:
     return findings
 
 
-def _outside(enc: Array, nominal: Nominal) -> Array:
+def _share_outside_limits(enc: Array, nominal: Nominal) -> Array:
     """Share of rows (columns, joints) in which column j lies outside joint k's limits."""
     x = enc[:, :, None]
     beyond = (x < nominal.q_min - LIMIT_MARGIN_RAD) | (x > nominal.q_max + LIMIT_MARGIN_RAD)
     return np.asarray((beyond & np.isfinite(x)).mean(axis=0), dtype=float)
 
 
-def _limits(enc: Array, nominal: Nominal) -> list[Finding]:
-    shares = _outside(enc, nominal)
+def _limit_findings(enc: Array, nominal: Nominal) -> list[Finding]:
+    shares = _share_outside_limits(enc, nominal)
     findings, reported = [], set()
     for j in range(enc.shape[1]):
         if shares[j, j] < OUTSIDE_MIN or j in reported:
@@ -64,7 +64,7 @@ def _limits(enc: Array, nominal: Nominal) -> list[Finding]:
     return findings
 
 
-def _points(tables: Tables, nominal: Nominal) -> list[Finding]:
+def _point_findings(tables: Tables, nominal: Nominal) -> list[Finding]:
     known = {point.name for point in nominal.points}
     findings = []
     for subject, table in (("tracker.csv", tables.tracker), ("static.csv", tables.static)):
@@ -73,11 +73,11 @@ def _points(tables: Tables, nominal: Nominal) -> list[Finding]:
             remedy = "give joint, and xyz_m where it is known"
             text = f"points {strange[:6]} are not in [points] of machine.toml and are not used; {remedy}"
             findings.append(Finding("machine_mismatch", "problem", subject, text, len(strange)))
-        findings += _duplicates(subject, table) if table is not None else []
+        findings += _duplicate_point_findings(subject, table) if table is not None else []
     return findings
 
 
-def _duplicates(subject: str, table: PointTable) -> list[Finding]:
+def _duplicate_point_findings(subject: str, table: PointTable) -> list[Finding]:
     """Pairs of points that were written with the same numbers: one measurement counted twice."""
     by_name: dict[str, dict[float, tuple[float, ...]]] = {}
     for t, name, xyz in zip(table.t_s.tolist(), table.names, table.xyz.tolist(), strict=True):
@@ -105,7 +105,7 @@ def corner_findings(tables: Tables) -> list[Finding]:
         text = f"{nameless} rows have an eye other than 'left' or 'right'; they are not used"
         findings.append(Finding("not_a_number", "problem", "markers.csv", text, nameless))
     findings += _exchanged_eyes(markers)
-    wrong = _anticlockwise(markers.corners[np.isfinite(markers.corners).all(axis=(1, 2))])
+    wrong = _has_anticlockwise_turn(markers.corners[np.isfinite(markers.corners).all(axis=(1, 2))])
     share = float(wrong.mean()) if len(wrong) else 0.0
     if share > 0.01:
         text = (
@@ -131,7 +131,7 @@ def _exchanged_eyes(markers: MarkerTable) -> list[Finding]:
     return [Finding("eyes_exchanged", "fatal", "markers.csv", f"{text}camera none does: exchange 'left' and 'right'")]
 
 
-def _anticlockwise(corners: Array) -> NDArray[np.bool_]:
+def _has_anticlockwise_turn(corners: Array) -> NDArray[np.bool_]:
     """Whether any turn of the square is to the left in the image (v down): (m,)."""
     side = np.roll(corners, -1, axis=1) - corners
     following = np.roll(side, -1, axis=1)

@@ -32,7 +32,7 @@ def metre_findings(folder: Path, sliding: tuple[bool, ...]) -> list[Finding]:
     findings: list[Finding] = []
     for row_type in CSV_ROW_TYPES:
         path = folder / row_type.file
-        for name in _names(path)[0] if path.is_file() else ():
+        for name in _read_header(path)[0] if path.is_file() else ():
             joints = [int(match[1]) for _, pattern in csv_fields(row_type) if (match := _in_metres(pattern, name))]
             if joints and not (joints[0] <= len(sliding) and sliding[joints[0] - 1]):
                 text = (
@@ -49,7 +49,7 @@ def _in_metres(pattern: str, name: str) -> re.Match[str] | None:
     return column_finder(pattern).fullmatch(name)
 
 
-def _names(path: Path) -> tuple[list[str], bool]:
+def _read_header(path: Path) -> tuple[list[str], bool]:
     """A file's column names, and whether there is a row below them."""
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         first, second = file.readline(HEADER_MAX), file.readline(HEADER_MAX)
@@ -64,7 +64,7 @@ def _names(path: Path) -> tuple[list[str], bool]:
 
 
 def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
-    names, rows = _names(path)
+    names, rows = _read_header(path)
     no_text = any("\ufffd" in name or "\0" in name for name in names)
     if no_text or (len(names) == 1 and any(separator in names[0] for separator in SEPARATORS)):
         return []  # reading it says so
@@ -74,7 +74,7 @@ def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
     patterns = [pattern for _, pattern in csv_fields(row_type)]
     finders = [column_finder(known) for known in patterns]
     findings = [
-        _unknown(path, name, did_you_mean(name, _examples(patterns)))
+        _unknown_column_finding(path, name, did_you_mean(name, _expand_joint_patterns(patterns)))
         for name in names
         if name and not any(finder.fullmatch(name) for finder in finders)
     ]
@@ -90,12 +90,12 @@ def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
     return findings
 
 
-def _unknown(path: Path, name: str, nearest: str) -> Finding:
+def _unknown_column_finding(path: Path, name: str, nearest: str) -> Finding:
     """A column of a user's own is allowed; one that nearly has a known name may be that one, misspelt."""
     return Finding(
         "unknown_column", "problem" if nearest else "note", path.name, f"column {name!r} was not read{nearest}"
     )
 
 
-def _examples(patterns: list[str]) -> set[str]:
+def _expand_joint_patterns(patterns: list[str]) -> set[str]:
     return {pattern.replace("{j}", str(j)) for pattern in patterns for j in range(1, 10)}

@@ -39,15 +39,17 @@ def unknown_keys(tables: Mapping[str, Any]) -> list[Finding]:
     """
     found: dict[tuple[str, str], list[str]] = {}
     known_of: dict[tuple[str, str], tuple[str, ...]] = {}
-    for section, place, table, known in _sections(tables):
+    for section, place, table, known in _sections_with_known_keys(tables):
         for key in table:
             if key not in known:
                 found.setdefault((section, key), []).append(place)
                 known_of[section, key] = known
-    return [_unknown(section, key, places, known_of[section, key]) for (section, key), places in found.items()]
+    return [
+        _unknown_key_finding(section, key, places, known_of[section, key]) for (section, key), places in found.items()
+    ]
 
 
-def _unknown(section: str, key: str, places: list[str], known: tuple[str, ...]) -> Finding:
+def _unknown_key_finding(section: str, key: str, places: list[str], known: tuple[str, ...]) -> Finding:
     at = " ".join([section, ", ".join(place for place in places if place)]).strip()
     what = f"{at}: key {key!r}" if section else f"section [{key}]"
     meant = did_you_mean(key, known)
@@ -55,7 +57,9 @@ def _unknown(section: str, key: str, places: list[str], known: tuple[str, ...]) 
     return Finding("unknown_key", severity, "machine.toml", f"{what} is not known and was not read{meant}", len(places))
 
 
-def _sections(tables: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any], tuple[str, ...]]]:
+def _sections_with_known_keys(
+    tables: Mapping[str, Any],
+) -> Iterator[tuple[str, str, Mapping[str, Any], tuple[str, ...]]]:
     """Section, which one of it, its table, the keys that are read; what is not a table is reported where it is read."""
     yield "", "", tables, SECTIONS
     for section, known in TABLES.items():

@@ -50,7 +50,7 @@ def number_of(table: Mapping[str, Any], key: str, where: str) -> float | None:
     Raises: DiagnosisError: no number, or outside what is possible; names field, value, limits and unit.
     """
     value = table.get(key)
-    return None if value is None else _inside(value, key, f"machine.toml: {where}: {key}")
+    return None if value is None else _number_in_range(value, key, f"machine.toml: {where}: {key}")
 
 
 def vector_of(table: Mapping[str, Any], key: str, size: int, where: str) -> Array | None:
@@ -60,8 +60,8 @@ def vector_of(table: Mapping[str, Any], key: str, size: int, where: str) -> Arra
         return None
     subject = f"machine.toml: {where}: {key}"
     if not isinstance(value, list) or len(value) != size:
-        raise DiagnosisError(f"{subject} = {_short(value)}; give {size} finite numbers")
-    return np.array([_inside(entry, key, f"{subject}[{k}]") for k, entry in enumerate(value)])
+        raise DiagnosisError(f"{subject} = {_shortened_repr(value)}; give {size} finite numbers")
+    return np.array([_number_in_range(entry, key, f"{subject}[{k}]") for k, entry in enumerate(value)])
 
 
 def pose_of(table: Mapping[str, Any], key: str, where: str) -> Array | None:
@@ -83,7 +83,9 @@ def flag_of(table: Mapping[str, Any], key: str, where: str, otherwise: bool) -> 
     """true or false; `otherwise` where it is not given. Raises: DiagnosisError: text or a number in its place."""
     value = table.get(key, otherwise)
     if not isinstance(value, bool):
-        raise DiagnosisError(f"machine.toml: {where}: {key} = {_short(value)}; write true or false, without quotes")
+        raise DiagnosisError(
+            f"machine.toml: {where}: {key} = {_shortened_repr(value)}; write true or false, without quotes"
+        )
     return value
 
 
@@ -91,14 +93,14 @@ def is_sliding(joint: Mapping[str, Any], where: str) -> bool:
     """Whether a [[joint]] is written as sliding: by its type, without one it turns. Raises: DiagnosisError: another."""
     kind = joint.get("type", "revolute")
     if kind not in ("revolute", "prismatic"):
-        raise DiagnosisError(f"machine.toml: {where}: type = {_short(kind)}; give 'revolute' or 'prismatic'")
+        raise DiagnosisError(f"machine.toml: {where}: type = {_shortened_repr(kind)}; give 'revolute' or 'prismatic'")
     return kind == "prismatic"
 
 
 def table_of(value: Any, where: str) -> dict[str, Any]:
     """A section. Raises: DiagnosisError: something else stands in its place."""
     if not isinstance(value, dict):
-        raise DiagnosisError(f"machine.toml: {where} = {_short(value)} is not a table")
+        raise DiagnosisError(f"machine.toml: {where} = {_shortened_repr(value)} is not a table")
     return value
 
 
@@ -110,10 +112,10 @@ def list_of(table: Mapping[str, Any], key: str) -> list[Any]:
     return value
 
 
-def _inside(value: object, key: str, subject: str) -> float:
+def _number_in_range(value: object, key: str, subject: str) -> float:
     low, high, unit = RANGES.get(key, ANY)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= FLOAT_MAX:
-        raise DiagnosisError(f"{subject} = {_short(value)} is not a finite number")
+        raise DiagnosisError(f"{subject} = {_shortened_repr(value)} is not a finite number")
     if not low <= value <= high:
         raise DiagnosisError(
             f"{subject} = {float(value):g}, limits {low:g} to {high:g} {unit}".rstrip() + "; correct it"
@@ -121,6 +123,6 @@ def _inside(value: object, key: str, subject: str) -> float:
     return float(value)
 
 
-def _short(value: object) -> str:
+def _shortened_repr(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else f"{text[:57]}..."

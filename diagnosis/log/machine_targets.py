@@ -28,13 +28,17 @@ def markers_of(tables: Mapping[str, Any]) -> tuple[Marker, ...]:
     Raises: DiagnosisError: a field that is missing or wrong. MachineError: ids that repeat, or an impossible board.
     """
     section = table_of(tables.get("markers", {}), "[markers]")
-    singles = [_marker(section, f"markers.marker {k}") for k, section in enumerate(list_of(section, "marker"), start=1)]
-    boards = [_board(section, f"markers.board {k}") for k, section in enumerate(list_of(section, "board"), start=1)]
+    singles = [
+        _parse_marker(section, f"markers.marker {k}") for k, section in enumerate(list_of(section, "marker"), start=1)
+    ]
+    boards = [
+        _parse_board(section, f"markers.board {k}") for k, section in enumerate(list_of(section, "board"), start=1)
+    ]
     check_ids([single.marker_id for single in singles], boards, str(section.get("dictionary", "")))
     return (*singles, *grid_markers(tuple(board_of(board) for board in boards)))
 
 
-def _marker(section: object, where: str) -> Marker:
+def _parse_marker(section: object, where: str) -> Marker:
     table = table_of(section, where)
     side, T, on = number_of(table, "side_m", where), pose_of(table, "T_on_marker", where), table.get("on")
     marker_id = table.get("id")
@@ -43,7 +47,7 @@ def _marker(section: object, where: str) -> Marker:
     return Marker(table["id"], side, on, T)
 
 
-def _board(section: object, where: str) -> BoardSection:
+def _parse_board(section: object, where: str) -> BoardSection:
     table = table_of(section, where)
     known = {key: value for key, value in table.items() if key in BoardSection.model_fields}
     try:

@@ -16,42 +16,48 @@ def missing_columns(tables: Tables) -> list[Finding]:
     found = []
     for subject, table in (("static.csv", tables.static), ("tracker.csv", tables.tracker)):
         if table is not None:
-            found += _unusable(subject, _of_points(table, subject == "static.csv"), "no point can be used")
+            found += _missing_column_findings(
+                subject, _of_points(table, subject == "static.csv"), "no point can be used"
+            )
     if tables.markers is not None:
-        found += _unusable("markers.csv", _of_markers(tables.markers), "no marker can be used whole")
+        found += _missing_column_findings("markers.csv", _of_markers(tables.markers), "no marker can be used whole")
     if tables.odometry is not None:
         found += _of_odometry(tables.odometry)
     return found
 
 
-def _empty(values: Array, names: tuple[str, ...]) -> list[str]:
+def _empty_columns(values: Array, names: tuple[str, ...]) -> list[str]:
     """The names of the columns (m, k) without a finite number."""
     return [name for k, name in enumerate(names) if not np.isfinite(values[:, k]).any()]
 
 
 def _of_points(table: PointTable, at_rest: bool) -> list[str]:
     columns = [] if any(table.names) else ["point"]
-    columns += _empty(table.xyz, PLACE)
+    columns += _empty_columns(table.xyz, PLACE)
     if at_rest and table.q is None:
         columns.append("q_<j>_rad")
     elif at_rest and table.q is not None:
-        columns += _empty(table.q, tuple(f"q_{j}_rad" for j in range(1, table.q.shape[1] + 1)))
+        columns += _empty_columns(table.q, tuple(f"q_{j}_rad" for j in range(1, table.q.shape[1] + 1)))
     return columns
 
 
 def _of_markers(table: MarkerTable) -> list[str]:
     columns = [] if (table.ids >= 0).any() else ["marker_id"]
-    return columns + _empty(table.corners.reshape(len(table.corners), -1), CORNERS)
+    return columns + _empty_columns(table.corners.reshape(len(table.corners), -1), CORNERS)
 
 
 def _of_odometry(table: OdometryTable) -> list[Finding]:
-    found = _unusable("odometry.csv", _empty(table.position, PLACE), "no path of the camera is known")
-    turned = _unusable("odometry.csv", _empty(table.quat_wxyz, TURN), "how the camera turned is not known")
+    found = _missing_column_findings(
+        "odometry.csv", _empty_columns(table.position, PLACE), "no path of the camera is known"
+    )
+    turned = _missing_column_findings(
+        "odometry.csv", _empty_columns(table.quat_wxyz, TURN), "how the camera turned is not known"
+    )
     # A note only: lengths need no rotation.
     return found + [Finding(finding.code, "note", finding.subject, finding.text, finding.count) for finding in turned]
 
 
-def _unusable(subject: str, columns: list[str], costs: str) -> list[Finding]:
+def _missing_column_findings(subject: str, columns: list[str], costs: str) -> list[Finding]:
     if not columns:
         return []
     text = f"{', '.join(columns)}: missing, or empty in every row; {costs}: add it"

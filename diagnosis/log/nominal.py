@@ -114,17 +114,19 @@ class _Reader:
         self._urdf_limits = np.zeros((0, 2))
 
     def nominal(self) -> Nominal:
-        machine, tool, camera, tracker = (self._section(name) for name in ("machine", "tool", "camera", "tracker"))
+        machine, tool, camera, tracker = (
+            self._section_table(name) for name in ("machine", "tool", "camera", "tracker")
+        )
         gravity = vector_of(machine, "gravity_base_m_s2", 3, "[machine]")
-        arm, names = self._arm(np.array([0.0, 0.0, -9.81]) if gravity is None else gravity)
-        sliding = self._sliding(arm, len(names))
-        limits = [self._limits(k, sliding[k]) for k in range(len(names))]
+        arm, names = self._arm_and_joint_names(np.array([0.0, 0.0, -9.81]) if gravity is None else gravity)
+        sliding = self._sliding_flags(arm, len(names))
+        limits = [self._joint_limits(k, sliding[k]) for k in range(len(names))]
         self._findings += limits_of_other_kind(self._joints, sliding)
-        actuators = self._actuators()
+        actuators = self._parse_actuators()
         weighed = arm is not None and float(arm.mass.sum()) > 0.0
         if actuators is not None and weighed and not np.isfinite(limits).all():
-            self._absent.append(("load", self._unlimited(limits, sliding)))
-        has_controller = actuators is not None and self._controlled(actuators)
+            self._absent.append(("load", self._unlimited_joints_text(limits, sliding)))
+        has_controller = actuators is not None and self._has_controller_gains(actuators)
         eyes, markers = self._camera(camera), self._markers(tool)
         return Nominal(
             name=str(machine.get("name", "")),
@@ -146,22 +148,22 @@ class _Reader:
             serial=str(machine.get("serial", "")),
             sliding=sliding,
             findings=tuple(self._findings),
-            sensors=self._sensors(),
+            sensors=self._sensor_accuracy(),
         )
 
-    def _sensors(self) -> SensorAccuracy:
+    def _sensor_accuracy(self) -> SensorAccuracy:
         """What [sensors] states. Raises: DiagnosisError: an accuracy that is not above 0."""
-        section = self._section("sensors")
+        section = self._section_table("sensors")
         stated = {key: number_of(section, key, "[sensors]") for key in TABLES["sensors"]}
         for key, value in stated.items():
             if value is not None and value <= 0.0:
                 raise DiagnosisError(f"machine.toml: [sensors] {key} = {value:g}; give a standard deviation above 0")
         return SensorAccuracy(**stated)
 
-    def _section(self, name: str) -> dict[str, Any]:
+    def _section_table(self, name: str) -> dict[str, Any]:
         return table_of(self._tables.get(name, {}), f"[{name}]")
 
-    def _sliding(self, arm: Arm | None, n: int) -> tuple[bool, ...]:
+    def _sliding_flags(self, arm: Arm | None, n: int) -> tuple[bool, ...]:
         """As the arm has them; a joint that is not on its chain, as its type says."""
         written = [k < len(self._slides) and self._slides[k] for k in range(n)]
         if arm is None:
@@ -185,8 +187,8 @@ class _Reader:
             return tuple(str(joint.get("name", f"joint{k}")) for k, joint in enumerate(self._joints, start=1))
         return tuple(f"joint{k}" for k in range(1, (self._count or 0) + 1))
 
-    def _arm(self, gravity: Array) -> tuple[Arm | None, tuple[str, ...]]:
-        names, tool = self._names(), pose_of(self._section("tool"), "T_flange_tcp", "[tool]")
+    def _arm_and_joint_names(self, gravity: Array) -> tuple[Arm | None, tuple[str, ...]]:
+        names, tool = self._names(), pose_of(self._section_table("tool"), "T_flange_tcp", "[tool]")
         if "urdf" in self._tables:
             return self._urdf_arm(names, tool, gravity)
         if self._is_missing("structure", GEOMETRY):
@@ -204,7 +206,7 @@ class _Reader:
     def _urdf_arm(
         self, names: tuple[str, ...], tool: Array | None, gravity: Array
     ) -> tuple[Arm | None, tuple[str, ...]]:
-        section = self._section("urdf")
+        section = self._section_table("urdf")
         missing = [key for key in ("file", "base_link", "tip_link") if not isinstance(section.get(key), str)]
         if missing:
             raise DiagnosisError(
@@ -221,7 +223,7 @@ class _Reader:
             self._absent.append(("load", found.load_absent))
         return found.arm, found.names
 
-    def _unlimited(self, limits: list[tuple[float, float]], sliding: tuple[bool, ...]) -> str:
+    def _unlimited_joints_text(self, limits: list[tuple[float, float]], sliding: tuple[bool, ...]) -> str:
         """What it costs that some joints have no limits."""
         unlimited = [k for k, ends in enumerate(limits) if not np.isfinite(ends).all()]
         wanted = " or ".join(sorted({" and ".join(LIMITS[sliding[k]]) for k in unlimited}))
@@ -229,7 +231,7 @@ class _Reader:
         text = f"{which}: no {wanted}; the range that the recording shows stands in for it"
         return f"{text}, and sizes of internal_leakage and load_droop go by the largest load in that range"
 
-    def _limits(self, k: int, sliding: bool) -> tuple[float, float]:
+    def _joint_limits(self, k: int, sliding: bool) -> tuple[float, float]:
         """Of a [[joint]], each end that it does not give as the URDF has it; else without end."""
         low, high = self._urdf_limits[k].tolist() if k < len(self._urdf_limits) else (-np.inf, np.inf)
         joint, where = self._joints[k] if k < len(self._joints) else {}, f"joint {k + 1}"
@@ -241,8 +243,8 @@ class _Reader:
             raise DiagnosisError(f"machine.toml: {where}: {ends}{'' if None not in given else ' of the URDF'}")
         return low, high
 
-    def _actuators(self) -> Actuators | None:
-        plc = self._section("plc")
+    def _parse_actuators(self) -> Actuators | None:
+        plc = self._section_table("plc")
         missing = [field for field in TIMES if field not in plc]
         if missing:
             self._absent.append(("actuator", f"[plc] has no {', '.join(missing)}"))
@@ -258,7 +260,7 @@ class _Reader:
         cycle, log_cycle = (number_of(plc, field, "[plc]") or 0.0 for field in TIMES)
         return Actuators(np.array(rows), cycle, log_cycle, number_of(plc, "transport_delay_s", "[plc]") or 0.0)
 
-    def _controlled(self, actuators: Actuators) -> bool:
+    def _has_controller_gains(self, actuators: Actuators) -> bool:
         """Whether every joint has a gain above 0."""
         if self._is_missing("controller", ("kp_frac_per_rad",)):
             return False
@@ -296,7 +298,7 @@ class _Reader:
             self._absent.append(("camera", "no [[markers.marker]]"))
         if "T_tcp_tool" not in tool and any(marker.on == "tool" for marker in found):
             self._absent.append(("camera", "[tool] has no T_tcp_tool: the markers on the tool are not used"))
-        hung = "T_tcp_tool" in tool or MOUNT in self._section("camera")
+        hung = "T_tcp_tool" in tool or MOUNT in self._section_table("camera")
         if hung and "T_flange_tcp" not in tool and "urdf" not in self._tables:  # a URDF's tip is its tcp
             self._absent.append(("camera", "[tool] has no T_flange_tcp: the tcp is taken to be the last link's frame"))
         return found

@@ -31,14 +31,14 @@ def pairing_findings(tables: Tables) -> list[Finding]:
         whole = of(plc)
         if whole is None or len(whole[0]) < BLOCKS_MIN:
             continue
-        table = _correlations(*whole)
-        own = _judge("plc.csv", "q_{j}_rad", name, table)
+        table = _peak_lag_correlations(*whole)
+        own = _swapped_column_findings("plc.csv", "q_{j}_rad", name, table)
         moved = MOVED_SHARE * whole[1].std(axis=0)
         findings += own or _reversed_in_segments(plc, tables.run.segments, name, of, moved)
-    return findings or _copied(plc) or _reversed_positions(plc) or _command_for_encoder(plc)
+    return findings or _copied_encoder_findings(plc) or _reversed_positions(plc) or _command_for_encoder(plc)
 
 
-def _copied(plc: PlcTable) -> list[Finding]:
+def _copied_encoder_findings(plc: PlcTable) -> list[Finding]:
     """Joints whose encoder is their reference to the last digit while it moves: nothing was measured."""
     if plc.enc is None or plc.ref is None or plc.enc.shape != plc.ref.shape:
         return []
@@ -59,13 +59,13 @@ def _reversed_positions(plc: PlcTable) -> list[Finding]:
     """The signs by positions: a loop that hunts drowns what its increments say. A joint that hardly moves may sag."""
     if plc.enc is None or plc.ref is None:
         return []
-    size = _size(plc)
-    enc, ref = _blocks(fill_gaps(plc.enc), size), _blocks(fill_gaps(plc.ref), size)
+    size = _rows_per_block(plc)
+    enc, ref = _block_means(fill_gaps(plc.enc), size), _block_means(fill_gaps(plc.ref), size)
     if len(enc) < BLOCKS_MIN:
         return []
-    table = _correlations(enc, ref, round(LAG_MAX_S / BLOCK_S))
+    table = _peak_lag_correlations(enc, ref, round(LAG_MAX_S / BLOCK_S))
     table[enc.std(axis=0) < FOLLOWS_MIN * ref.std(axis=0)] = 0.0
-    found = _judge("plc.csv", "q_{j}_rad", "q_ref_{j}_rad", table)
+    found = _swapped_column_findings("plc.csv", "q_{j}_rad", "q_ref_{j}_rad", table)
     return [finding for finding in found if finding.code == "reversed_column"]
 
 
@@ -74,7 +74,7 @@ def _command_for_encoder(plc: PlcTable) -> list[Finding]:
     as_written, exchanged = _speed_and_command(plc), _speed_and_command(replace(plc, enc=plc.u, u=plc.enc))
     if as_written is None or exchanged is None or len(as_written[0]) < BLOCKS_MIN:
         return []
-    own, other = (np.diag(_correlations(*both)) for both in (as_written, exchanged))
+    own, other = (np.diag(_peak_lag_correlations(*both)) for both in (as_written, exchanged))
     return [
         Finding(
             "swapped_columns",
@@ -100,10 +100,10 @@ def _reversed_in_segments(
     wrong: dict[int, list[str]] = {}
     for segment in segments:
         inside = (plc.t_s >= segment.t_start_plc_s) & (plc.t_s <= segment.t_end_plc_s)
-        here = of(_rows(plc, inside)) if inside.any() else None
+        here = of(_select_log_rows(plc, inside)) if inside.any() else None
         if here is None or len(here[0]) < BLOCKS_MIN:
             continue
-        own = np.diag(_correlations(*here))
+        own = np.diag(_peak_lag_correlations(*here))
         for j in np.nonzero((own < REVERSED_MAX) & (here[1].std(axis=0) > least))[0].tolist():
             wrong.setdefault(j, []).append(segment.name)
     findings = []
@@ -115,13 +115,13 @@ def _reversed_in_segments(
     return findings
 
 
-def _rows(plc: PlcTable, which: NDArray[np.bool_]) -> PlcTable:
+def _select_log_rows(plc: PlcTable, which: NDArray[np.bool_]) -> PlcTable:
     """The same log of some rows only, of what is compared here."""
     picked = {name: None if (values := getattr(plc, name)) is None else values[which] for name in ("ref", "enc", "u")}
     return replace(plc, t_s=plc.t_s[which], **picked)
 
 
-def _judge(subject: str, pattern: str, other: str, table: Array) -> list[Finding]:
+def _swapped_column_findings(subject: str, pattern: str, other: str, table: Array) -> list[Finding]:
     """From correlations (encoder column, other column)."""
     findings, reported = [], set()
     for j in range(len(table)):
@@ -142,12 +142,12 @@ def _judge(subject: str, pattern: str, other: str, table: Array) -> list[Finding
     return findings
 
 
-def _blocks(values: Array, size: int) -> Array:
+def _block_means(values: Array, size: int) -> Array:
     rows = len(values) // size * size
     return np.asarray(values[:rows].reshape(-1, size, values.shape[1]).mean(axis=1))
 
 
-def _size(plc: PlcTable) -> int:
+def _rows_per_block(plc: PlcTable) -> int:
     steps = np.diff(plc.t_s)
     rising = steps[steps > 0.0]
     return max(1, round(BLOCK_S / float(np.median(rising)))) if len(rising) else 1
@@ -156,21 +156,21 @@ def _size(plc: PlcTable) -> int:
 def _speed_and_command(plc: PlcTable) -> Both | None:
     if plc.u is None or plc.enc is None:
         return None
-    size = _size(plc)
-    speed = np.diff(_blocks(fill_gaps(plc.enc), size), axis=0)
-    u = _blocks(fill_gaps(plc.u), size)
+    size = _rows_per_block(plc)
+    speed = np.diff(_block_means(fill_gaps(plc.enc), size), axis=0)
+    u = _block_means(fill_gaps(plc.u), size)
     return speed, 0.5 * (u[1:] + u[:-1]), 2
 
 
 def _encoder_and_reference(plc: PlcTable) -> Both | None:
     if plc.ref is None or plc.enc is None:
         return None
-    size = _size(plc)
-    moved = [np.diff(_blocks(fill_gaps(values), size), axis=0) for values in (plc.enc, plc.ref)]
+    size = _rows_per_block(plc)
+    moved = [np.diff(_block_means(fill_gaps(values), size), axis=0) for values in (plc.enc, plc.ref)]
     return moved[0], moved[1], round(LAG_MAX_S / BLOCK_S)
 
 
-def _correlations(effects: Array, causes: Array, lag_max: int) -> Array:
+def _peak_lag_correlations(effects: Array, causes: Array, lag_max: int) -> Array:
     """Correlation of largest size over lags 0..lag_max of cause before effect, (columns of effects, of causes).
 
     Of two of opposite signs and nearly one size the positive one: an oscillation is like its opposite half a period

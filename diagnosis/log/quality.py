@@ -29,13 +29,13 @@ def plc_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     if plc is None:
         return []
     findings = time_findings("plc.csv", plc.t_s, plc.enc, tables.run.segments)
-    findings += _short("plc.csv", plc.t_s) + _twice(plc.t_s)
+    findings += _short_log_findings("plc.csv", plc.t_s) + _duplicate_row_findings(plc.t_s)
     for short, _, pattern in JOINT_SIGNALS:
         values = getattr(plc, short)
         if values is not None:
-            findings += _numbers("plc.csv", pattern, values)
-    findings += _constants(plc) + frozen_findings(plc.enc)
-    findings += _rate(plc, nominal)
+            findings += _non_finite_findings("plc.csv", pattern, values)
+    findings += _constant_encoder_findings(plc) + frozen_findings(plc.enc)
+    findings += _sample_rate_findings(plc, nominal)
     return findings
 
 
@@ -67,7 +67,7 @@ def time_findings(
         )
         findings.append(Finding("time_backwards", "problem", subject, text, len(back)))
     jumps, gaps = [], []
-    for k in np.nonzero(too_long(steps, median, GAP_STEPS) & _inside(t_s, segments))[0]:
+    for k in np.nonzero(too_long(steps, median, GAP_STEPS) & _is_step_in_segment(t_s, segments))[0]:
         (jumps if _is_jump(signals, int(k), float(steps[k]), median) else gaps).append(int(k))
     if jumps:
         k = jumps[0]
@@ -96,7 +96,7 @@ def too_long(steps: Array, median: float, most: float) -> NDArray[np.bool_]:
     return (steps > most * median) & (three > (3.0 + GAP_MORE) * median)
 
 
-def _inside(t_s: Array, segments: Sequence[Segment]) -> NDArray[np.bool_]:
+def _is_step_in_segment(t_s: Array, segments: Sequence[Segment]) -> NDArray[np.bool_]:
     """Whether each step (m - 1,) lies within one segment; all without segments."""
     if not segments:
         return np.ones(len(t_s) - 1, dtype=bool)
@@ -121,7 +121,7 @@ def _is_jump(signals: Array | None, k: int, step: float, median: float) -> bool:
     return bool(expected > max(10.0 * noise, 1e-4) and moved < min(0.3 * expected, onwards))
 
 
-def _short(subject: str, t_s: Array) -> list[Finding]:
+def _short_log_findings(subject: str, t_s: Array) -> list[Finding]:
     span = float(np.ptp(t_s)) if len(t_s) else 0.0
     if len(t_s) >= ROWS_MIN and span >= DURATION_MIN_S:
         return []
@@ -132,7 +132,7 @@ def _short(subject: str, t_s: Array) -> list[Finding]:
     return [Finding("too_short", "fatal", subject, text)]
 
 
-def _twice(t_s: Array) -> list[Finding]:
+def _duplicate_row_findings(t_s: Array) -> list[Finding]:
     again = int((np.diff(t_s) == 0.0).sum())
     if not again:
         return []
@@ -140,7 +140,7 @@ def _twice(t_s: Array) -> list[Finding]:
     return [Finding("duplicate_rows", "problem", "plc.csv", text, again)]
 
 
-def _numbers(subject: str, pattern: str, values: Array) -> list[Finding]:
+def _non_finite_findings(subject: str, pattern: str, values: Array) -> list[Finding]:
     findings = []
     for j in range(values.shape[1]):
         bad = int((~np.isfinite(values[:, j])).sum())
@@ -152,21 +152,21 @@ def _numbers(subject: str, pattern: str, values: Array) -> list[Finding]:
     return findings
 
 
-def _constants(plc: PlcTable) -> list[Finding]:
+def _constant_encoder_findings(plc: PlcTable) -> list[Finding]:
     """A joint whose encoder stands still to the last digit while its valve works, or its reference goes far."""
     if plc.enc is None:
         return []
     findings = []
     for j in range(plc.enc.shape[1]):
         finite = plc.enc[np.isfinite(plc.enc[:, j]), j]
-        why = _asked(plc, j)
+        why = _motion_request_text(plc, j)
         if len(finite) and np.ptp(finite) == 0.0 and why:
             text = f"q_{j + 1}_rad never changes, though {why}; check the encoder"
             findings.append(Finding("constant", "problem", "plc.csv", text))
     return findings
 
 
-def _asked(plc: PlcTable, j: int) -> str:
+def _motion_request_text(plc: PlcTable, j: int) -> str:
     """What asked a joint (0-based) to move, in words; empty where nothing did."""
     if plc.u is not None and largest_finite(plc.u[:, j]) > COMMAND_WORKS:
         return f"u_{j + 1}_frac reaches {largest_finite(plc.u[:, j]):.2g}"
@@ -175,7 +175,7 @@ def _asked(plc: PlcTable, j: int) -> str:
     return f"q_ref_{j + 1}_rad goes over {asked:.2g}" if asked > REFERENCE_WORKS else ""
 
 
-def _rate(plc: PlcTable, nominal: Nominal | None) -> list[Finding]:
+def _sample_rate_findings(plc: PlcTable, nominal: Nominal | None) -> list[Finding]:
     steps = np.diff(plc.t_s)
     rising = steps[steps > 0.0]
     if nominal is None or nominal.actuators is None or len(rising) == 0:

@@ -113,14 +113,16 @@ def tables_of(recording: Recording) -> Tables:
     return Tables(
         run=recording.run,
         n=n,
-        plc=_plc(plc, n) if plc else None,
-        sent=SentTable(_numbers(sent, "t_pc_s"), _counts(sent, "seq"), _matrix(sent, "q_sent_rad", n))
+        plc=_plc_table(plc, n) if plc else None,
+        sent=SentTable(
+            _float_column(sent, "t_pc_s"), _integer_column(sent, "seq"), _float_matrix(sent, "q_sent_rad", n)
+        )
         if sent
         else None,
-        markers=_markers(recording.of(MarkerCorners)),
-        odometry=_odometry(recording.of(OdometryRow)),
-        tracker=_points(recording.of(TrackerPoint), "t_plc_s", 0),
-        static=_points(static, "pose_index", n),
+        markers=_marker_table(recording.of(MarkerCorners)),
+        odometry=_odometry_table(recording.of(OdometryRow)),
+        tracker=_point_table(recording.of(TrackerPoint), "t_plc_s", 0),
+        static=_point_table(static, "pose_index", n),
     )
 
 
@@ -141,61 +143,64 @@ def largest_finite(values: Array) -> float:
     return float(finite.max()) if finite.size else 0.0
 
 
-def _numbers(rows: Sequence[Row], name: str) -> Array:
+def _float_column(rows: Sequence[Row], name: str) -> Array:
     return np.array([getattr(row, name) for row in rows], dtype=float)
 
 
-def _counts(rows: Sequence[Row], name: str) -> NDArray[np.int64]:
+def _integer_column(rows: Sequence[Row], name: str) -> NDArray[np.int64]:
     return np.array([min(max(getattr(row, name), -1), COUNT_MAX) for row in rows], dtype=np.int64)
 
 
-def _matrix(rows: Sequence[Row], name: str, n: int) -> Array:
+def _float_matrix(rows: Sequence[Row], name: str, n: int) -> Array:
     """(m, n), NaN where a row has no or fewer numbers."""
     values = np.full((len(rows), n), np.nan)
     for k, row in enumerate(rows):
         numbers = getattr(row, name)
         values[k, : len(numbers)] = numbers
-    return _bounded(values)
+    return _huge_to_infinity(values)
 
 
-def _bounded(values: Array) -> Array:
+def _huge_to_infinity(values: Array) -> Array:
     return np.where(np.abs(values) > HUGE, np.inf, values)
 
 
-def _plc(rows: Sequence[PlcState], n: int) -> PlcTable:
-    found = {short: _matrix(rows, field, n) for short, field, _ in JOINT_SIGNALS}
+def _plc_table(rows: Sequence[PlcState], n: int) -> PlcTable:
+    found = {short: _float_matrix(rows, field, n) for short, field, _ in JOINT_SIGNALS}
     kept = {short: values if np.isfinite(values).any() else None for short, values in found.items()}
-    supply = _numbers(rows, "p_supply_pa")
+    supply = _float_column(rows, "p_supply_pa")
     return PlcTable(
-        t_s=_numbers(rows, "t_plc_s"),
+        t_s=_float_column(rows, "t_plc_s"),
         p_supply=supply if np.isfinite(supply).any() else None,
-        seq=_counts(rows, "seq_received"),
+        seq=_integer_column(rows, "seq_received"),
         ref_logged=True,
         **kept,
     )
 
 
-def _markers(rows: Sequence[MarkerCorners]) -> MarkerTable | None:
+def _marker_table(rows: Sequence[MarkerCorners]) -> MarkerTable | None:
     if not rows:
         return None
     corners = [[(getattr(row, f"u{c}_px"), getattr(row, f"v{c}_px")) for c in range(4)] for row in rows]
     eye = np.array([{"left": 0, "right": 1}.get(row.eye, -1) for row in rows], dtype=np.int64)
     return MarkerTable(
-        _numbers(rows, "t_camera_s"), eye, _counts(rows, "marker_id"), _bounded(np.array(corners, dtype=float))
+        _float_column(rows, "t_camera_s"),
+        eye,
+        _integer_column(rows, "marker_id"),
+        _huge_to_infinity(np.array(corners, dtype=float)),
     )
 
 
-def _odometry(rows: Sequence[OdometryRow]) -> OdometryTable | None:
+def _odometry_table(rows: Sequence[OdometryRow]) -> OdometryTable | None:
     if not rows:
         return None
-    position = np.stack([_numbers(rows, name) for name in ("x_m", "y_m", "z_m")], axis=1)
-    quat = np.stack([_numbers(rows, name) for name in ("qw", "qx", "qy", "qz")], axis=1)
-    return OdometryTable(_numbers(rows, "t_camera_s"), position, quat)
+    position = np.stack([_float_column(rows, name) for name in ("x_m", "y_m", "z_m")], axis=1)
+    quat = np.stack([_float_column(rows, name) for name in ("qw", "qx", "qy", "qz")], axis=1)
+    return OdometryTable(_float_column(rows, "t_camera_s"), position, quat)
 
 
-def _points(rows: Sequence[TrackerPoint] | Sequence[StaticPoint], key: str, n: int) -> PointTable | None:
+def _point_table(rows: Sequence[TrackerPoint] | Sequence[StaticPoint], key: str, n: int) -> PointTable | None:
     if not rows:
         return None
-    xyz = _bounded(np.stack([_numbers(rows, name) for name in ("x_m", "y_m", "z_m")], axis=1))
-    q = _matrix(rows, "q_rad", n) if n else None
-    return PointTable(_numbers(rows, key), tuple(row.point for row in rows), xyz, q)
+    xyz = _huge_to_infinity(np.stack([_float_column(rows, name) for name in ("x_m", "y_m", "z_m")], axis=1))
+    q = _float_matrix(rows, "q_rad", n) if n else None
+    return PointTable(_float_column(rows, key), tuple(row.point for row in rows), xyz, q)

@@ -29,20 +29,22 @@ def unit_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     """
     plc, found = tables.plc, []
     sliding = () if nominal is None else nominal.sliding
-    found += _milliseconds(tables, nominal)
-    for subject, pattern, values in _positions(tables):
-        columns = [j for j in _turning(values, sliding) if _beyond_turn(values[:, j], _limit(nominal, j))]
+    found += _millisecond_findings(tables, nominal)
+    for subject, pattern, values in _position_signals(tables):
+        columns = [j for j in _revolute_joints(values, sliding) if _beyond_turn(values[:, j], _angle_limit(nominal, j))]
         if columns:
-            found.append(_degrees(subject, pattern, columns, f"reach {largest_finite(values[:, columns]):.4g}"))
+            found.append(_degrees_finding(subject, pattern, columns, f"reach {largest_finite(values[:, columns]):.4g}"))
         found += _slid_in_millimetres(subject, pattern, values, sliding)
     if not any(finding.code == "degrees" for finding in found) and plc is not None:
         found += _degrees_by_comparison(plc, sliding) or _degrees_by_speed(plc, nominal)
-    found += [] if plc is None else _percent(plc) + _bar(plc)
+    found += [] if plc is None else _percent_findings(plc) + _pressure_unit_findings(plc)
     placed = nominal is not None and nominal.T_base_tracker is not None
-    return found + [finding for table in (tables.static, tables.tracker) for finding in _millimetres(table, placed)]
+    return found + [
+        finding for table in (tables.static, tables.tracker) for finding in _millimetre_findings(table, placed)
+    ]
 
 
-def _positions(tables: Tables) -> list[tuple[str, str, Array]]:
+def _position_signals(tables: Tables) -> list[tuple[str, str, Array]]:
     """Every signal that is a position of each joint: its file, its columns, its numbers (m, n)."""
     plc, sent, static = tables.plc, tables.sent, tables.static
     found = (
@@ -54,7 +56,7 @@ def _positions(tables: Tables) -> list[tuple[str, str, Array]]:
     return [(subject, pattern, values) for subject, pattern, values in found if values is not None]
 
 
-def _turning(values: Array, sliding: tuple[bool, ...]) -> list[int]:
+def _revolute_joints(values: Array, sliding: tuple[bool, ...]) -> list[int]:
     """The joints (0-based) whose columns may be in degrees."""
     return [j for j in range(values.shape[1]) if not is_joint_sliding(sliding, j)]
 
@@ -63,7 +65,7 @@ def _slid_in_millimetres(subject: str, pattern: str, values: Array, sliding: tup
     """Strokes that no machine has in metres."""
     found = []
     for j in range(values.shape[1]):
-        if is_joint_sliding(sliding, j) and _high(values[:, j]) > ARM_MAX_M:
+        if is_joint_sliding(sliding, j) and _absolute_quantile_95(values[:, j]) > ARM_MAX_M:
             reach = (
                 f"{column_of(pattern, sliding, j)} reaches {largest_finite(values[:, j]):.4g} m (limit {ARM_MAX_M:g} m)"
             )
@@ -73,7 +75,7 @@ def _slid_in_millimetres(subject: str, pattern: str, values: Array, sliding: tup
     return found
 
 
-def _milliseconds(tables: Tables, nominal: Nominal | None) -> list[Finding]:
+def _millisecond_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     """Times of the PLC by its cycle in the machine file, else by its segments; all others by how long the PLC's are."""
     plc = tables.plc
     if plc is None or len(plc.t_s) < ROWS_MIN:
@@ -110,7 +112,7 @@ def _looks_like(subject: str, column: str, span_s: float, wanted_s: float, who: 
     return []
 
 
-def _limit(nominal: Nominal | None, j: int) -> float:
+def _angle_limit(nominal: Nominal | None, j: int) -> float:
     if nominal is None or j >= nominal.n or not np.isfinite(nominal.q_min[j]) or not np.isfinite(nominal.q_max[j]):
         return FULL_TURN_RAD
     return float(max(abs(nominal.q_min[j]), abs(nominal.q_max[j]))) + LIMIT_MARGIN_RAD
@@ -118,17 +120,17 @@ def _limit(nominal: Nominal | None, j: int) -> float:
 
 def _beyond_turn(values: Array, limit: float) -> bool:
     """Too large for radians, and right for degrees."""
-    high = _high(values)
+    high = _absolute_quantile_95(values)
     return high > max(limit, DEGREES_MIN_RAD) and np.deg2rad(high) <= limit
 
 
-def _high(values: Array) -> float:
+def _absolute_quantile_95(values: Array) -> float:
     """How far a column (m,) reaches, but for a few rows; 0 without any number."""
     finite = np.abs(values[np.isfinite(values)])
     return float(np.quantile(finite, 0.95)) if len(finite) else 0.0
 
 
-def _degrees(subject: str, pattern: str, columns: list[int], why: str) -> Finding:
+def _degrees_finding(subject: str, pattern: str, columns: list[int], why: str) -> Finding:
     names = ", ".join(pattern.replace("{j}", str(j + 1)) for j in columns)
     return Finding("degrees", "fatal", subject, f"{names} {why}: these look like degrees; write radians", len(columns))
 
@@ -139,12 +141,12 @@ def _degrees_by_comparison(plc: PlcTable, sliding: tuple[bool, ...]) -> list[Fin
     spans = [np.ptp(fill_gaps(x), axis=0) for x in (plc.ref, plc.enc)]
     findings = []
     for pattern, mine, other in (("q_ref_{j}_rad", *spans), ("q_{j}_rad", *spans[::-1])):
-        turning = [j for j in _turning(plc.ref, sliding) if other[j] > 1e-6]
+        turning = [j for j in _revolute_joints(plc.ref, sliding) if other[j] > 1e-6]
         columns = [j for j in turning if DEGREES[0] < mine[j] / other[j] < DEGREES[1]]
         if columns:
             ratio = float(np.median(mine[columns] / other[columns]))
             findings.append(
-                _degrees("plc.csv", pattern, columns, f"move {ratio:.3g} times as far as their counterpart")
+                _degrees_finding("plc.csv", pattern, columns, f"move {ratio:.3g} times as far as their counterpart")
             )
     return findings
 
@@ -155,9 +157,9 @@ def _degrees_by_speed(plc: PlcTable, nominal: Nominal | None) -> list[Finding]:
     if plc.enc.shape[1] != nominal.actuators.n:
         return []
     gains = measured_gains(plc.t_s, plc.enc, plc.u) / nominal.actuators.joints[:, 0]
-    columns = [j for j in _turning(plc.enc, nominal.sliding) if DEGREES[0] < gains[j] < DEGREES[1]]
+    columns = [j for j in _revolute_joints(plc.enc, nominal.sliding) if DEGREES[0] < gains[j] < DEGREES[1]]
     return (
-        [_degrees("plc.csv", "q_{j}_rad", columns, "move 57 times as fast as nominal at the same command")]
+        [_degrees_finding("plc.csv", "q_{j}_rad", columns, "move 57 times as fast as nominal at the same command")]
         if columns
         else []
     )
@@ -176,7 +178,7 @@ def measured_gains(t_s: Array, enc: Array, u: Array) -> Array:
     )
 
 
-def _percent(plc: PlcTable) -> list[Finding]:
+def _percent_findings(plc: PlcTable) -> list[Finding]:
     """Columns of commands in percent, and single commands beyond the full one, which are no unit's fault.
 
     Model: in percent most commands that are anything are above 1.5; as fractions none is, but for spikes.
@@ -199,7 +201,7 @@ def _percent(plc: PlcTable) -> list[Finding]:
     return findings
 
 
-def _bar(plc: PlcTable) -> list[Finding]:
+def _pressure_unit_findings(plc: PlcTable) -> list[Finding]:
     findings = []
     for name, values in (("p_supply_pa", plc.p_supply), ("p_a_<j>_pa", plc.p_a), ("p_b_<j>_pa", plc.p_b)):
         if values is not None and 1.0 < largest_finite(values) < BAR_MAX_PA:
@@ -208,7 +210,7 @@ def _bar(plc: PlcTable) -> list[Finding]:
     return findings
 
 
-def _millimetres(table: PointTable | None, placed: bool) -> list[Finding]:
+def _millimetre_findings(table: PointTable | None, placed: bool) -> list[Finding]:
     """Points farther away than an arm reaches. `placed`: whether the tracker's frame is known in the base's.
 
     Without it the tracker may stand anywhere and count in a town's coordinates: only how far the points lie apart says

@@ -48,17 +48,17 @@ def urdf_arm(
     """
     chain = urdf_chain(text, section["base_link"], section["tip_link"])
     moving = {joint.name: joint for joint in chain if joint.kind != "fixed"}
-    wanted = _names(joints, list(moving))
+    wanted = _joint_vector_names(joints, list(moving))
     arm, names = arm_from_chain(chain, wanted, T_flange_tcp, gravity)
     for number, (joint, name) in enumerate(zip(joints, names, strict=False), start=1):
         _check_type(joint, number, moving.get(name))
     limits = [(moving[name].lower, moving[name].upper) if name in moving else (-np.inf, np.inf) for name in names]
-    arm = _weighed(arm, joints, names)
-    findings = (*_misnamed(names, moving, urdf_joint_names(text)), *_unread(joints))
+    arm = _arm_with_given_masses(arm, joints, names)
+    findings = (*_misnamed_joint_findings(names, moving, urdf_joint_names(text)), *_unread_geometry_findings(joints))
     return UrdfArm(arm, names, np.array(limits), findings, _load_absent(arm, names))
 
 
-def _names(joints: Sequence[Mapping[str, Any]], moving: list[str]) -> tuple[str, ...] | None:
+def _joint_vector_names(joints: Sequence[Mapping[str, Any]], moving: list[str]) -> tuple[str, ...] | None:
     """The order of the joint vector; None: the chain's own."""
     names = [str(joint["name"]) for joint in joints if "name" in joint]
     if len(names) < len(joints):
@@ -82,7 +82,7 @@ def _check_type(joint: Mapping[str, Any], number: int, urdf: UrdfJoint | None) -
         )
 
 
-def _weighed(arm: Arm, joints: Sequence[Mapping[str, Any]], names: tuple[str, ...]) -> Arm:
+def _arm_with_given_masses(arm: Arm, joints: Sequence[Mapping[str, Any]], names: tuple[str, ...]) -> Arm:
     """The arm with the masses and centres that the machine file gives."""
     mass, com = arm.mass.copy(), arm.com.copy()
     for k, (joint, name) in enumerate(zip(joints, names, strict=False)):
@@ -99,7 +99,9 @@ def _load_absent(arm: Arm, names: tuple[str, ...]) -> str:
     return f"neither the URDF nor [[joint]] has a mass of the link that {', '.join(light)} moves: {WEIGHTLESS}"
 
 
-def _misnamed(names: tuple[str, ...], moving: Mapping[str, UrdfJoint], anywhere: frozenset[str]) -> list[Finding]:
+def _misnamed_joint_findings(
+    names: tuple[str, ...], moving: Mapping[str, UrdfJoint], anywhere: frozenset[str]
+) -> list[Finding]:
     """Names on one side only. A joint may be meant to stay or to lie elsewhere: said, and a problem if misspelt."""
     held = [name for name in moving if name not in names]
     findings, meant = [], set[str]()
@@ -119,7 +121,7 @@ def _misnamed(names: tuple[str, ...], moving: Mapping[str, UrdfJoint], anywhere:
     return findings
 
 
-def _unread(joints: Sequence[Mapping[str, Any]]) -> list[Finding]:
+def _unread_geometry_findings(joints: Sequence[Mapping[str, Any]]) -> list[Finding]:
     """A second geometry next to the URDF's, which is the one that counts."""
     keys = [key for key in BESIDE_A_CHAIN if any(key in joint for joint in joints)]
     if not keys:

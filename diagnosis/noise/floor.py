@@ -115,18 +115,22 @@ def with_remainder(floor: Floor, steps: list[Array], ar: Array, sigma: Array, rm
     a[: floor.whitener.order] = floor.whitener.a
     out = floor.whitener.sigma.copy()
     for j in np.nonzero(sigma > 0.0)[0]:
-        quiet = _covariance([run[:, j] for run in steps], order) if steps else _white(float(out[j]), order)
-        a[:, j], out[j] = _yule_walker(_process(ar[:, j], float(sigma[j]), order) + quiet)
+        quiet = (
+            _sample_autocovariance([run[:, j] for run in steps], order)
+            if steps
+            else _white_autocovariance(float(out[j]), order)
+        )
+        a[:, j], out[j] = _yule_walker(_process_autocovariance(ar[:, j], float(sigma[j]), order) + quiet)
     raised = np.sqrt(floor.increment_rms**2 + rms**2)
     share = np.where(sigma > 0.0, 1.0, floor.rms)
     return replace(floor, rms=share, increment_rms=raised, whitener=Whitener(a, out))
 
 
-def _process(ar: Array, sigma: float, order: int) -> Array:
+def _process_autocovariance(ar: Array, sigma: float, order: int) -> Array:
     """Autocovariance (order + 1,) of an autoregression, by its response to one innovation."""
     response = _impulse_response(np.asarray(ar, dtype=float), RESPONSE)
     if not np.isfinite(response).all() or abs(response[-1]) > 1e-3:  # on the edge of stability: as white
-        return _white(sigma, order)
+        return _white_autocovariance(sigma, order)
     return sigma**2 * np.array([float(response[: RESPONSE - k] @ response[k:]) for k in range(order + 1)])
 
 
@@ -141,11 +145,11 @@ def _impulse_response(ar: Array, count: int) -> Array:
     return out
 
 
-def _white(sigma: float, order: int) -> Array:
+def _white_autocovariance(sigma: float, order: int) -> Array:
     return np.concatenate([[sigma**2], np.zeros(order)])
 
 
-def _covariance(runs: list[Array], order: int) -> Array:
+def _sample_autocovariance(runs: list[Array], order: int) -> Array:
     """Autocovariance (order + 1,) of runs without a mean; the biased one, which is always that of a process."""
     rows = sum(len(run) for run in runs)
     return np.array([sum(float(run[: len(run) - k] @ run[k:]) for run in runs) / rows for k in range(order + 1)])
@@ -197,7 +201,7 @@ def fit_whitener(runs: list[Array]) -> Whitener:
     """AR(p) by least squares over several runs of increments (m, n) each; no mean, p by BIC over all channels."""
     best, best_score = None, np.inf
     for p in range(ORDER_MAX + 1):
-        a, sigma, count = _autoregression(runs, p)
+        a, sigma, count = _fit_autoregression(runs, p)
         score = float(np.sum(2.0 * count * np.log(np.maximum(sigma, SIGMA_MIN)))) + p * a.shape[1] * np.log(count)
         if score < best_score:
             best, best_score = Whitener(a, np.maximum(sigma, SIGMA_MIN)), score
@@ -206,7 +210,7 @@ def fit_whitener(runs: list[Array]) -> Whitener:
     return best
 
 
-def _autoregression(runs: list[Array], p: int) -> tuple[Array, Array, int]:
+def _fit_autoregression(runs: list[Array], p: int) -> tuple[Array, Array, int]:
     """Coefficients (p, n), innovation's sigma (n,), rows used; every order uses the same rows."""
     n = runs[0].shape[1]
     a, sigma = np.zeros((p, n)), np.zeros(n)

@@ -47,7 +47,9 @@ def repeated_points(
     of_means, by_scatter, free_means = np.zeros(3), 0.0, 0
     for runs in repeats:
         deviations = [
-            d for point in np.unique(which) if (d := _deviations(residual, which == point, when, runs)) is not None
+            d
+            for point in np.unique(which)
+            if (d := _point_run_deviations(residual, which == point, when, runs)) is not None
         ]
         if not deviations:
             continue
@@ -70,7 +72,7 @@ def repeated_points(
     return RepeatedPoints(np.sqrt(variance), drift, free)
 
 
-def _deviations(
+def _point_run_deviations(
     residual: Array, here: NDArray[np.bool_], when: Array, runs: tuple[tuple[float, float, float], ...]
 ) -> Array | None:
     """One point's deviations (K, m, 3) from the mean of K runs; None where a run has too few samples of it."""

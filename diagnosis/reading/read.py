@@ -82,7 +82,7 @@ def read_for_diagnosis(path: Path, machine_file: Path | None = None) -> Read:
     try:
         recording = read_run(path)
     except RecordingError as error:
-        return Read(path, None, None, (), (*findings, _unreadable(path, error)))
+        return Read(path, None, None, (), (*findings, _unreadable_finding(path, error)))
     whole = examine_recording(recording, path, machine_file, findings)
     return (
         whole if is_folder(path) else replace(whole, findings=tuple(by_channel(finding) for finding in whole.findings))
@@ -91,7 +91,7 @@ def read_for_diagnosis(path: Path, machine_file: Path | None = None) -> Read:
 
 def column_findings(path: Path) -> list[Finding]:
     """What the names of a folder's columns and files show before they are read; nothing of an MCAP file."""
-    return _guarded(lambda: header_findings(path), path.name) if is_folder(path) else []
+    return _run_guarded_check(lambda: header_findings(path), path.name) if is_folder(path) else []
 
 
 def examine_recording(
@@ -108,11 +108,11 @@ def examine_recording(
     findings = [*before, *_form_findings(recording, path, others)]
     tables, by_number = with_reference(tables_of(recording))
     findings += by_number
-    nominal = _nominal(path, recording, tables, machine_file, findings)
-    findings += _checks(tables, nominal)
+    nominal = _load_nominal_model(path, recording, tables, machine_file, findings)
+    findings += _table_findings(tables, nominal)
     if nominal is not None:
         for folder in folders:
-            found = _guarded(partial(metre_findings, folder, nominal.sliding), folder.name)
+            found = _run_guarded_check(partial(metre_findings, folder, nominal.sliding), folder.name)
             findings += in_recording(found, folder) if others else found
     stretches: tuple[Stretch, ...] = ()
     if not fatal_findings(findings):
@@ -126,7 +126,7 @@ def examine_recording(
     whole = Read(path, tables, nominal, stretches, tuple(findings), recording.machine_toml)
     if fatal_findings(findings) or stages_present(whole):
         return whole
-    return replace(whole, findings=(*findings, _nothing(whole)))
+    return replace(whole, findings=(*findings, _nothing_judged_finding(whole)))
 
 
 def _without_wild_points(
@@ -160,14 +160,14 @@ def is_folder(path: Path) -> bool:
         return False
 
 
-def _unreadable(path: Path, error: RecordingError) -> Finding:
+def _unreadable_finding(path: Path, error: RecordingError) -> Finding:
     text = str(error)
     code = "format_version" if "format_version" in text else "unreadable"
     code = "missing_column" if "count from 1 without gaps" in text or "is missing;" in text else code
     return Finding(code, "fatal", path.name[:60], text)
 
 
-def _guarded(check: Callable[[], list[Finding]], subject: str) -> list[Finding]:
+def _run_guarded_check(check: Callable[[], list[Finding]], subject: str) -> list[Finding]:
     try:
         return check()
     except OSError as error:
@@ -194,7 +194,7 @@ def _form_findings(recording: Recording, path: Path, others: Sequence[Path]) -> 
     return findings
 
 
-def _nominal(
+def _load_nominal_model(
     path: Path, recording: Recording, tables: Tables, machine_file: Path | None, findings: list[Finding]
 ) -> Nominal | None:
     text, name = recording.machine_toml, "machine.toml"
@@ -223,7 +223,7 @@ def _nominal(
     return nominal
 
 
-def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
+def _table_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     findings = plc_findings(tables, nominal) + unit_findings(tables, nominal)
     to_plc_s = plc_to_pc_s(tables)
     offsets = (
@@ -277,7 +277,7 @@ def stages_present(whole: Read) -> tuple[Stage, ...]:
     return (*found, "camera") if mounted and odometry_usable(tables, some) and "camera" not in found else found
 
 
-def _nothing(whole: Read) -> Finding:
+def _nothing_judged_finding(whole: Read) -> Finding:
     text = "no stage can be judged: record valve commands and encoders, or points measured by a tracker or camera"
     tables = whole.tables
     unused = [] if tables is None else why_unused(whole.nominal, tables, whole.stretches)

@@ -65,19 +65,21 @@ def join_recordings(recordings: Sequence[Recording], machine_given: bool = False
     _require_as_many_joints(recordings)
     first = recordings[0]
     rows: list[Row] = list(first.rows)
-    segments = list(first.run.segments or _whole(first, ""))
+    segments = list(first.run.segments or _whole_segment(first, ""))
     for number, recording in enumerate(recordings[1:], start=2):
         if not machine_given and recording.machine_toml.strip() != first.machine_toml.strip():
             raise DiagnosisError(f"recording {number} has another machine.toml than the first; give one by --machine")
-        shift = _shift(first, recording, rows, number)
-        rows += [_moved(row, shift) for row in recording.rows]
-        segments += [_later(segment, shift) for segment in recording.run.segments or _whole(recording, "")]
+        shift = _recording_shift(first, recording, rows, number)
+        rows += [_shift_row(row, shift) for row in recording.rows]
+        segments += [
+            _shift_segment(segment, shift) for segment in recording.run.segments or _whole_segment(recording, "")
+        ]
     whole = all(recording.complete for recording in recordings)
     return replace(first, run=replace(first.run, segments=tuple(segments)), rows=tuple(rows), complete=whole)
 
 
 def _require_as_many_joints(recordings: Sequence[Recording]) -> None:
-    counts = {number: _joints(recording) for number, recording in enumerate(recordings, start=1)}
+    counts = {number: _joint_count(recording) for number, recording in enumerate(recordings, start=1)}
     counted = {number: count for number, count in counts.items() if count}
     for number, count in counted.items():
         first, others = next(iter(counted.items()))
@@ -86,13 +88,13 @@ def _require_as_many_joints(recordings: Sequence[Recording]) -> None:
             raise DiagnosisError(f"{text}; give recordings of one machine with the same columns")
 
 
-def _joints(recording: Recording) -> int:
+def _joint_count(recording: Recording) -> int:
     """How many joints its rows describe; 0 where they describe none."""
     fields = {PlcState: [field for _, field, _ in JOINT_SIGNALS], Sent: ["q_sent_rad"], StaticPoint: ["q_rad"]}
     return max((len(getattr(row, name)) for row in recording.rows for name in fields.get(type(row), ())), default=0)
 
 
-def _shift(first: Recording, recording: Recording, rows: list[Row], number: int) -> _Shift:
+def _recording_shift(first: Recording, recording: Recording, rows: list[Row], number: int) -> _Shift:
     """So that a recording begins after all rows so far, with the first one's offsets between the clocks.
 
     Model: t_plc' = t_plc + s; t_pc' = t_plc' + offset of the first, so t_pc' = t_pc + s + offset_first - offset_own.
@@ -100,8 +102,8 @@ def _shift(first: Recording, recording: Recording, rows: list[Row], number: int)
     end = max(_plc_times(first.run, rows), default=0.0)
     start = min(_plc_times(recording.run, recording.rows), default=0.0)
     s = end + APART_S - start
-    pc = s + _difference(first, recording, number, "plc_to_pc_offset_s")
-    camera = pc - _difference(first, recording, number, "camera_to_pc_offset_s")
+    pc = s + _clock_offset_difference(first, recording, number, "plc_to_pc_offset_s")
+    camera = pc - _clock_offset_difference(first, recording, number, "camera_to_pc_offset_s")
     seq = 1 + max((number for row in rows if 0 <= (number := _number_of(row)) <= NUMBER_MOST), default=0)
     pose = 1 + max((row.pose_index for row in rows if isinstance(row, StaticPoint)), default=0)
     return _Shift(s, pc, camera, seq, pose, f" ({number})")
@@ -123,7 +125,7 @@ def _later_number(number: int, by: int) -> int:
     return number + by if 0 <= number <= NUMBER_MOST else number
 
 
-def _difference(first: Recording, recording: Recording, number: int, name: str) -> float:
+def _clock_offset_difference(first: Recording, recording: Recording, number: int, name: str) -> float:
     a, b = getattr(first.run, name), getattr(recording.run, name)
     if a is None and b is None:
         return 0.0
@@ -148,7 +150,7 @@ def _plc_times(run: RunInfo, rows: Sequence[Row]) -> list[float]:
     return [t for t in times if abs(t) < 1e12]  # neither NaN nor a broken number
 
 
-def _moved(row: Row, by: _Shift) -> Row:
+def _shift_row(row: Row, by: _Shift) -> Row:
     match row:
         case PlcState():
             seq = _later_number(row.seq_received, by.seq)
@@ -165,12 +167,12 @@ def _moved(row: Row, by: _Shift) -> Row:
             return row
 
 
-def _whole(recording: Recording, name: str) -> tuple[Segment, ...]:
+def _whole_segment(recording: Recording, name: str) -> tuple[Segment, ...]:
     times = [row.t_plc_s for row in recording.of(PlcState)]
     return (Segment(name or "whole", "workcycle", min(times), max(times)),) if times else ()
 
 
-def _later(segment: Segment, by: _Shift) -> Segment:
+def _shift_segment(segment: Segment, by: _Shift) -> Segment:
     """A segment of a later recording: its repeats repeat nothing of another one."""
     return replace(
         segment,

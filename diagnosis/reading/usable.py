@@ -63,7 +63,7 @@ def enough_corners(nominal: Nominal, tables: Tables, stretches: tuple[Stretch, .
 
 def why_unused(nominal: Nominal | None, tables: Tables, stretches: tuple[Stretch, ...]) -> list[str]:
     """What was recorded and is not used by any stage: how many rows, and what a row would need."""
-    found = _elsewhere(tables, stretches)
+    found = _segments_outside_log(tables, stretches)
     if nominal is None or nominal.arm is None:
         return found
     static, tracker, markers = tables.static, tables.tracker, tables.markers
@@ -84,7 +84,7 @@ def _too_few(file: str, count: int, total: int, least: int) -> list[str]:
     return [f"{file}.csv: {count} of {total} rows can be used, least {least}; a row needs {NEEDS[file]}"]
 
 
-def _elsewhere(tables: Tables, stretches: tuple[Stretch, ...]) -> list[str]:
+def _segments_outside_log(tables: Tables, stretches: tuple[Stretch, ...]) -> list[str]:
     """Segments that lie outside the whole log: two clocks."""
     plc, segments = tables.plc, tables.run.segments
     if plc is None or stretches or not segments or not np.isfinite(plc.t_s).any():

@@ -27,15 +27,15 @@ def read_off(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) 
     if not all(stretch.ref_logged for stretch in stretches):
         candidates = tuple(candidate for candidate in candidates if candidate.name not in OF_THE_NUMBERS)
     values = np.concatenate([stretch.ref for stretch in stretches if stretch.ref is not None])
-    loss = _loss(stretches)
+    loss = _datagram_losses(stretches)
     out = []
     for candidate in candidates:
         if candidate.name == "reference_quantisation" and candidate.joint is not None:
-            out.append(_fixed(candidate, comb_of(values[:, candidate.joint - 1])))
+            out.append(_fix_candidate_size(candidate, comb_of(values[:, candidate.joint - 1])))
         elif candidate.name != "packet_loss" or loss is None:
             out.append(candidate)
         elif loss.any():
-            fixed = _fixed(candidate, float(loss.mean()))
+            fixed = _fix_candidate_size(candidate, float(loss.mean()))
             out.append(candidate if fixed is candidate else replace(fixed, counted=len(loss)))
     return tuple(out)
 
@@ -57,14 +57,14 @@ def candidates_within_log(candidates: tuple[Candidate, ...], stretches: tuple[St
     return tuple(out)
 
 
-def _loss(stretches: tuple[Stretch, ...]) -> NDArray[np.bool_] | None:
+def _datagram_losses(stretches: tuple[Stretch, ...]) -> NDArray[np.bool_] | None:
     """Of every datagram that can be judged whether it never arrived; None where some stretch cannot show it."""
     seen = [stretch.sent for stretch in stretches if stretch.sent is not None]
     known = [sent.lost if sent.judged is None else sent.lost[sent.judged] for sent in seen if sent.lost is not None]
     return np.concatenate(known) if known and len(known) == len(seen) else None
 
 
-def _fixed(candidate: Candidate, size: float | None) -> Candidate:
+def _fix_candidate_size(candidate: Candidate, size: float | None) -> Candidate:
     slot = candidate.slots[0]
     if size is None or not slot.low < size < slot.highest:
         return candidate
@@ -80,11 +80,11 @@ def comb_of(values: Array) -> float | None:
     if len(x) < VALUES_MIN:
         return None
     # A comb's steps are few and equal; without one the smallest of thousands is chance, and nothing else fits it.
-    found = (_settled(float(steps.min()) / divisor, x) for divisor in DIVISORS)
+    found = (_refine_step_size(float(steps.min()) / divisor, x) for divisor in DIVISORS)
     return next((step for step in found if step is not None), None)
 
 
-def _settled(step: float, x: Array) -> float | None:
+def _refine_step_size(step: float, x: Array) -> float | None:
     """The step made exact, from neighbours outwards: each width is numbered by what the smaller ones gave."""
     centre = float(x[len(x) // 2])
     width = 8.0 * step

@@ -30,7 +30,7 @@ def repeat_findings(stretches: tuple[Stretch, ...]) -> list[Finding]:
         if len(members) < REPEATS_GOOD:
             text = f"{name!r} has {len(members)} runs; {REPEATS_GOOD} or more make a sound noise floor"
             findings.append(Finding("few_repeats", "note", "segments", text))
-        findings += _shared(name, members)
+        findings += _overlap_findings(name, members)
         apart = reference_spread(members)
         if apart > DIFFER_MAX_RAD:
             text = f"repeats of {name!r} differ by up to {apart:.3g} rad in their reference; they give no noise floor"
@@ -38,7 +38,7 @@ def repeat_findings(stretches: tuple[Stretch, ...]) -> list[Finding]:
     return findings
 
 
-def _shared(name: str, members: tuple[Stretch, ...]) -> list[Finding]:
+def _overlap_findings(name: str, members: tuple[Stretch, ...]) -> list[Finding]:
     """Repeats that are the same rows to a tenth or more: their noise would be none, and all else a gap."""
     inside = sorted(members, key=lambda run: float(run.t_s[0]))
     for run, following in pairwise(inside):

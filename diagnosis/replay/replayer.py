@@ -100,14 +100,16 @@ class Replayer:
         ref, enc, u = (
             None if signal is None else fill_gaps(signal) for signal in (stretch.ref, stretch.enc, stretch.u)
         )
-        ref_fine = None if ref is None else self._reference(out, ref, known)
+        ref_fine = None if ref is None else self._received_reference(out, ref, known)
         if u is None or enc is None:
             return out
         if ref is None or ref_fine is None or not self.nominal.has_controller:
-            return self._valves(out, enc, u, _Commands(None))
+            return self._prepare_actuator_drives(out, enc, u, _Commands(None))
         out = replace(out, sided=stretch.sent is not None)
-        commands = self._commands(out, self._references(out, ref, ref_fine, known), (enc, u), known)
-        return self._valves(out, enc, u, commands)
+        commands = self._controller_commands(
+            out, self._reference_alternatives(out, ref, ref_fine, known), (enc, u), known
+        )
+        return self._prepare_actuator_drives(out, enc, u, commands)
 
     def references(self, stretch: Stretch, course: ParameterSets | None = None) -> ReceivedReferences | None:
         """What the PLC received; None where it was not logged. `course`: see `prepare`."""
@@ -115,37 +117,39 @@ class Replayer:
             return None
         known = neutral_sets(self.nominal.n) if course is None else course
         out, ref = PreparedStretch(self.at_rate(stretch.dt_s), {}, stretch), fill_gaps(stretch.ref)
-        return self._references(out, ref, self._reference(out, ref, known), known)
+        return self._reference_alternatives(out, ref, self._received_reference(out, ref, known), known)
 
-    def _reference(self, out: PreparedStretch, ref: Array, known: ParameterSets) -> Array:
+    def _received_reference(self, out: PreparedStretch, ref: Array, known: ParameterSets) -> Array:
         """The received reference at every PLC cycle; the link's drive goes to `out` where what was sent is known."""
         plant, sent = out.plant, out.stretch.sent
         if sent is None:
             return smooth_course(plant, ref)
         out.drives["link"] = _link_drive(out, sent, sent.t_s)
-        return _through(plant, ref, self._fine("link", plant, out.drives["link"], known))
+        return _course_through_rows(plant, ref, self._output_every_cycle("link", plant, out.drives["link"], known))
 
-    def _shifted(
+    def _shifted_reference(
         self, out: PreparedStretch, sent: SentReference, ref: Array, known: ParameterSets, by_s: float
     ) -> Array:
         """The received reference (cycles, n), had each datagram come so much later, as far as its log rows allow it."""
         plant = out.plant
         moved = within_rows(sent, by_s, plant.transport_delay_s + float(known.machine[0, kernel.DELAY]))
         drive = _link_drive(out, sent, moved)
-        return _through(plant, ref, self._fine("link", plant, drive, known))
+        return _course_through_rows(plant, ref, self._output_every_cycle("link", plant, drive, known))
 
-    def _references(self, out: PreparedStretch, ref: Array, fine: Array, known: ParameterSets) -> ReceivedReferences:
+    def _reference_alternatives(
+        self, out: PreparedStretch, ref: Array, fine: Array, known: ParameterSets
+    ) -> ReceivedReferences:
         """From the logged rows (rows, n) and their course (cycles, n)."""
         plant, sent = out.plant, out.stretch.sent
         if plant.decimate == 1 or (sent is not None and sent.unsure_s == 0.0):
             return ReceivedReferences(fine)
         if sent is None:
             return ReceivedReferences(fine, (held_rows(plant, ref),), late_jumps(plant, ref, fine))
-        others = [self._shifted(out, sent, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
+        others = [self._shifted_reference(out, sent, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
         by_s = plant.cycle_s * np.ceil(EVENLY * sent.unsure_s / plant.cycle_s)
-        return ReceivedReferences(fine, tuple(others), self._shifted(out, sent, ref, known, by_s))
+        return ReceivedReferences(fine, tuple(others), self._shifted_reference(out, sent, ref, known, by_s))
 
-    def _commands(
+    def _controller_commands(
         self, out: PreparedStretch, references: ReceivedReferences, signals: tuple[Array, Array], known: ParameterSets
     ) -> _Commands:
         """The controller's courses from references, encoders and commands; its drives go to `out`."""
@@ -154,7 +158,7 @@ class Replayer:
 
         def driven(course: Array) -> tuple[Drive, Array | None]:
             drive = drive_controller(plant, course, seen, u[0], fine=True)
-            return drive, self._fine("controller", plant, drive, known)
+            return drive, self._output_every_cycle("controller", plant, drive, known)
 
         out.drives["controller"], own = driven(references.own)
         if out.sided and references.others:
@@ -164,7 +168,9 @@ class Replayer:
             out.late["controller"], jumped = driven(references.jumped)
         return _Commands(own, tuple(driven(other)[1] for other in references.others), jumped)
 
-    def _valves(self, out: PreparedStretch, enc: Array, u: Array, commands: _Commands) -> PreparedStretch:
+    def _prepare_actuator_drives(
+        self, out: PreparedStretch, enc: Array, u: Array, commands: _Commands
+    ) -> PreparedStretch:
         """With the actuators' drive, and with the other courses that the commands may have taken."""
         plant, loads = out.plant, self.loads(enc)
 
@@ -179,17 +185,17 @@ class Replayer:
             jumped = late_jump_course(plant, u)
             others = [jumped]
             if self.nominal.has_controller:  # the mean between rows may be larger than the rows show
-                others.append(course * (1.0 + self._teeth()))
+                others.append(course * (1.0 + self._command_ripple()))
         else:
-            out.drives["actuator"] = driven(_through(plant, u, commands.own))
-            others = [_through(plant, u, other) for other in commands.others]
-            jumped = None if commands.jumped is None else _through(plant, u, commands.jumped)
+            out.drives["actuator"] = driven(_course_through_rows(plant, u, commands.own))
+            others = [_course_through_rows(plant, u, other) for other in commands.others]
+            jumped = None if commands.jumped is None else _course_through_rows(plant, u, commands.jumped)
         if jumped is not None:
             out.late["actuator"] = driven(jumped)
         out.others["actuator"] = tuple(others)
         return out
 
-    def _teeth(self) -> Array:
+    def _command_ripple(self) -> Array:
         """Share (n,) by which a command may be off its mean wherever it is sampled.
 
         Model: a reference that steps every T makes teeth of kp v T, v = Kv u: half of one is kp Kv T / 2 of u.
@@ -199,7 +205,7 @@ class Replayer:
     def outputs(self, stage: str, prepared: PreparedStretch, sets: ParameterSets) -> Array | None:
         """What every set gives for a stage's output (sets, rows, n); None where the stretch has no input or output."""
         drive = prepared.drives.get(stage)
-        return None if drive is None else _output(stage, prepared.plant, sets, drive)
+        return None if drive is None else _stage_output(stage, prepared.plant, sets, drive)
 
     def residuals(self, stage: str, prepared: PreparedStretch, sets: ParameterSets) -> Array | None:
         """Measured less modelled, (sets, rows, n), in the stage's unit; NaN in columns that were not recorded."""
@@ -207,7 +213,7 @@ class Replayer:
         if modelled is None or measured is None:
             return None
         out = fill_gaps(measured)[: modelled.shape[1]] - modelled
-        for signal in _logged(stage, prepared.stretch):
+        for signal in _logged_signals(stage, prepared.stretch):
             out[..., ~np.isfinite(signal).any(axis=0)] = np.nan
         return out
 
@@ -216,13 +222,13 @@ class Replayer:
         cycles = max(1, round(dt_s / self.plant.cycle_s))
         return replace(self.plant, log_cycle_s=cycles * self.plant.cycle_s)
 
-    def _fine(self, stage: str, plant: Actuators, drive: Drive, course: ParameterSets) -> Array | None:
+    def _output_every_cycle(self, stage: str, plant: Actuators, drive: Drive, course: ParameterSets) -> Array | None:
         """The stage's output at every PLC cycle (cycles, n); None where each is logged anyway."""
         if plant.decimate == 1:
             return None
         every = replace(plant, log_cycle_s=plant.cycle_s)
         none = np.zeros((drive.cycles, plant.n))
-        return _output(stage, every, course, replace(drive, load=none, load_kg=none))[0]
+        return _stage_output(stage, every, course, replace(drive, load=none, load_kg=none))[0]
 
     def loads(self, enc: Array) -> tuple[Array, Array] | None:
         """Load and load per kg along encoders (rows, n); None where masses or limits are not known."""
@@ -248,13 +254,13 @@ def _link_drive(out: PreparedStretch, sent: SentReference, t_s: Array) -> Drive:
     return drive_by_sent(plant, t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.lost)
 
 
-def _output(stage: str, plant: Actuators, sets: ParameterSets, drive: Drive) -> Array:
+def _stage_output(stage: str, plant: Actuators, sets: ParameterSets, drive: Drive) -> Array:
     last = {"link": DynamicStage.LINK, "controller": DynamicStage.CONTROLLER, "actuator": DynamicStage.ACTUATOR}[stage]
     traces = simulate(plant, sets, drive, last)
     return {"link": traces.ref, "controller": traces.u, "actuator": traces.enc}[stage]
 
 
-def _through(plant: Actuators, logged: Array, between: Array | None) -> Array:
+def _course_through_rows(plant: Actuators, logged: Array, between: Array | None) -> Array:
     """Logged rows at every PLC cycle (cycles, n): on a modelled course `between`, corrected to meet each row."""
     if between is None:
         return at_cycles(plant, logged)
@@ -305,7 +311,7 @@ def measured_output(stage: str, stretch: Stretch) -> Array | None:
     return {"link": stretch.ref, "controller": stretch.u, "actuator": stretch.enc}.get(stage)
 
 
-def _logged(stage: str, stretch: Stretch) -> tuple[Array, ...]:
+def _logged_signals(stage: str, stretch: Stretch) -> tuple[Array, ...]:
     """The logged signals that a stage's residual rests on."""
     signals = {
         "link": (stretch.ref,),

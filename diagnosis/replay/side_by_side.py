@@ -15,12 +15,12 @@ Result = TypeVar("Result")
 
 def side_by_side(of: Callable[[Piece], Result], pieces: Sequence[Piece]) -> list[Result]:
     """`of` each piece, in their order; what one raises is raised."""
-    pool = _pool()
+    pool = _thread_pool()
     return [of(piece) for piece in pieces] if pool is None or len(pieces) < 2 else list(pool.map(of, pieces))
 
 
 @cache
-def _pool() -> ThreadPoolExecutor | None:
+def _thread_pool() -> ThreadPoolExecutor | None:
     given = os.environ.get("NUMBA_NUM_THREADS")
     threads = _usable_cores() if given is None else int(given)
     return ThreadPoolExecutor(threads, thread_name_prefix="replay") if threads > 1 else None
@@ -32,4 +32,4 @@ def _usable_cores() -> int:
 
 
 if hasattr(os, "register_at_fork"):  # a child inherits the pool, but none of its threads; Windows does not fork
-    os.register_at_fork(after_in_child=_pool.cache_clear)
+    os.register_at_fork(after_in_child=_thread_pool.cache_clear)

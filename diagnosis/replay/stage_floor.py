@@ -77,7 +77,7 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[PreparedStretch],
             if stage == "actuator":
                 repeats = without_proportional_part(
                     repeats,
-                    align_repeats(members, _encoders(members)),
+                    align_repeats(members, _filled_encoders(members)),
                     dt,
                     np.array([not record for record in records]),
                 )
@@ -89,7 +89,9 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[PreparedStretch],
         stand_ins = [floor_without_repeats(rows, dt) for rows in known.values()]
         sigma = np.median([stand_in.whitener.sigma for stand_in in stand_ins], axis=0)
         floor = replace(stand_ins[0], whitener=Whitener(np.zeros((0, len(sigma))), sigma), increment_rms=sigma)
-    least = _smallest(stage, prepared) * np.array([SILENT_SHARE if _silent(record) else 1.0 for record in records])
+    least = _least_credible_sigma(stage, prepared) * np.array(
+        [SILENT_SHARE if _is_remainder_zero(record) else 1.0 for record in records]
+    )
     floor = _not_below(floor, least)
     if not any(records):
         return floor
@@ -105,11 +107,11 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[PreparedStretch],
     return replace(believed, rms=np.where(sigma > 0.0, believed.rms, both.rms))  # no remainder: as the repeats show
 
 
-def _encoders(members: tuple[Stretch, ...]) -> list[Array]:
+def _filled_encoders(members: tuple[Stretch, ...]) -> list[Array]:
     return [np.nan_to_num(fill_gaps(member.enc)) for member in members if member.enc is not None]
 
 
-def _smallest(stage: str, prepared: list[PreparedStretch]) -> Array:
+def _least_credible_sigma(stage: str, prepared: list[PreparedStretch]) -> Array:
     """The least sigma of an increment (n,) that is believed."""
     n = prepared[0].plant.n
     least = np.full(n, SIGMA_MIN[stage])
@@ -119,7 +121,7 @@ def _smallest(stage: str, prepared: list[PreparedStretch]) -> Array:
     return least
 
 
-def _silent(record: Remainder | None) -> bool:
+def _is_remainder_zero(record: Remainder | None) -> bool:
     """Whether a joint's stage left nothing in any baseline recording."""
     return record is not None and record.sigma == 0.0
 

@@ -67,10 +67,10 @@ class Replay:
     def __call__(self, sets: ParameterSets) -> Array:
         """Residuals (sets, N): stretches end to end, channels within each."""
         chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(self.joints)]), sets.machine)
-        out = np.concatenate(side_by_side(lambda part: self._white(part, chosen), self.parts), axis=1)
+        out = np.concatenate(side_by_side(lambda part: self._whitened_residual(part, chosen), self.parts), axis=1)
         return out if self.day is None else self.day.white(out)
 
-    def _white(self, part: StretchReplay, sets: ParameterSets) -> Array:
+    def _whitened_residual(self, part: StretchReplay, sets: ParameterSets) -> Array:
         steps, shift = part_increments(self.stage, part, sets)
         weight = row_weights(part, self.whitener)
         white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
@@ -85,7 +85,7 @@ class Replay:
             guesses.append((shift, -TIMING_S, TIMING_S))
         if guesses:
             columns = [(whiten_sets(self.whitener, signal)[:, SKIPPED:] * weight, a, b) for signal, a, b in guesses]
-            white = _excused(white, columns)
+            white = _remove_log_uncertainty(white, columns)
         return white.transpose(0, 2, 1).reshape(len(white), -1)
 
 
@@ -100,7 +100,7 @@ def row_weights(part: StretchReplay, whitener: Whitener) -> Array | float:
     return 1.0 / (1.0 + (UNIFORM * whiten_sets(whitener, part.unsure[None])[:, SKIPPED:]) ** 2)
 
 
-def _excused(white: Array, columns: list[tuple[Array, float, float]]) -> Array:
+def _remove_log_uncertainty(white: Array, columns: list[tuple[Array, float, float]]) -> Array:
     """Residuals without what the log's own coarseness can explain, per set and joint.
 
     Why: logs are stamped to a cycle, and models stepped at 0.5 and at 1 ms lie as far apart; between two logged rows
@@ -136,10 +136,10 @@ def part_increments(stage: str, part: StretchReplay, sets: ParameterSets) -> tup
     rows = error.shape[1] // size * size
     shape = (len(error), -1, size, error.shape[2])
     means = error[:, :rows].reshape(shape).mean(axis=2)
-    return np.diff(means, axis=1), np.diff(_slopes(modelled[:, :rows], size, part.stretch.dt_s), axis=1)
+    return np.diff(means, axis=1), np.diff(_block_mean_slopes(modelled[:, :rows], size, part.stretch.dt_s), axis=1)
 
 
-def _slopes(x: Array, size: int, dt_s: float) -> Array:
+def _block_mean_slopes(x: Array, size: int, dt_s: float) -> Array:
     """Means (sets, blocks, joints) of central differences (sets, rows, joints) over blocks of so many rows: of all rows
     inside a block those at its two ends are left.
     """

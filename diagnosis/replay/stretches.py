@@ -81,15 +81,15 @@ def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[
     if plc is None or (plc.enc is None and plc.ref is None):
         return (), []
     findings: list[Finding] = []
-    segments = tables.run.segments or _whole(plc, findings)
+    segments = tables.run.segments or _whole_log_segment(plc, findings)
     came = arrivals_of(tables, plant, findings)
     enc_step = None if plc.enc is None else np.array([encoder_step(column) for column in plc.enc.T])
-    broken = _broken(plc)
+    broken = _unfillable_rows(plc)
     own, others = own_rows(plc.t_s, segments, findings)
-    cut = [list(_pieces(plc, broken, rows, GAP_STEPS)) for rows in own]
+    cut = [list(_gap_free_pieces(plc, broken, rows, GAP_STEPS)) for rows in own]
     if not any(cut):
-        cut = [list(_pieces(plc, broken, rows, MEND_ROWS_MAX + GAP_STEPS)) for rows in own]
-        findings += _bridged(cut)
+        cut = [list(_gap_free_pieces(plc, broken, rows, MEND_ROWS_MAX + GAP_STEPS)) for rows in own]
+        findings += _bridged_rows_findings(cut)
     found: list[Stretch] = []
     named: Counter[str] = Counter()
     for number, (segment, pieces) in enumerate(zip(segments, cut, strict=True), start=1):
@@ -102,13 +102,13 @@ def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[
             label = f"{label} ({named[label]})"
         for part, rows in enumerate(pieces, start=1):
             name = f"{label}/{part}" if len(pieces) > 1 else label
-            stretch = _stretch(plc, segment, name, rows, sent_within(tables, came, plc.t_s[rows]))
+            stretch = _build_stretch(plc, segment, name, rows, sent_within(tables, came, plc.t_s[rows]))
             found.append(replace(stretch, enc_step=enc_step))
-    findings += [*_filled(plc, broken), *_uneven_stamps(plc, cut, found)]
+    findings += [*_filled_number_findings(plc, broken), *_uneven_stamps(plc, cut, found)]
     return tuple(found), findings
 
 
-def _whole(plc: PlcTable, findings: list[Finding]) -> tuple[Segment, ...]:
+def _whole_log_segment(plc: PlcTable, findings: list[Finding]) -> tuple[Segment, ...]:
     text = "there are no segments: the whole recording is taken as one, of unknown kind; name them to use repeats"
     findings.append(Finding("no_segments", "note", "run.toml", text))
     return (Segment("whole", "workcycle", float(np.nanmin(plc.t_s)), float(np.nanmax(plc.t_s))),)
@@ -128,7 +128,7 @@ def _uneven_stamps(plc: PlcTable, cut: list[list[NDArray[np.int64]]], found: lis
     return [Finding("uneven_stamps", "note", "plc.csv", f"{text}: rows are taken as even", len(off))]
 
 
-def _bridged(cut: list[list[NDArray[np.int64]]]) -> list[Finding]:
+def _bridged_rows_findings(cut: list[list[NDArray[np.int64]]]) -> list[Finding]:
     if not any(cut):
         return []
     text = f"rows are missing so often that no stretch is whole; up to {MEND_ROWS_MAX} at a time are filled by lines"
@@ -168,7 +168,7 @@ def own_rows(
     return [rows[:0] if k in left_out else rows for k, rows in enumerate(inside)], left_out
 
 
-def _pieces(
+def _gap_free_pieces(
     plc: PlcTable, broken: NDArray[np.bool_], rows: NDArray[np.int64], longest: float
 ) -> Iterator[NDArray[np.int64]]:
     """The pieces of a segment's rows that are long enough, without a step of more than so many usual ones."""
@@ -183,7 +183,7 @@ def _pieces(
                 yield part
 
 
-def _broken(plc: PlcTable) -> NDArray[np.bool_]:
+def _unfillable_rows(plc: PlcTable) -> NDArray[np.bool_]:
     """Rows inside a run of missing numbers too long to be filled (columns that are missing throughout do not count)."""
     broken = np.zeros(len(plc.t_s), dtype=bool)
     for values in (plc.ref, plc.enc, plc.u):
@@ -198,7 +198,7 @@ def _broken(plc: PlcTable) -> NDArray[np.bool_]:
     return broken
 
 
-def _filled(plc: PlcTable, broken: NDArray[np.bool_]) -> list[Finding]:
+def _filled_number_findings(plc: PlcTable, broken: NDArray[np.bool_]) -> list[Finding]:
     count = 0
     for values in (plc.ref, plc.enc, plc.u):
         if values is not None:
@@ -209,7 +209,7 @@ def _filled(plc: PlcTable, broken: NDArray[np.bool_]) -> list[Finding]:
     return [Finding("not_a_number", "note", "plc.csv", text, count)]
 
 
-def _stretch(
+def _build_stretch(
     plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64], sent: SentReference | None
 ) -> Stretch:
     t = plc.t_s[rows]
@@ -221,24 +221,24 @@ def _stretch(
     elif taken_evenly(None if plc.enc is None else plc.enc[rows], t, nearest := even_grid(t)):
         when = grid = nearest
         dt = float(nearest[1] - nearest[0])
-    signals = {name: _even(getattr(plc, name), rows, when, grid) for name in ("ref", "enc", "u")}
+    signals = {name: _resample_signal(getattr(plc, name), rows, when, grid) for name in ("ref", "enc", "u")}
     repeat = segment.repeat_of
     return Stretch(
         name, segment.kind, repeat, segment.t_start_plc_s, dt, grid, **signals, sent=sent, ref_logged=plc.ref_logged
     )
 
 
-def _even(values: Array | None, rows: NDArray[np.int64], when: Array, grid: Array) -> Array | None:
+def _resample_signal(values: Array | None, rows: NDArray[np.int64], when: Array, grid: Array) -> Array | None:
     """A signal's rows (m, n), taken at `when` (m,), on the grid."""
     if values is None:
         return None
     table = values[rows]
     if when is not grid or not np.isfinite(table).all():
-        table = np.stack([_line(column, when, grid) for column in table.T], axis=1)
+        table = np.stack([_interpolate_linear(column, when, grid) for column in table.T], axis=1)
     return np.ascontiguousarray(table)
 
 
-def _line(column: Array, t: Array, grid: Array) -> Array:
+def _interpolate_linear(column: Array, t: Array, grid: Array) -> Array:
     good = np.isfinite(column)
     return np.interp(grid, t[good], column[good]) if good.any() else np.full(len(grid), np.nan)
 

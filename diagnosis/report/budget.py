@@ -31,7 +31,8 @@ def budget_lines(result: dict[str, Any]) -> list[str]:
     for effect in (effect for effect in effects if not _is_small(effect)):
         size = f"{effect['tool_mm']:7.2f} mm [{effect['tool_low_mm']:.2f}, {effect['tool_high_mm']:.2f}]"
         out.append(
-            f"  {place_text(effect):34} {size:28} p {effect['probability']:.2f}  {effect['status']}{_or(effect)}"
+            f"  {place_text(effect):34} {size:28} p {effect['probability']:.2f}  {effect['status']}"
+            + _alternatives_text(effect)
         )
     if small:
         sure = sum(effect["status"] == "confirmed" for effect in small)
@@ -49,7 +50,7 @@ def _is_small(effect: dict[str, Any]) -> bool:
     return bool(effect["column"]) and effect["tool_mm"] < SMALL_MM
 
 
-def _or(effect: dict[str, Any]) -> str:
+def _alternatives_text(effect: dict[str, Any]) -> str:
     others = [" + ".join(place_text(member) for member in members) for members in effect["equals"]]
     more = [f"{len(others) - OTHERS} more"] if len(others) > OTHERS else []
     return f"  (or {', or '.join([*others[:OTHERS], *more])})" if others else ""
@@ -83,17 +84,17 @@ def budget_sections(result: dict[str, Any]) -> str:
     return "".join(
         [
             html_section(
-                "What costs how much at the tool", _waterfall(budget["effects"], tool, ("stands", "gets_there"))
+                "What costs how much at the tool", _waterfall_chart(budget["effects"], tool, ("stands", "gets_there"))
             ),
-            html_section("What the camera misplaces", _waterfall(budget["effects"], camera, ("sees",))),
-            html_section("Three columns", _columns(budget["columns"])),
-            html_section("Every effect", _effects(budget["effects"])),
-            html_section("Every stage and joint", _stages(result["stages"])),
+            html_section("What the camera misplaces", _waterfall_chart(budget["effects"], camera, ("sees",))),
+            html_section("Three columns", _columns_table(budget["columns"])),
+            html_section("Every effect", _effects_table(budget["effects"])),
+            html_section("Every stage and joint", _stages_table(result["stages"])),
         ]
     )
 
 
-def _waterfall(effects: list[dict[str, Any]], columns: list[dict[str, Any]], names: tuple[str, ...]) -> str:
+def _waterfall_chart(effects: list[dict[str, Any]], columns: list[dict[str, Any]], names: tuple[str, ...]) -> str:
     """From the nominal model's miss down to what is left, an effect a step; steps are differences of RMS."""
     own = [
         effect
@@ -131,7 +132,7 @@ def _waterfall(effects: list[dict[str, Any]], columns: list[dict[str, Any]], nam
     return scrollable(f'<svg class="plot" {size} role="img" aria-label="{title}">{"".join(body)}</svg>')
 
 
-def _columns(columns: list[dict[str, Any]]) -> str:
+def _columns_table(columns: list[dict[str, Any]]) -> str:
     rows = [
         [
             COLUMNS[column["column"]],
@@ -145,7 +146,7 @@ def _columns(columns: list[dict[str, Any]]) -> str:
     return html_table(("", "nominal, mm", "with confirmed effects, mm", "noise, mm", ""), rows)
 
 
-def _effects(effects: list[dict[str, Any]]) -> str:
+def _effects_table(effects: list[dict[str, Any]]) -> str:
     rows = [
         [
             place_text(effect).replace("_", " "),
@@ -153,14 +154,14 @@ def _effects(effects: list[dict[str, Any]]) -> str:
             f"{effect['tool_mm']:.3g} ({effect['tool_low_mm']:.3g} to {effect['tool_high_mm']:.3g})",
             f"{100 * effect['share_frac']:.1f} %",
             f"{100 * effect['probability']:.0f} %",
-            effect["status"] + _or(effect),
+            effect["status"] + _alternatives_text(effect),
         ]
         for effect in effects
     ]
     return html_table(("effect", "column", "mm at the tool (90 %)", "share of the square", "probability", ""), rows)
 
 
-def _stages(stages: list[dict[str, Any]]) -> str:
+def _stages_table(stages: list[dict[str, Any]]) -> str:
     rows = [
         [
             stage["stage"] + (f" {stage['joint']}" if stage["joint"] else ""),

@@ -16,10 +16,10 @@ def chain_svg(result: dict[str, Any]) -> str:
     """SVG of the chain with a line below it for what could not be judged apart."""
     shares = stage_shares(result)
     judged = {search["stage"] for search in result["searched"]} | set(shares)
-    named = _named(result)
+    named = _confirmed_names_by_stage(result)
     largest = max(shares.values(), default=0.0)
     boxes = [
-        _box(number, stage, shares.get(stage), stage in judged, named.get(stage, []), largest)
+        _stage_box_svg(number, stage, shares.get(stage), stage in judged, named.get(stage, []), largest)
         for number, stage in enumerate(STAGES)
     ]
     width = LEFT * 2 + STEP * (len(STAGES) - 1) + BOX_W
@@ -47,7 +47,7 @@ def is_total(place: dict[str, Any]) -> bool:
     return place["joint"] is None and place["axis"] is None
 
 
-def _named(result: dict[str, Any]) -> dict[str, list[str]]:
+def _confirmed_names_by_stage(result: dict[str, Any]) -> dict[str, list[str]]:
     out: dict[str, list[str]] = {}
     for effect in result["budget"]["effects"]:
         if effect["status"] == "confirmed":
@@ -57,7 +57,7 @@ def _named(result: dict[str, Any]) -> dict[str, list[str]]:
     return out
 
 
-def _box(number: int, stage: str, share: float | None, judged: bool, named: list[str], largest: float) -> str:
+def _stage_box_svg(number: int, stage: str, share: float | None, judged: bool, named: list[str], largest: float) -> str:
     x, css = LEFT + STEP * number, "stage" if judged else "stage unjudged"
     css += " named" if named else ""
     out = [f'<rect class="{css}" x="{x}" y="{TOP}" width="{BOX_W}" height="{BOX_H}" rx="6"/>']
@@ -74,14 +74,14 @@ def _box(number: int, stage: str, share: float | None, judged: bool, named: list
         out.append(f'<rect class="track" x="{middle - 12}" y="{base - BAR_H}" width="24" height="{BAR_H}"/>')
         out.append(f'<rect class="bar" x="{middle - 12}" y="{base - height:.1f}" width="24" height="{height:.1f}"/>')
         out.append(f'<text x="{middle}" y="{base + 14}" text-anchor="middle">{100 * share:.0f} %</text>')
-    for k, text in enumerate(_short(named)):
+    for k, text in enumerate(_shorten_effect_list(named)):
         narrow = f' textLength="{BOX_W - 8}" lengthAdjust="spacingAndGlyphs"' if len(text) > FITS else ""
         at = f'x="{middle}" y="{TOP + 90 + 11 * k}" text-anchor="middle"'
         out.append(f'<text class="cause" {at}{narrow}>{escape(text)}</text>')
     return f"<g>{''.join(out)}</g>"
 
 
-def _short(named: list[str]) -> list[str]:
+def _shorten_effect_list(named: list[str]) -> list[str]:
     """At most two lines; more effects are counted, the list of hypotheses has them all."""
     return (
         named if len(named) <= 2 else [named[0], f"and {sum(not text.startswith('joint') for text in named) - 1} more"]

@@ -59,24 +59,24 @@ class CellCurves:
 
 def curves_of(cells: Sequence[HeldOut], sliding: tuple[bool, ...]) -> tuple[CellCurves, ...]:
     """Of the cells with the largest gaps, at most four; those with a named effect first."""
-    ranked = sorted(cells, key=lambda held_out: (not held_out.fit.hypothesis, -_energy(held_out)))
-    return tuple(_cell(held_out, sliding) for held_out in ranked[:CELLS_MAX])
+    ranked = sorted(cells, key=lambda held_out: (not held_out.fit.hypothesis, -_mean_square_before(held_out)))
+    return tuple(_cell_curves(held_out, sliding) for held_out in ranked[:CELLS_MAX])
 
 
-def _energy(held_out: HeldOut) -> float:
+def _mean_square_before(held_out: HeldOut) -> float:
     return float(np.mean(held_out.before**2))
 
 
-def _cell(held_out: HeldOut, sliding: tuple[bool, ...]) -> CellCurves:
+def _cell_curves(held_out: HeldOut, sliding: tuple[bool, ...]) -> CellCurves:
     cell = held_out.cell
     named = " + ".join(effect.name for effect in held_out.fit.hypothesis)
     order = np.argsort(cell.t_s, kind="stable")
     before, after = held_out.before, held_out.after
     white = CellResiduals(cell.t_s[order], before[order], after[order], cell.rows.series[order])
-    return CellCurves(cell.label, named, white, _replayed(held_out, sliding))
+    return CellCurves(cell.label, named, white, _replayed_trajectory(held_out, sliding))
 
 
-def _replayed(held_out: HeldOut, sliding: tuple[bool, ...]) -> ReplayedTrajectory | None:
+def _replayed_trajectory(held_out: HeldOut, sliding: tuple[bool, ...]) -> ReplayedTrajectory | None:
     """The stretch and joint on which the effect matters most, replayed by numbers fitted without that stretch's kind.
 
     Without a named effect: where the gap is largest; nominal and explained are then the same.
@@ -84,7 +84,10 @@ def _replayed(held_out: HeldOut, sliding: tuple[bool, ...]) -> ReplayedTrajector
     replay = held_out.cell.whitened
     if not isinstance(replay, Replay) or not replay.parts:
         return None
-    before, after = _energies(held_out, replay, held_out.before), _energies(held_out, replay, held_out.after)
+    before, after = (
+        _squares_by_stretch(held_out, replay, held_out.before),
+        _squares_by_stretch(held_out, replay, held_out.after),
+    )
     wanted = before - after if held_out.fit.hypothesis else before
     at, channel = np.unravel_index(int(np.argmax(wanted)), wanted.shape)
     part = replay.parts[int(at)]
@@ -92,7 +95,7 @@ def _replayed(held_out: HeldOut, sliding: tuple[bool, ...]) -> ReplayedTrajector
     theta = held_out.theta_without(fold)
     base = held_out.cell.base
     traces = [
-        _output(replay, part, sets, int(channel))
+        _simulated_output(replay, part, sets, int(channel))
         for sets in (base, parameter_sets_with(base, held_out.fit.hypothesis, theta))
     ]
     rows, joint = len(traces[0]), replay.joints[int(channel)]
@@ -108,7 +111,7 @@ def _replayed(held_out: HeldOut, sliding: tuple[bool, ...]) -> ReplayedTrajector
     )
 
 
-def _energies(held_out: HeldOut, replay: Replay, residual: Array) -> Array:
+def _squares_by_stretch(held_out: HeldOut, replay: Replay, residual: Array) -> Array:
     """Sum of squared held-out residuals by stretch and channel (parts, joints)."""
     series = held_out.cell.rows.series
     sums = np.bincount(series, weights=residual**2, minlength=len(replay.parts) * len(replay.joints))
@@ -120,7 +123,7 @@ def _fold_of(held_out: HeldOut, series: int) -> int:
     return int(rows.fold[np.argmax(rows.series == series)])
 
 
-def _output(replay: Replay, part: StretchReplay, sets: ParameterSets, channel: int) -> Array:
+def _simulated_output(replay: Replay, part: StretchReplay, sets: ParameterSets, channel: int) -> Array:
     chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(replay.joints)]), sets.machine)
     traces = simulate(part.plant, chosen, part.drive, LAST[replay.stage])
     return np.asarray(getattr(traces, OUTPUT[replay.stage])[0, : len(part.measured), channel], dtype=float)

@@ -67,7 +67,7 @@ def html_section(title: str, body: str) -> str:
 
 def html_table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """A table; nothing without rows. Numbers to four digits, None as an empty cell."""
-    lines = "".join("<tr>" + "".join(_cell(value) for value in row) + "</tr>" for row in rows)
+    lines = "".join("<tr>" + "".join(_table_cell(value) for value in row) + "</tr>" for row in rows)
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
     return scrollable(f"<table><tr>{head}</tr>{lines}</table>") if lines else ""
 
@@ -77,7 +77,7 @@ def scrollable(body: str) -> str:
     return f'<div class="wide">{body}</div>'
 
 
-def _cell(value: Any) -> str:
+def _table_cell(value: Any) -> str:
     if isinstance(value, float):
         return f'<td class="n">{value:.4g}</td>'
     return f"<td>{'' if value is None else escape(str(value))}</td>"

@@ -48,17 +48,22 @@ def report_page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] 
         budget_head(result, name) + budget_sections(result),
         html_section("Where the gap lies", chain_svg(result)),
         html_section("Measured, nominal, nominal with the effects", cell_plots(curves)),
-        html_section("What cannot be distinguished", _classes(result)),
+        html_section("What cannot be distinguished", _indistinguishable_list(result)),
         html_section("Next experiment", f"<p>{escape(next_text(result))}</p>"),
-        html_section("How far the gap shrinks on held-out trajectories", _shrinks(result)),
-        html_section("What nothing explains", _table(result["unexplained"], UNEXPLAINED)),
+        html_section("How far the gap shrinks on held-out trajectories", _shrink_table(result)),
+        html_section("What nothing explains", _table_by_columns(result["unexplained"], UNEXPLAINED)),
         html_section(
-            "What the recording lacked", _table(result["missing"], (("signal", "signal"), ("costs", "costs")))
+            "What the recording lacked",
+            _table_by_columns(result["missing"], (("signal", "signal"), ("costs", "costs"))),
         ),
-        html_section("Findings about the recording", _table(result["findings"], FINDINGS)),
-        _details("What the confirmed effects look like", what_it_looks_like(result)),
-        _details("Every place: stage, joint, axis, regime", _table(_places(result), PLACES)),
-        _details("Smallest effects this recording could have shown", _table(result["detection_limits"], LIMITS)),
+        html_section("Findings about the recording", _table_by_columns(result["findings"], FINDINGS)),
+        _collapsible_section("What the confirmed effects look like", what_it_looks_like(result)),
+        _collapsible_section(
+            "Every place: stage, joint, axis, regime", _table_by_columns(_places_to_show(result), PLACES)
+        ),
+        _collapsible_section(
+            "Smallest effects this recording could have shown", _table_by_columns(result["detection_limits"], LIMITS)
+        ),
     ]
     return html_document(f"{name}: {result['verdict']}", "".join(body))
 
@@ -97,11 +102,11 @@ SHRINK = (
 )
 
 
-def _details(title: str, body: str) -> str:
+def _collapsible_section(title: str, body: str) -> str:
     return f"<details><summary>{escape(title)}</summary>{body}</details>" if body else ""
 
 
-def _classes(result: dict[str, Any]) -> str:
+def _indistinguishable_list(result: dict[str, Any]) -> str:
     lines = "".join(
         f"<li>{escape(' and '.join(place_text(member) for member in members))}: "
         "the recording looks the same with either</li>"
@@ -110,28 +115,30 @@ def _classes(result: dict[str, Any]) -> str:
     return f"<p>Cannot be distinguished here:</p><ul>{lines}</ul>" if lines else ""
 
 
-def _places(result: dict[str, Any]) -> list[dict[str, Any]]:
+def _places_to_show(result: dict[str, Any]) -> list[dict[str, Any]]:
     return [place for place in result["localisation"] if place["regime"] == "all" or place["joint"] is None][
         :PLACES_MAX
     ]
 
 
-def _shrinks(result: dict[str, Any]) -> str:
+def _shrink_table(result: dict[str, Any]) -> str:
     overall = result["shrink"].get("overall") or {}
     rows = [{"stage": "all", "joint": None, **overall}] if overall else []
     rows += result["shrink"].get("stages", [])
-    return _table([{**row, "closed": _percent(row["closed_frac"]), "limits": _limits(row)} for row in rows], SHRINK)
+    return _table_by_columns(
+        [{**row, "closed": _percent_text(row["closed_frac"]), "limits": _limits_text(row)} for row in rows], SHRINK
+    )
 
 
-def _percent(value: float | None) -> str:
+def _percent_text(value: float | None) -> str:
     return "" if value is None else f"{100 * value:.1f} %"
 
 
-def _limits(row: dict[str, Any]) -> str:
+def _limits_text(row: dict[str, Any]) -> str:
     if row["low"] is None or row["high"] is None:
         return ""
-    return f"{_percent(row['low'])} to {_percent(row['high'])}"
+    return f"{_percent_text(row['low'])} to {_percent_text(row['high'])}"
 
 
-def _table(rows: list[dict[str, Any]], columns: tuple[tuple[str, str], ...]) -> str:
+def _table_by_columns(rows: list[dict[str, Any]], columns: tuple[tuple[str, str], ...]) -> str:
     return html_table([title for _, title in columns], [[row.get(key) for key, _ in columns] for row in rows])

@@ -12,20 +12,20 @@ from machine.rotations import Array
 
 def cell_plots(curves: Sequence[CellCurves]) -> str:
     """One block a cell; the first open, the others folded away."""
-    blocks = [_block(curve, number == 0) for number, curve in enumerate(curves)]
+    blocks = [_cell_plots(curve, number == 0) for number, curve in enumerate(curves)]
     return "".join(blocks)
 
 
-def _block(curves: CellCurves, is_open: bool) -> str:
+def _cell_plots(curves: CellCurves, is_open: bool) -> str:
     named = curves.named.replace("_", " ") or "no effect named"
-    body = (_replayed(curves.replayed, bool(curves.named)) if curves.replayed is not None else "") + _residuals(
-        curves.residuals
-    )
+    body = (
+        _trajectory_plots(curves.replayed, bool(curves.named)) if curves.replayed is not None else ""
+    ) + _residual_plots(curves.residuals)
     state = " open" if is_open else ""
     return f"<details{state}><summary>{escape(curves.label)}: {escape(named)}</summary>{body}</details>"
 
 
-def _replayed(replayed: ReplayedTrajectory, explained: bool) -> str:
+def _trajectory_plots(replayed: ReplayedTrajectory, explained: bool) -> str:
     lines = [
         CurveLine("measured", "measured", replayed.t_s, replayed.measured),
         CurveLine("nominal model", "before", replayed.t_s, replayed.nominal),
@@ -48,7 +48,7 @@ def _replayed(replayed: ReplayedTrajectory, explained: bool) -> str:
     )
 
 
-def _residuals(residuals: CellResiduals) -> str:
+def _residual_plots(residuals: CellResiduals) -> str:
     t = residuals.t_s - residuals.t_s[0] if len(residuals.t_s) else residuals.t_s
     together = bool((np.diff(residuals.t_s) == 0.0).any())  # several at an instant: no line leads from one to the next
     along = "pose" if together and bool((residuals.t_s == np.round(residuals.t_s)).all()) else "time [s]"
@@ -62,8 +62,8 @@ def _residuals(residuals: CellResiduals) -> str:
     correlated = [
         CurveLine("before", "before", lags, autocorrelation(residuals.before, residuals.series)),
         CurveLine("after", "after", lags, autocorrelation(residuals.after, residuals.series)),
-        CurveLine("95 % of pure noise", "floor", lags, _constant(lags, limit)),
-        CurveLine("", "floor", lags, _constant(lags, -limit)),
+        CurveLine("95 % of pure noise", "floor", lags, _constant_array(lags, limit)),
+        CurveLine("", "floor", lags, _constant_array(lags, -limit)),
     ]
     return (
         "<h3>What is left, in noise floors, on held-out data</h3>"
@@ -73,5 +73,5 @@ def _residuals(residuals: CellResiduals) -> str:
     )
 
 
-def _constant(x: Array, value: float) -> Array:
+def _constant_array(x: Array, value: float) -> Array:
     return np.full(len(x), value)

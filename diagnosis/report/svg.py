@@ -29,15 +29,15 @@ class CurveLine:
 
 def chart(lines: Sequence[CurveLine], x_label: str, y_label: str, title: str, symmetric: bool = False) -> str:
     """Lines over a common x, with axes, ticks and a legend; NaN breaks a line."""
-    shown = [_thinned(line) for line in lines if len(line.x)]
+    shown = [_thin_line(line) for line in lines if len(line.x)]
     if not shown:
         return ""
-    x_range = _range(np.concatenate([line.x for line in shown]), False)
-    y_range = _range(np.concatenate([line.y for line in shown]), symmetric)
+    x_range = _axis_range(np.concatenate([line.x for line in shown]), False)
+    y_range = _axis_range(np.concatenate([line.y for line in shown]), symmetric)
     frame = _Frame(x_range, y_range)
-    body = [_axes(frame, x_label, y_label)]
-    body += [f'<path class="{line.css}" d="{_path(frame, line)}"/>' for line in shown]
-    return _svg("".join(body), title) + _legend(shown)
+    body = [_axes_svg(frame, x_label, y_label)]
+    body += [f'<path class="{line.css}" d="{_svg_path_data(frame, line)}"/>' for line in shown]
+    return _svg_element("".join(body), title) + _legend_html(shown)
 
 
 def histogram(before: Array, after: Array, unit: str, title: str) -> str:
@@ -45,9 +45,9 @@ def histogram(before: Array, after: Array, unit: str, title: str) -> str:
     edge = float(np.quantile(np.abs(np.concatenate([before, after])), 0.995)) or 1.0
     edges = np.linspace(-edge, edge, 61)
     lines = [
-        CurveLine("before", "before", *_steps(edges, before)),
-        CurveLine("after", "after", *_steps(edges, after)),
-        CurveLine("noise alone", "floor", *_normal(edges)),
+        CurveLine("before", "before", *_histogram_outline(edges, before)),
+        CurveLine("after", "after", *_histogram_outline(edges, after)),
+        CurveLine("noise alone", "floor", *_normal_bin_shares(edges)),
     ]
     return chart(lines, unit, "share per bin", title)
 
@@ -88,7 +88,7 @@ class _Frame:
         return HEIGHT - BOTTOM - (y - self.y[0]) / span * (HEIGHT - TOP - BOTTOM)
 
 
-def _range(values: Array, symmetric: bool) -> tuple[float, float]:
+def _axis_range(values: Array, symmetric: bool) -> tuple[float, float]:
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
     if symmetric:
@@ -99,7 +99,7 @@ def _range(values: Array, symmetric: bool) -> tuple[float, float]:
     return low, high
 
 
-def _thinned(line: CurveLine) -> CurveLine:
+def _thin_line(line: CurveLine) -> CurveLine:
     """At most 700 points that keep each stretch's extremes."""
     if len(line.x) <= POINTS_MAX:
         return line
@@ -110,7 +110,7 @@ def _thinned(line: CurveLine) -> CurveLine:
     return CurveLine(line.label, line.css, line.x[kept], line.y[kept])
 
 
-def _path(frame: _Frame, line: CurveLine) -> str:
+def _svg_path_data(frame: _Frame, line: CurveLine) -> str:
     xs, ys = frame.px(line.x), frame.py(line.y)
     if DOTS in line.css:
         return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in zip(xs, ys, strict=True) if np.isfinite(y))
@@ -124,16 +124,16 @@ def _path(frame: _Frame, line: CurveLine) -> str:
     return "".join(pieces)
 
 
-def _axes(frame: _Frame, x_label: str, y_label: str) -> str:
+def _axes_svg(frame: _Frame, x_label: str, y_label: str) -> str:
     base, right = HEIGHT - BOTTOM, WIDTH - RIGHT
     out = [f'<rect class="frame" x="{LEFT}" y="{TOP}" width="{right - LEFT}" height="{base - TOP}"/>']
-    for value in _ticks(frame.x):
+    for value in _tick_values(frame.x):
         x = float(frame.px(np.array([value]))[0])
-        out.append(f'<text x="{x:.1f}" y="{base + 15}" text-anchor="middle">{_tick(value, frame.x)}</text>')
-    for value in _ticks(frame.y):
+        out.append(f'<text x="{x:.1f}" y="{base + 15}" text-anchor="middle">{_tick_label(value, frame.x)}</text>')
+    for value in _tick_values(frame.y):
         y = float(frame.py(np.array([value]))[0])
         out.append(f'<line class="grid" x1="{LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        out.append(f'<text x="{LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{_tick(value, frame.y)}</text>')
+        out.append(f'<text x="{LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{_tick_label(value, frame.y)}</text>')
     middle = (LEFT + right) / 2
     out.append(f'<text x="{middle:.0f}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
     turned = f'transform="translate(13 {(TOP + base) / 2:.0f}) rotate(-90)"'
@@ -141,7 +141,7 @@ def _axes(frame: _Frame, x_label: str, y_label: str) -> str:
     return "".join(out)
 
 
-def _ticks(limits: tuple[float, float]) -> list[float]:
+def _tick_values(limits: tuple[float, float]) -> list[float]:
     """Round numbers inside the limits."""
     span = limits[1] - limits[0]
     raw = span / TICKS
@@ -151,24 +151,24 @@ def _ticks(limits: tuple[float, float]) -> list[float]:
     return [float(k * step) for k in np.arange(first, np.floor(limits[1] / step) + 1)]
 
 
-def _tick(value: float, limits: tuple[float, float]) -> str:
+def _tick_label(value: float, limits: tuple[float, float]) -> str:
     tiny = 1e-9 * max(abs(limits[0]), abs(limits[1]))
     return "0" if abs(value) < tiny else f"{value:.4g}"
 
 
-def _steps(edges: Array, values: Array) -> tuple[Array, Array]:
+def _histogram_outline(edges: Array, values: Array) -> tuple[Array, Array]:
     counts = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0] / max(1, len(values))
     return np.repeat(edges, 2)[1:-1], np.repeat(counts, 2)
 
 
-def _normal(edges: Array) -> tuple[Array, Array]:
+def _normal_bin_shares(edges: Array) -> tuple[Array, Array]:
     """The unit normal's share per bin: what whitened residuals are if only noise is left."""
     middle = 0.5 * (edges[1:] + edges[:-1])
     share = np.exp(-0.5 * middle**2) / np.sqrt(2.0 * np.pi) * (edges[1] - edges[0])
     return middle, share
 
 
-def _legend(lines: Sequence[CurveLine]) -> str:
+def _legend_html(lines: Sequence[CurveLine]) -> str:
     keys = "".join(
         f'<span><svg width="26" height="10" aria-hidden="true"><path class="{line.css}" d="M1 5L25 5"/></svg> '
         f"{escape(line.label)}</span>"
@@ -178,6 +178,6 @@ def _legend(lines: Sequence[CurveLine]) -> str:
     return f'<p class="legend">{keys}</p>'
 
 
-def _svg(body: str, title: str) -> str:
+def _svg_element(body: str, title: str) -> str:
     size = f'viewBox="0 0 {WIDTH} {HEIGHT}"'
     return scrollable(f'<svg class="plot" {size} role="img" aria-label="{escape(title)}">{body}</svg>')

@@ -78,8 +78,8 @@ class Candidate:
     def starts(self) -> Array:
         """Where the scan looks (m, slots)."""
         if self.vector:
-            return _around(self.slots)  # a direction's vector: along each axis, both signs
-        grids = [_grid(slot) for slot in self.slots]
+            return _starts_around_zero(self.slots)  # a direction's vector: along each axis, both signs
+        grids = [_slot_start_values(slot) for slot in self.slots]
         if self.fixed:  # many variants of one effect, each as strong as it is large
             grids[0] = grids[0][::2]
         return np.array(list(product(*grids)))
@@ -126,10 +126,10 @@ def _of_effect(effect: Effect, joints: tuple[int, ...], machine: bool) -> list[C
     if effect.scope == "machine":
         places = (None,) if machine else ()
     options = effect.choice.options if effect.choice else ("",)
-    return [variant for joint in places for option in options for variant in _variants(effect, joint, option)]
+    return [variant for joint in places for option in options for variant in _candidate_variants(effect, joint, option)]
 
 
-def _variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]:
+def _candidate_variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]:
     slots = slots_of(effect.name, joint, option)
     whole = {
         parameter.name: range(int(parameter.low), int(parameter.high) + 1)
@@ -166,7 +166,7 @@ def _with_baseline_shape(base: ParameterSets, candidate: Candidate) -> Candidate
     return replace(candidate, slots=(size, *(replace(slot, start=base.get(slot)) for slot in shape)))
 
 
-def _grid(slot: ParameterSlot) -> Array:
+def _slot_start_values(slot: ParameterSlot) -> Array:
     spec = slot.spec
     known = [slot.start] if slot.start != spec.start else []
     if slot.parameter == "phase_rad":
@@ -187,7 +187,7 @@ def _grid(slot: ParameterSlot) -> Array:
     return np.concatenate([slot.low * np.array(SIZES), above]) if slot.low < 0.0 else above
 
 
-def _around(slots: tuple[ParameterSlot, ...]) -> Array:
+def _starts_around_zero(slots: tuple[ParameterSlot, ...]) -> Array:
     sizes = np.array([slot.high for slot in slots]) * np.eye(len(slots))
     return np.concatenate([share * sign * sizes for share in (0.02, 0.1) for sign in (1.0, -1.0)])
 

@@ -121,7 +121,7 @@ def fit_hypothesis(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int
         totals = soft_l1_costs(tried).sum(axis=1)
         promised = -0.5 * float((trials[0] - theta) @ (J.T @ (soft_l1_weights(residual) * residual)))
         if len(theta) > 1 and cost - float(totals.min()) < CURVED * promised:
-            bent = np.clip(trials + _bends(J, residual, theta, trials, tried), low, high)
+            bent = np.clip(trials + _curvature_corrections(J, residual, theta, trials, tried), low, high)
             trials, tried = (
                 np.concatenate([trials, bent]),
                 np.concatenate([tried, residuals_at(cell, hypothesis, bent)]),
@@ -168,7 +168,7 @@ def damped_steps(J: Array, residual: Array, span: Array) -> Array:
     return np.array([np.linalg.lstsq(H + d * diagonal, -g, rcond=None)[0] * span for d in DAMPINGS])
 
 
-def _bends(J: Array, residual: Array, theta: Array, trials: Array, tried: Array) -> Array:
+def _curvature_corrections(J: Array, residual: Array, theta: Array, trials: Array, tried: Array) -> Array:
     """What takes trials (m, k) with residuals (m, N) back into a curved valley, to second order."""
     w = soft_l1_weights(residual)[:, None]
     off = tried - residual - (trials - theta) @ J.T

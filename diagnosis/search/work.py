@@ -32,13 +32,13 @@ class WorkProgress:
         """The next cell."""
         self._text, self._done = text, 0.0
         self._cost = self._waiting.pop(0) if self._waiting else 0.0
-        self._report()
+        self._report_progress()
 
     def again(self) -> None:
         """The cell is fitted once more."""
         self._done = self._cost
         self._cost *= 2.0
-        self._report()
+        self._report_progress()
 
     def end(self) -> None:
         """The cell is done."""
@@ -49,9 +49,9 @@ class WorkProgress:
         """Every fit is done, and so large a share of what comes after them."""
         self._waiting, self._text = [], text
         self._concluded = share * CONCLUDING * self._ended
-        self._report()
+        self._report_progress()
 
-    def _report(self) -> None:
+    def _report_progress(self) -> None:
         fits = self._ended + self._cost + sum(self._waiting)
         self._progress(self._text, self._ended + self._done + self._concluded, (1.0 + CONCLUDING) * fits)
 

@@ -98,12 +98,12 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
         if term.effect.counted:  # a share, seen among so many
             share = float(term.theta[0])
             sd[0] = np.sqrt(share * (1.0 - share) / term.effect.counted)
-        z = _z(term, sd[: term.sizes])
+        z = _z_score(term, sd[: term.sizes])
         if term.effect.cycles is not None:
             run = alike_delays(fit.cell, lin, len(out), fit.trust)
             sd = np.hypot(sd, 0.5 * (float(np.ptp(run)) + term.effect.cycles[0]) / QUANTILE_95)  # limits: the tread
         gain_nats, equals = _rivals_of(fit, int(k))
-        alone, sharing, wide = _alone(fit, int(k), everything)
+        alone, sharing, wide = _significance_among_others(fit, int(k), everything)
         out.append(
             Evidence(
                 term=term,
@@ -144,7 +144,7 @@ def standard_deviations(J: Array, residual: Array, slab: Array, block: NDArray[n
     return np.maximum(np.sqrt(np.maximum(np.diag(S), 0.0)), jackknife)
 
 
-def _z(term: EffectTerm, sd: Array) -> float:
+def _z_score(term: EffectTerm, sd: Array) -> float:
     if term.limits:
         return float("inf")
     return float(np.linalg.norm(term.theta[: term.sizes] / np.maximum(sd, 1e-300)))
@@ -183,7 +183,7 @@ def _rivals_of(fit: WholeFit, k: int) -> tuple[float, tuple[tuple[EffectTerm, ..
     for _ in range(SHARING_MOST):
         if rival is not None:
             gain, entered = fit.best.score - rival.score, rival.present & ~present
-            distance = 2.0 * (_cost(rival, fit) - _cost(fit.best, fit))
+            distance = 2.0 * (_weighted_cost(rival, fit) - _weighted_cost(fit.best, fit))
         else:
             members = best_set(problem, present & allowed, allowed)
             gain, entered = problem.score(present) - problem.score(members), members & ~present
@@ -203,7 +203,9 @@ def _with_everything(fit: WholeFit) -> tuple[Array, Array]:
     return fit.best.problem.estimate(members)
 
 
-def _alone(fit: WholeFit, k: int, everything: tuple[Array, Array]) -> tuple[float, tuple[int, ...], Array | None]:
+def _significance_among_others(
+    fit: WholeFit, k: int, everything: tuple[Array, Array]
+) -> tuple[float, tuple[int, ...], Array | None]:
     """How clearly the data determine an effect when any other may be there, the terms that share this with it, and its
     90 % limits where it is not clear by itself.
 
@@ -253,7 +255,7 @@ def _with_sharing(
     return tuple({tuple(term.effect.key for term in members): members for members in reversed(sets)}.values())[::-1]
 
 
-def _cost(one: Fitted, fit: WholeFit) -> float:
+def _weighted_cost(one: Fitted, fit: WholeFit) -> float:
     return float((soft_l1_costs(one.lin.residual) * fit.trust).sum())
 
 
@@ -274,10 +276,12 @@ def scatter_between_groups(
     U, sizes, _ = np.linalg.svd(J[:, norm > 0.0] / norm[norm > 0.0], full_matrices=False)
     Q = U[:, sizes > RANK * sizes.max(initial=0.0)]
     level = 1.0 - BY_CHANCE / max(1, len(groupings)) if known else None
-    return max((_scatter(Q, J[:, own], residual, group, level) for group in groupings), default=0.0)
+    return max((_scatter_between_groups(Q, J[:, own], residual, group, level) for group in groupings), default=0.0)
 
 
-def _scatter(Q: Array, columns: Array, residual: Array, group: NDArray[np.int64], level: float | None) -> float:
+def _scatter_between_groups(
+    Q: Array, columns: Array, residual: Array, group: NDArray[np.int64], level: float | None
+) -> float:
     """Of one grouping; Q: orthonormal columns of what is common to all groups. `level`: quantile of chance."""
     apart = (columns[:, None] * (group[:, None] == np.unique(group))[:, :, None]).reshape(len(residual), -1)
     power = float((apart**2).sum(axis=0).max())

@@ -41,7 +41,7 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
     quiet = quiet_loop(cell)
     residual = (lambda sets: evaluated_at(cell, sets)) if quiet is None else quiet.residual(about)
     left, dof = unexplained_by_mixtures(residual, at, cell.candidates)
-    runs = [_runs(cell, left, channel) for channel in range(len(replay.joints))]
+    runs = [_centred_residual_runs(cell, left, channel) for channel in range(len(replay.joints))]
     if not all(runs):
         return None
     found = [fit_whitener(own) for own in runs]
@@ -57,7 +57,7 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
     return Whitener(a[:order], unit * np.array([float(whitener.sigma[0]) for whitener in found]))
 
 
-def _runs(cell: Cell, left: Array, channel: int) -> list[Array]:
+def _centred_residual_runs(cell: Cell, left: Array, channel: int) -> list[Array]:
     """What is left of one joint (m, 1), stretch by stretch, about its mean over SLOW_ROWS; those too short for a filter
     are left out.
 

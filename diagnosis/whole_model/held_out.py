@@ -45,11 +45,11 @@ def held_out(cell: Cell, found: Fit) -> HeldOut:
     if found.k == 0:
         return HeldOut(cell, found, folds, np.zeros((len(folds), 0)), before, before)
     kept = cell.rows.fold != folds[:, None]
-    thetas = np.array([_stepped(found, keep, 0.0) for keep in kept])
+    thetas = np.array([_theta_after_bounded_step(found, keep, 0.0) for keep in kept])
     residuals = residuals_at(cell, found.hypothesis, thetas)
     worse = np.nonzero((soft_l1_costs(residuals) * kept).sum(axis=1) > kept @ soft_l1_costs(found.residual))[0]
     if len(worse):
-        damped = np.array([[_stepped(found, kept[k], damping) for k in worse] for damping in DAMPINGS])
+        damped = np.array([[_theta_after_bounded_step(found, kept[k], damping) for k in worse] for damping in DAMPINGS])
         there = residuals_at(cell, found.hypothesis, damped.reshape(-1, found.k)).reshape(len(DAMPINGS), len(worse), -1)
         damped = np.concatenate([damped, np.tile(found.theta, (1, len(worse), 1))])
         there = np.concatenate([there, np.tile(found.residual, (1, len(worse), 1))])
@@ -59,7 +59,7 @@ def held_out(cell: Cell, found: Fit) -> HeldOut:
     return HeldOut(cell, found, folds, thetas, before, after)
 
 
-def _stepped(found: Fit, keep: NDArray[np.bool_], damping: float) -> Array:
+def _theta_after_bounded_step(found: Fit, keep: NDArray[np.bool_], damping: float) -> Array:
     """Theta (k,) after a step on some rows; a number that would leave its range stays at the end, the others go on.
 
     Why go on: a second effect that is nothing here would else keep its neighbours where they are.

@@ -17,14 +17,14 @@ def most_invariant(fit: WholeFit) -> WholeFit:
     for _ in range(int(fit.best.present.sum()) if fit.cell.usual is not None else 0):
         doubtful = [found for found in evidence_of(fit) if probability(found) < LIKELY]
         tried = [exchanged(fit, found.term, equal) for found in doubtful for equal in found.equals]
-        likely = [other for other in tried if _least(other, fit) >= LIKELY]
+        likely = [other for other in tried if _least_new_probability(other, fit) >= LIKELY]
         if not likely:
             break
         fit = max(likely, key=lambda other: other.best.score)
     return fit
 
 
-def _least(other: WholeFit, fit: WholeFit) -> float:
+def _least_new_probability(other: WholeFit, fit: WholeFit) -> float:
     """The least probability of the effects that are new in another fit."""
     known = {term.effect.variant for term in fit.best.terms if term.present}
     new = [probability(found) for found in evidence_of(other) if found.term.effect.variant not in known]

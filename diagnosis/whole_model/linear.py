@@ -105,14 +105,14 @@ class LinearModel:
         H = white.T @ white
         c = H @ self.x - white.T @ (w * self.residual)
         shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
-        nonnegative = np.concatenate([np.zeros(0, dtype=bool), *(_nonnegative(term) for term in shown)])
+        nonnegative = np.concatenate([np.zeros(0, dtype=bool), *(_nonnegative_columns(term) for term in shown)])
         return LinearProblem(H, c, self.slab, self.first, nonnegative, self.log_odds)
 
     @property
     def slab(self) -> Array:
         """Prior deviations of the columns' numbers (k,)."""
         shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
-        return np.concatenate([np.zeros(0), *(_slabs(term) for term in shown)])
+        return np.concatenate([np.zeros(0), *(_prior_deviations(term) for term in shown)])
 
     def columns(self, k: int) -> Array:
         """Columns of one term (N, its columns)."""
@@ -120,7 +120,7 @@ class LinearModel:
 
     def at(self, terms: tuple[EffectTerm, ...], residual: Array) -> "LinearModel":
         """The same columns, where present terms have other numbers that leave another residual, for a further step."""
-        x = np.concatenate([_offsets(term, True) for term in terms])
+        x = np.concatenate([_parameter_offsets(term, True) for term in terms])
         return replace(self, terms=terms, residual=residual, x=x, weight=soft_l1_weights(residual))
 
     @property
@@ -142,10 +142,10 @@ def linearise_terms(cell: Cell, terms: Sequence[EffectTerm], to_move: bool = Fal
     """
     base = pack_terms(cell, terms)
     residual = evaluated_at(cell, base)[0]
-    tangents = _tangents(cell, terms, residual, to_move)
+    tangents = _tangent_columns(cell, terms, residual, to_move)
     smooth = [k for k, term in enumerate(terms) if absent and not term.present and term.smooth]
-    steps = [(k, row) for k in smooth for row in np.diag(_steps(terms[k]))]
-    moved = _evaluated(cell, base, [(terms[k].effect, row) for k, row in steps])
+    steps = [(k, row) for k in smooth for row in np.diag(_difference_steps(terms[k]))]
+    moved = _residuals_with_effect(cell, base, [(terms[k].effect, row) for k, row in steps])
     columns: dict[int, list[Array]] = {k: [] for k in range(len(terms))}
     for (k, row), there in zip(steps, moved, strict=True):
         columns[k].append((there - residual) / row[np.nonzero(row)[0][0]])
@@ -162,8 +162,8 @@ def linearise_terms(cell: Cell, terms: Sequence[EffectTerm], to_move: bool = Fal
         if term.present:
             columns[k] = tangents[k]
         elif absent and not term.smooth:
-            out[k], columns[k] = _scanned(cell, base, term, residual, w, Q)
-    x = [_offsets(term, to_move) if term.present else np.zeros(len(columns[k])) for k, term in enumerate(out)]
+            out[k], columns[k] = _best_start_and_secant(cell, base, term, residual, w, Q)
+    x = [_parameter_offsets(term, to_move) if term.present else np.zeros(len(columns[k])) for k, term in enumerate(out)]
     first = np.concatenate([[0], np.cumsum([len(columns[k]) for k in range(len(out))])]).astype(np.int64)
     J = np.array([column for k in range(len(out)) for column in columns[k]]).reshape(-1, len(residual)).T
     odds = np.array([log_odds_of(cell, term) for term in out])
@@ -176,14 +176,14 @@ def about(cell: Cell, terms: tuple[EffectTerm, ...], columns: Sequence[Array]) -
     """Present terms with columns (N, numbers of each) that were found nearby."""
     first = np.concatenate([[0], np.cumsum([len(term.theta) for term in terms])]).astype(np.int64)
     residual = evaluated_at(cell, pack_terms(cell, terms))[0]
-    x = np.concatenate([_offsets(term, True) for term in terms])
+    x = np.concatenate([_parameter_offsets(term, True) for term in terms])
     odds = np.array([log_odds_of(cell, term) for term in terms])
     return LinearModel(
         tuple(terms), residual, np.concatenate(list(columns), axis=1), x, first, soft_l1_weights(residual), odds
     )
 
 
-def _offsets(term: EffectTerm, to_move: bool) -> Array:
+def _parameter_offsets(term: EffectTerm, to_move: bool) -> Array:
     """A present term's numbers in its columns: sizes as they are, shapes counted from where they stand."""
     sizes = term.theta[: term.sizes]
     if term.limits:
@@ -191,14 +191,14 @@ def _offsets(term: EffectTerm, to_move: bool) -> Array:
     return np.concatenate([sizes, np.zeros(len(term.theta) - term.sizes)])
 
 
-def _tangents(cell: Cell, terms: Sequence[EffectTerm], residual: Array, to_move: bool) -> dict[int, list[Array]]:
+def _tangent_columns(cell: Cell, terms: Sequence[EffectTerm], residual: Array, to_move: bool) -> dict[int, list[Array]]:
     """Columns of the present terms: tangents, and for a size with a threshold the secant back to absence."""
     some = [k for k, term in enumerate(terms) if term.present]
     if not some:
         return {}
     theta = np.concatenate([terms[k].theta for k in some])
     high = np.concatenate([[slot.highest for slot in terms[k].effect.slots] for k in some])
-    step = np.concatenate([_steps(terms[k]) for k in some])
+    step = np.concatenate([_difference_steps(terms[k]) for k in some])
     step = np.where(theta + step > high, -step, step)
     at, moves = 0, []
     for k in some:
@@ -221,14 +221,14 @@ def _tangents(cell: Cell, terms: Sequence[EffectTerm], residual: Array, to_move:
     return out
 
 
-def _scanned(
+def _best_start_and_secant(
     cell: Cell, base: ParameterSets, term: EffectTerm, residual: Array, w: Array, Q: Array
 ) -> tuple[EffectTerm, list[Array]]:
     """The start at which an absent term explains most of what known columns leave, and its secant; Q (N, k): their
     orthonormal basis, rows weighted by w (N,).
     """
-    starts = _starts(term)
-    there = _evaluated(cell, base, [(term.effect, row) for row in starts])
+    starts = _start_values(term)
+    there = _residuals_with_effect(cell, base, [(term.effect, row) for row in starts])
     columns = there - residual
     white, own = columns * w, residual * w
     own -= Q @ (Q.T @ own)
@@ -241,7 +241,7 @@ def _scanned(
     return EffectTerm(term.effect, starts[best], False), [columns[best] / size]
 
 
-def _starts(term: EffectTerm) -> Array:
+def _start_values(term: EffectTerm) -> Array:
     """Where an absent term may be (m, slots); one size alone where the change is in proportion to it."""
     starts = term.effect.starts()
     starts = starts[starts[:, 0] != term.absent]
@@ -251,7 +251,7 @@ def _starts(term: EffectTerm) -> Array:
     return starts[starts[:, 0] == sizes[len(sizes) // 2]]
 
 
-def _evaluated(cell: Cell, base: ParameterSets, moves: Sequence[tuple[Candidate, Array]]) -> list[Array]:
+def _residuals_with_effect(cell: Cell, base: ParameterSets, moves: Sequence[tuple[Candidate, Array]]) -> list[Array]:
     """Residuals with one further effect each."""
     out: list[Array] = []
     for k in range(0, len(moves), SCANNED_AT_ONCE):
@@ -272,13 +272,13 @@ def _in_parts(cell: Cell, sets: ParameterSets) -> list[Array]:
     return out
 
 
-def _steps(term: EffectTerm) -> Array:
+def _difference_steps(term: EffectTerm) -> Array:
     if term.effect.cycles is not None:  # the cost is a staircase of PLC cycles and logged rows
         return np.full(1, STEP_CYCLES * term.effect.cycles[0])
     return STEP_SHARE * np.array([slot.high - slot.low for slot in term.effect.slots])
 
 
-def _slabs(term: EffectTerm) -> Array:
+def _prior_deviations(term: EffectTerm) -> Array:
     """(columns,) prior deviations: sizes by the catalogue, shapes of a present term by their range."""
     slots = term.effect.slots if term.present else term.effect.slots[: term.sizes]
     out = []
@@ -292,7 +292,7 @@ def _slabs(term: EffectTerm) -> Array:
     return np.array(out)
 
 
-def _nonnegative(term: EffectTerm) -> Members:
+def _nonnegative_columns(term: EffectTerm) -> Members:
     columns = len(term.theta) if term.present else term.sizes
     first = term.limits or term.effect.slots[0].low >= 0.0
     return np.array([first and k < term.sizes for k in range(columns)], dtype=bool)

@@ -40,7 +40,7 @@ def fit_machine(whole: Read, work: WorkProgress | None = None, left_out: tuple[s
     replayer = replayer_of(nominal, whole.stretches) if whole.stretches else None
     cells = behind_cells(whole, base, with_odometry=not nominal.remainders)
     behind = cells_without(cells_fitting_joint(cells, nominal), left_out)
-    found = _solved(behind, work)
+    found = _solve_cells(behind, work)
     if replayer is None:
         return tuple(found)
     unseen = (*left_out, *shown_behind(behind))
@@ -50,16 +50,16 @@ def fit_machine(whole: Read, work: WorkProgress | None = None, left_out: tuple[s
     for stage in DRIVEN_STAGES:
         cells = with_known(stage_cells(stage, replayer, whole.stretches, known, course), nominal)
         cells = cells_fitting_joint(cells, nominal)
-        own = _solved(cells_without(cells, unseen), work)
+        own = _solve_cells(cells_without(cells, unseen), work)
         if stage == "actuator" and DROOP not in left_out:
             own = _shared_flow(own, replayer, whole, (known, course))
         course = with_found(course, own)
         found += own
     one_by_one, _ = merged_cells(replayer, whole.stretches, known, course)
-    return (*found, *_solved(cells_without(cells_fitting_joint(one_by_one, nominal), unseen), work))
+    return (*found, *_solve_cells(cells_without(cells_fitting_joint(one_by_one, nominal), unseen), work))
 
 
-def _solved(cells: list[Cell], work: WorkProgress) -> list[WholeFit]:
+def _solve_cells(cells: list[Cell], work: WorkProgress) -> list[WholeFit]:
     out = []
     work.stage(cells)
     for cell in cells:
@@ -100,18 +100,18 @@ def _in_other_form(found: WholeFit) -> WholeFit:
         if not term.present or form is None or form == term.effect:
             continue
         gain = (GAIN, term.effect.joint) if term.effect.name == DEADBAND else None
-        if gain is not None and not _has(found.best.terms, gain):
+        if gain is not None and not _has_present_term(found.best.terms, gain):
             continue
         others = tuple(replace(other, present=other.present and other.effect.key != gain) for other in found.best.terms)
         tried = fit_and_prune(found.cell, (), (*others[:k], replace(others[k], effect=form), *others[k + 1 :]))
-        if gain is not None and _has(tried.best.terms, gain):
+        if gain is not None and _has_present_term(tried.best.terms, gain):
             continue
         if score_at(tried.best.lin, found.trust) > score_at(found.best.lin, found.trust):
             found = tried
     return found
 
 
-def _has(terms: tuple[EffectTerm, ...], key: tuple[str, int | None]) -> bool:
+def _has_present_term(terms: tuple[EffectTerm, ...], key: tuple[str, int | None]) -> bool:
     return any(term.present and term.effect.key == key for term in terms)
 
 

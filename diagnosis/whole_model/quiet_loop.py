@@ -31,7 +31,7 @@ def quiet_loop(cell: Cell) -> "QuietLoop | None":
     replay = cell.whitened
     if cell.stage != "actuator" or cell.joint is None or cell.usual is not None or not isinstance(replay, Replay):
         return None
-    loops = [_loop(part, replay.joints) for part in replay.parts]
+    loops = [_closed_loop_part(part, replay.joints) for part in replay.parts]
     if any(loop is None for loop in loops):
         return None
     found = QuietLoop(cell, replay, tuple(loop for loop in loops if loop is not None))
@@ -51,39 +51,43 @@ class QuietLoop:
         known, joints = self.cell.course or self.cell.base, self.replay.joints
         off = power = 0.0
         for part, closed in zip(self.replay.parts, self.loops, strict=True):
-            u = simulate(closed.plant, _of(known, joints), closed.drive, DynamicStage.CONTROLLER).u[0]
+            u = simulate(
+                closed.plant, _select_joint_parameters(known, joints), closed.drive, DynamicStage.CONTROLLER
+            ).u[0]
             off += float(((part.drive.u[: len(u)] - u) ** 2).sum())
             power += float((part.drive.u**2).sum())
         return off <= OBEYS**2 * power
 
     def residual(self, about: Fit) -> Callable[[ParameterSets], Array]:
         """The residual (sets, N) about a fit, where further effects see commands without the disturbance."""
-        left, beyond = evaluated_at(self.cell, self._put(about))[0], self.driven(about)
+        left, beyond = evaluated_at(self.cell, self._parameters_of_fit(about))[0], self.driven(about)
         return lambda sets: left + beyond(sets)
 
     def driven(self, about: Fit) -> Replay:
         """The replay by commands of a loop as a fit says, which leaves nothing by that fit."""
-        return self._beyond(about, about)
+        return self._simulated_replay(about, about)
 
-    def _beyond(self, loop: Fit, rest: Fit) -> Replay:
+    def _simulated_replay(self, loop: Fit, rest: Fit) -> Replay:
         """The replay by commands of a loop as one fit says, of encoders that move as another one says."""
         joints, known = (
             self.replay.joints,
             parameter_sets_with(self.cell.course or self.cell.base, loop.hypothesis, loop.theta),
         )
-        without, parts = self._put(rest), []
+        without, parts = self._parameters_of_fit(rest), []
         for part, closed in zip(self.replay.parts, self.loops, strict=True):
-            u = simulate(closed.plant, _of(known, joints), closed.drive, DynamicStage.ACTUATOR).u[0]
+            u = simulate(closed.plant, _select_joint_parameters(known, joints), closed.drive, DynamicStage.ACTUATOR).u[
+                0
+            ]
             drive = replace(part.drive, u=np.ascontiguousarray(u), u_start=u[0].copy())
-            enc = simulate(part.plant, _of(without, joints), drive, DynamicStage.ACTUATOR).enc[0]
+            enc = simulate(part.plant, _select_joint_parameters(without, joints), drive, DynamicStage.ACTUATOR).enc[0]
             parts.append(replace(part, drive=drive, measured=enc, moved=()))
         return replace(self.replay, parts=tuple(parts))
 
-    def _put(self, fit: Fit) -> ParameterSets:
+    def _parameters_of_fit(self, fit: Fit) -> ParameterSets:
         return parameter_sets_with(self.cell.base, fit.hypothesis, fit.theta)
 
 
-def _loop(part: StretchReplay, joints: tuple[int, ...]) -> StretchReplay | None:
+def _closed_loop_part(part: StretchReplay, joints: tuple[int, ...]) -> StretchReplay | None:
     """A part whose input is the received reference, at every PLC cycle; None where that is not to be had."""
     stretch, plant, own = part.stretch, part.plant, list(joints)
     known = part.drive.first is DynamicStage.ACTUATOR and stretch.ref is not None and stretch.enc is not None
@@ -101,5 +105,5 @@ def _loop(part: StretchReplay, joints: tuple[int, ...]) -> StretchReplay | None:
     return replace(part, plant=every, drive=replace(drive, load=load, load_kg=load_kg))
 
 
-def _of(sets: ParameterSets, joints: tuple[int, ...]) -> ParameterSets:
+def _select_joint_parameters(sets: ParameterSets, joints: tuple[int, ...]) -> ParameterSets:
     return ParameterSets(np.ascontiguousarray(sets.joint[:1, list(joints)]), sets.machine[:1])

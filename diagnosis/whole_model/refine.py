@@ -30,9 +30,9 @@ def refine_present_terms(
         return terms
     fresh = columns is None
     lin = linearise_terms(cell, own, to_move=True) if columns is None else about(cell, own, [columns[k] for k in some])
-    total = _total(lin, trust)
+    total = _total_cost(lin, trust)
     for _ in range(STEPS):
-        moved = _step(cell, lin, trust, SHARES if fresh else (1.0,), total)
+        moved = _best_gauss_newton_step(cell, lin, trust, SHARES if fresh else (1.0,), total)
         gained = 0.0
         if moved is not None:
             gained, (lin, total) = total - moved[1], moved
@@ -43,15 +43,17 @@ def refine_present_terms(
         else:
             lin, fresh = linearise_terms(cell, lin.terms, to_move=True), True
     moved = _at_whole_cycles(cell, lin, trust)
-    if _total(moved, trust) < total - NEARLY_NATS:
+    if _total_cost(moved, trust) < total - NEARLY_NATS:
         whole_cycles = dict(zip(some, moved.terms, strict=True))
         return refine_present_terms(cell, tuple(whole_cycles.get(k, term) for k, term in enumerate(terms)), trust)
     lin = moved
-    by_number = dict(zip(some, (replace(term, present=not _vanished(term)) for term in lin.terms), strict=True))
+    by_number = dict(
+        zip(some, (replace(term, present=not _has_size_vanished(term)) for term in lin.terms), strict=True)
+    )
     return tuple(by_number.get(k, term) for k, term in enumerate(terms))
 
 
-def _step(
+def _best_gauss_newton_step(
     cell: Cell, lin: LinearModel, trust: Array, shares: tuple[float, ...], total: float
 ) -> tuple[LinearModel, float] | None:
     """The best of some shares of a Gauss-Newton step, with its total; None where none of them helps."""
@@ -66,7 +68,7 @@ def _step(
     for row, left in zip(trials, evaluated_at(cell, pack_terms(cell, own, trials)), strict=True):
         there = tuple(replace(term, theta=theta) for term, theta in zip(own, np.split(row, ends), strict=True))
         one = lin.at(there, left)
-        tried.append((_total(one, trust), one))
+        tried.append((_total_cost(one, trust), one))
     best, at = min(tried, key=lambda pair: pair[0])
     return (at, best) if best < total else None
 
@@ -99,14 +101,14 @@ def alike_delays(cell: Cell, lin: LinearModel, k: int, trust: Array) -> Array:
     ]
     thetas = np.array([np.concatenate([term.theta for term in terms]) for terms in sets])
     left = evaluated_at(cell, pack_terms(cell, lin.terms, thetas))
-    totals = np.array([_total(lin.at(terms, residual), trust) for terms, residual in zip(sets, left, strict=True)])
+    totals = np.array([_total_cost(lin.at(terms, residual), trust) for terms, residual in zip(sets, left, strict=True)])
     alike, best = totals < totals.min() + NEARLY_NATS, int(np.argmin(totals))
     first = best - int(np.argmin(alike[best::-1])) + 1 if not alike[: best + 1].all() else 0
     end = best + int(np.argmin(alike[best:])) if not alike[best:].all() else len(tried)
     return tried[first:end]
 
 
-def _total(lin: LinearModel, trust: Array) -> float:
+def _total_cost(lin: LinearModel, trust: Array) -> float:
     """Costs and priors of the terms as they stand, of columns to move by [nats]."""
     return float((soft_l1_costs(lin.residual) * trust).sum() + 0.5 * ((lin.x / lin.slab) ** 2).sum())
 
@@ -119,7 +121,7 @@ def bounded(term: EffectTerm, theta: Array) -> Array:
     return inside if term.present or not term.limits else theta
 
 
-def _vanished(term: EffectTerm) -> bool:
+def _has_size_vanished(term: EffectTerm) -> bool:
     """Whether a size that cannot be negative ended at nothing."""
     slot = term.effect.slots[0]
     return not term.limits and slot.low >= 0.0 and float(term.theta[0]) <= STEP_SHARE * slot.start

@@ -72,33 +72,36 @@ def fit_and_prune(cell: Cell, library: tuple[Candidate, ...], start: tuple[Effec
            the end the best set without each term is refitted; where one of these is better, it takes the place.
     """
     terms = start or tuple(EffectTerm(effect, np.zeros(len(effect.slots)), False) for effect in library)
-    twins = _twins(cell, terms)
+    twins = _equivalent_term_pairs(cell, terms)
     own = np.ones(len(terms), dtype=bool)
     own[[out for _, out in twins]] = False
-    terms = start or _approached(cell, terms, own)
+    terms = start or _fit_by_graduated_noise(cell, terms, own)
     trust = trusted_rows(cell, terms)
-    fitted = _fitted(cell, terms, trust)
+    fitted = _linearised_fit(cell, terms, trust)
     if not start:
-        fitted, trust = _grown(cell, fitted, trust, own)
+        fitted, trust = _grow_from_empty_set(cell, fitted, trust, own)
     settled, rivals = False, dict[int, Fitted | None]()
     for _ in range(ROUNDS):
         problem = fitted.problem
         best = best_set(problem, fitted.present, own)
         if not (best == fitted.present).all():
-            fitted, trust, changed = _better(cell, fitted, trust, fitted.lin, best)
+            fitted, trust, changed = _accept_if_better(cell, fitted, trust, fitted.lin, best)
             if changed:
                 continue
-        columns = _tangents(cell, fitted)
-        rivals = {int(k): _rival(cell, fitted, int(k), own, trust, columns) for k in np.nonzero(fitted.present)[0]}
+        columns = _tangent_columns(cell, fitted)
+        rivals = {
+            int(k): _refit_without_term(cell, fitted, int(k), own, trust, columns)
+            for k in np.nonzero(fitted.present)[0]
+        }
         better = max((rival for rival in rivals.values() if rival is not None), key=lambda one: one.score, default=None)
         if better is None or better.score <= fitted.score + SETTLED_NATS:
             settled = True
             break
-        fitted = _fitted(cell, better.terms, trust)
+        fitted = _linearised_fit(cell, better.terms, trust)
     return WholeFit(cell, fitted, trust, rivals, twins, settled)
 
 
-def _grown(cell: Cell, fitted: Fitted, trust: Array, own: Members) -> tuple[Fitted, Array]:
+def _grow_from_empty_set(cell: Cell, fitted: Fitted, trust: Array, own: Members) -> tuple[Fitted, Array]:
     """The best set from nothing upwards, where it is better than the one at hand; else that one.
 
     Why: a shape (an oscillation's period) may be seen only while little else is there. Given a baseline, one or two
@@ -107,30 +110,32 @@ def _grown(cell: Cell, fitted: Fitted, trust: Array, own: Members) -> tuple[Fitt
     """
     terms = tuple(replace(term, present=False) for term in fitted.terms)
     own_trust = trusted_rows(cell, terms)
-    grown = _fitted(cell, terms, own_trust)
+    grown = _linearised_fit(cell, terms, own_trust)
     if cell.usual is None:
         even = grown.lin.problem(np.ones(cell.rows.count))
-        return _better(cell, fitted, trust, grown.lin, best_set(even, grown.present, own))[:2]
+        return _accept_if_better(cell, fitted, trust, grown.lin, best_set(even, grown.present, own))[:2]
     for _ in range(int(own.sum())):
         members = best_addition(grown.problem, grown.present, own)
         if members is None:
             break
-        grown, own_trust, better = _better(cell, grown, own_trust, grown.lin, members)
+        grown, own_trust, better = _accept_if_better(cell, grown, own_trust, grown.lin, members)
         if not better:
             break
     return (grown, own_trust) if grown.score > score_at(fitted.lin, own_trust) else (fitted, trust)
 
 
-def _better(cell: Cell, fitted: Fitted, trust: Array, lin: LinearModel, members: Members) -> tuple[Fitted, Array, bool]:
+def _accept_if_better(
+    cell: Cell, fitted: Fitted, trust: Array, lin: LinearModel, members: Members
+) -> tuple[Fitted, Array, bool]:
     """The fit of another set, from columns `lin`, with its trust, where it is better by that; else the one at hand."""
-    terms = refine_present_terms(cell, _chosen(lin, lin.problem(trust), members), trust)
+    terms = refine_present_terms(cell, _terms_of_chosen_set(lin, lin.problem(trust), members), trust)
     own_trust = trusted_rows(cell, terms)
-    tried = _fitted(cell, terms, own_trust)
+    tried = _linearised_fit(cell, terms, own_trust)
     better = tried.score > score_at(fitted.lin, own_trust)
     return (tried, own_trust, True) if better else (fitted, trust, False)
 
 
-def _approached(cell: Cell, terms: tuple[EffectTerm, ...], own: Members) -> tuple[EffectTerm, ...]:
+def _fit_by_graduated_noise(cell: Cell, terms: tuple[EffectTerm, ...], own: Members) -> tuple[EffectTerm, ...]:
     """The best set of the terms `own` that may enter, found from far away: all smooth effects together, then pruned.
 
     Model: each part's noise is taken for as large as what the terms leave of it, until that falls no more. So the
@@ -146,7 +151,7 @@ def _approached(cell: Cell, terms: tuple[EffectTerm, ...], own: Members) -> tupl
         lin = linearise_terms(near, terms)
         problem = lin.problem(even)
         terms = refine_present_terms(
-            near, _chosen(lin, problem, best_set(problem, own if k == 0 else lin.present, own)), even
+            near, _terms_of_chosen_set(lin, problem, best_set(problem, own if k == 0 else lin.present, own)), even
         )
         before, left = left, _by_part(cell, terms)
         if (left > FALLS * before).all():
@@ -173,7 +178,7 @@ def _by_part(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
     )
 
 
-def _twins(cell: Cell, terms: tuple[EffectTerm, ...]) -> tuple[tuple[int, int], ...]:
+def _equivalent_term_pairs(cell: Cell, terms: tuple[EffectTerm, ...]) -> tuple[tuple[int, int], ...]:
     """Pairs of smooth terms that do the same where both are absent: the one kept, and the one it stands for."""
     smooth = [k for k, term in enumerate(terms) if term.smooth]
     absent = tuple(replace(terms[k], theta=np.zeros_like(terms[k].theta), present=False) for k in smooth)
@@ -207,13 +212,13 @@ def exchanged(fit: WholeFit, term: EffectTerm, others: Sequence[EffectTerm]) -> 
     """A fit with other terms of its library in the place of a present one, fitted again."""
     entering = {id(other) for other in others}
     members = np.array([(mine.present and mine is not term) or id(mine) in entering for mine in fit.best.terms])
-    chosen = _chosen(fit.best.lin, fit.best.problem, members)
+    chosen = _terms_of_chosen_set(fit.best.lin, fit.best.problem, members)
     return _standing_at(fit, refine_present_terms(fit.cell, chosen, fit.trust))
 
 
 def _standing_at(fit: WholeFit, terms: tuple[EffectTerm, ...]) -> WholeFit:
     trust = trusted_rows(fit.cell, terms)
-    return replace(fit, best=_fitted(fit.cell, terms, trust), trust=trust, rivals={})
+    return replace(fit, best=_linearised_fit(fit.cell, terms, trust), trust=trust, rivals={})
 
 
 def _with_only(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
@@ -222,7 +227,7 @@ def _with_only(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, 
     return refine_present_terms(fit.cell, some, fit.trust)
 
 
-def _fitted(cell: Cell, terms: tuple[EffectTerm, ...], trust: Array, absent: bool = True) -> Fitted:
+def _linearised_fit(cell: Cell, terms: tuple[EffectTerm, ...], trust: Array, absent: bool = True) -> Fitted:
     lin = linearise_terms(cell, terms, absent=absent)
     return Fitted(lin, lin.problem(trust), score_at(lin, trust))
 
@@ -237,7 +242,7 @@ def score_at(lin: LinearModel, trust: Array) -> float:
     return prior - float((soft_l1_costs(lin.residual) * trust).sum()) - 0.5 * float(np.linalg.slogdet(A)[1])
 
 
-def _rival(
+def _refit_without_term(
     cell: Cell, fitted: Fitted, term: int, own: Members, trust: Array, columns: dict[int, Array]
 ) -> Fitted | None:
     """The best set without a present term, refitted; None where the linear model is sure that it is far worse.
@@ -248,22 +253,22 @@ def _rival(
     members = best_set_without(problem, fitted.present, term, own)
     if problem.score(fitted.present) - problem.score(members) > CLEAR_NATS:
         return None
-    chosen = _chosen(fitted.lin, problem, members)
+    chosen = _terms_of_chosen_set(fitted.lin, problem, members)
     entering = {
         k: fitted.lin.columns(k) for k, chosen_term in enumerate(chosen) if chosen_term.present and k not in columns
     }
     short = [k for k, J in entering.items() if J.shape[1] < len(chosen[k].theta)]  # shapes have no column while absent
     given = None if short else {**columns, **entering}
-    return _fitted(cell, refine_present_terms(cell, chosen, trust, given), trust, absent=False)
+    return _linearised_fit(cell, refine_present_terms(cell, chosen, trust, given), trust, absent=False)
 
 
-def _tangents(cell: Cell, fitted: Fitted) -> dict[int, Array]:
+def _tangent_columns(cell: Cell, fitted: Fitted) -> dict[int, Array]:
     some = [k for k, term in enumerate(fitted.terms) if term.present]
     lin = linearise_terms(cell, tuple(fitted.terms[k] for k in some), to_move=True)
     return {k: lin.columns(at) for at, k in enumerate(some)}
 
 
-def _chosen(lin: LinearModel, problem: LinearProblem, members: Members) -> tuple[EffectTerm, ...]:
+def _terms_of_chosen_set(lin: LinearModel, problem: LinearProblem, members: Members) -> tuple[EffectTerm, ...]:
     """The terms with the sizes that the linear model gives to a set's members; present thresholds and shapes stay, and
     what is limited or narrow enters as it was scanned.
     """
@@ -290,11 +295,11 @@ def trusted_rows(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
     for part in cell.parts or (cell,):
         own = slice(start, start + part.rows.count)
         start += part.rows.count
-        out[own] = _magnitude(lin.J[own], lin.residual[own], part.rows.together)
+        out[own] = _magnitude_adjustment(lin.J[own], lin.residual[own], part.rows.together)
     return out
 
 
-def _magnitude(J: Array, residual: Array, block: NDArray[np.int64]) -> float:
+def _magnitude_adjustment(J: Array, residual: Array, block: NDArray[np.int64]) -> float:
     w = soft_l1_weights(residual)
     spread = float((w * residual**2).sum() / max(1, len(residual) - J.shape[1]))
     norm = np.sqrt((J**2).sum(axis=0))

@@ -40,12 +40,12 @@ class LinearProblem:
 
     def score(self, members: Members) -> float:
         """Log posterior of a set, up to a constant [nats]."""
-        return float(_score(self.H, self.c, self.slab, self.first, self.nonnegative, self.log_odds, members))
+        return float(_subset_score(self.H, self.c, self.slab, self.first, self.nonnegative, self.log_odds, members))
 
     def estimate(self, members: Members) -> tuple[Array, Array]:
         """x (k,), zero outside the set, and its covariance (k, k)."""
         cols = np.nonzero(np.repeat(members, np.diff(self.first)))[0]
-        kept, x = _solved(self.H, self.c, self.slab, self.nonnegative, cols)[1:]
+        kept, x = _solve_bounded_subset(self.H, self.c, self.slab, self.nonnegative, cols)[1:]
         out, S = np.zeros(len(self.c)), np.zeros_like(self.H)
         out[kept] = x * self.slab[kept]
         own = np.ix_(kept, kept)
@@ -60,7 +60,7 @@ class LinearProblem:
 def best_set(problem: LinearProblem, start: Members, allowed: Members) -> Members:
     """The set at which no addition, removal or exchange of one term helps, from `start`; only `allowed` terms enter."""
     given = (problem.H, problem.c, problem.slab, problem.first, problem.nonnegative, problem.log_odds)
-    return np.asarray(_climbed(*given, start & allowed, allowed))
+    return np.asarray(_hill_climb_subset(*given, start & allowed, allowed))
 
 
 def best_set_without(problem: LinearProblem, members: Members, term: int, allowed: Members) -> Members:
@@ -78,7 +78,7 @@ def best_addition(problem: LinearProblem, members: Members, allowed: Members) ->
 
 
 @njit(cache=True)
-def _solved(H, c, slab, nonnegative, cols):
+def _solve_bounded_subset(H, c, slab, nonnegative, cols):
     """Log evidence, columns kept and their numbers in slabs; a number below its bound of 0 stays there, at a price."""
     keep = np.ones(cols.shape[0], np.bool_)
     while True:
@@ -108,7 +108,7 @@ def _solved(H, c, slab, nonnegative, cols):
 
 
 @njit(cache=True)
-def _columns(first, members):
+def _member_columns(first, members):
     """Columns of the members of a set."""
     out = np.empty(first[-1], np.int64)
     m = 0
@@ -121,12 +121,12 @@ def _columns(first, members):
 
 
 @njit(cache=True)
-def _score(H, c, slab, first, nonnegative, log_odds, members):
+def _subset_score(H, c, slab, first, nonnegative, log_odds, members):
     prior = 0.0
     for t in range(members.shape[0]):
         if members[t]:
             prior += log_odds[t]
-    return prior + _solved(H, c, slab, nonnegative, _columns(first, members))[0]
+    return prior + _solve_bounded_subset(H, c, slab, nonnegative, _member_columns(first, members))[0]
 
 
 @njit(cache=True)
@@ -176,7 +176,7 @@ def _with_each(G, b, first, nonnegative, log_odds, P, own, members):
 def _in_slabs(H, c, slab, first, nonnegative, members):
     """G, b: H, c counted in slabs; the set's columns that are kept (k,), and the inverse of G + I over them (k, k)."""
     G, b = H * slab * slab.reshape(-1, 1), c * slab
-    own = np.sort(_solved(H, c, slab, nonnegative, _columns(first, members))[1])
+    own = np.sort(_solve_bounded_subset(H, c, slab, nonnegative, _member_columns(first, members))[1])
     k = own.shape[0]
     A = np.empty((k, k))
     for i in range(k):
@@ -187,7 +187,7 @@ def _in_slabs(H, c, slab, first, nonnegative, members):
 
 
 @njit(cache=True)
-def _block(P, rows, cols):
+def _matrix_block(P, rows, cols):
     out = np.empty((rows.shape[0], cols.shape[0]))
     for i in range(rows.shape[0]):
         for j in range(cols.shape[0]):
@@ -196,7 +196,7 @@ def _block(P, rows, cols):
 
 
 @njit(cache=True)
-def _flips(G, b, first, nonnegative, log_odds, P, own, members):
+def _flip_score_changes(G, b, first, nonnegative, log_odds, P, own, members):
     """By how much one term more or less changes the score of a set, by the linear model without bounds (terms,)."""
     out = _with_each(G, b, first, nonnegative, log_odds, P, own, members)
     x = P @ b[own]
@@ -205,13 +205,13 @@ def _flips(G, b, first, nonnegative, log_odds, P, own, members):
             out[t] = -log_odds[t]
             T = np.nonzero((own >= first[t]) & (own < first[t + 1]))[0]
             if T.shape[0] > 0:
-                PTT = _block(P, T, T)
+                PTT = _matrix_block(P, T, T)
                 out[t] -= 0.5 * (x[T] @ np.linalg.inv(PTT) @ x[T]) + 0.5 * np.log(max(np.linalg.det(PTT), 1e-300))
     return out
 
 
 @njit(cache=True)
-def _swaps(G, b, first, nonnegative, log_odds, P, own, members, flips):
+def _swap_score_changes(G, b, first, nonnegative, log_odds, P, own, members, flips):
     """The same by exchanges (terms that leave, terms that enter)."""
     terms = members.shape[0]
     out = np.full((terms, terms), -np.inf)
@@ -222,21 +222,21 @@ def _swaps(G, b, first, nonnegative, log_odds, P, own, members, flips):
         T, R = np.nonzero(inside)[0], np.nonzero(~inside)[0]
         if T.shape[0] == 0:
             continue
-        PRT = _block(P, R, T)
-        left = _block(P, R, R) - PRT @ np.linalg.inv(_block(P, T, T)) @ PRT.T
+        PRT = _matrix_block(P, R, T)
+        left = _matrix_block(P, R, R) - PRT @ np.linalg.inv(_matrix_block(P, T, T)) @ PRT.T
         out[t] = flips[t] + _with_each(G, b, first, nonnegative, log_odds, left, own[R], members)
     return out
 
 
 @njit(cache=True)
-def _climbed(H, c, slab, first, nonnegative, log_odds, start, allowed):
+def _hill_climb_subset(H, c, slab, first, nonnegative, log_odds, start, allowed):
     members = start.copy()
     terms = members.shape[0]
     given = (H, c, slab, first, nonnegative, log_odds)
-    now = _score(*given, members)
+    now = _subset_score(*given, members)
     for _ in range(4 * terms):
         G, b, own, P = _in_slabs(H, c, slab, first, nonnegative, members)
-        flips = _flips(G, b, first, nonnegative, log_odds, P, own, members)
+        flips = _flip_score_changes(G, b, first, nonnegative, log_odds, P, own, members)
         found = False
         for t in np.argsort(-flips):
             if flips[t] < 0.0:
@@ -244,14 +244,14 @@ def _climbed(H, c, slab, first, nonnegative, log_odds, start, allowed):
             if not (members[t] or allowed[t]):
                 continue
             members[t] = not members[t]
-            value = _score(*given, members)  # with the bounds
+            value = _subset_score(*given, members)  # with the bounds
             if value > now + 1e-9:
                 now, found = value, True
                 break
             members[t] = not members[t]
         if found:
             continue
-        flat = _swaps(G, b, first, nonnegative, log_odds, P, own, members, flips).ravel()
+        flat = _swap_score_changes(G, b, first, nonnegative, log_odds, P, own, members, flips).ravel()
         for at in np.argsort(-flat)[:TRIED]:  # exchanges only where no single step helps
             if flat[at] < 0.0:
                 break
@@ -259,7 +259,7 @@ def _climbed(H, c, slab, first, nonnegative, log_odds, start, allowed):
             if not allowed[u]:
                 continue
             members[t], members[u] = False, True
-            value = _score(*given, members)
+            value = _subset_score(*given, members)
             if value > now + 1e-9:
                 now, found = value, True
                 break

@@ -135,7 +135,7 @@ def gets_there(whole: Read, terms: tuple[EffectTerm, ...], kept: Sequence[Effect
 
     measured = tcp_poses(arm, plain, np.concatenate([encoders[::step] for _, _, encoders in runs]))[:, :3, 3]
     stays = [term for term in kept if term.effect.stage in DRIVEN_STAGES]
-    without, with_kept = tool(base)[0], tool(_with(base, stays))[0]
+    without, with_kept = tool(base)[0], tool(_parameters_with_terms(base, stays))[0]
     return ToolError("gets_there", own, split_among_effects(base, own, tool), measured - without, measured - with_kept)
 
 
@@ -177,7 +177,7 @@ def camera_error(cells: Sequence[Cell], terms: tuple[EffectTerm, ...]) -> ToolEr
     return ToolError("sees", own, split_among_effects(base, own, placed))
 
 
-def _with(base: ParameterSets, terms: Sequence[EffectTerm]) -> ParameterSets:
+def _parameters_with_terms(base: ParameterSets, terms: Sequence[EffectTerm]) -> ParameterSets:
     for term in terms:
         base = parameter_sets_with(base, (term.effect,), term.theta)
     return base
@@ -187,9 +187,9 @@ def split_among_effects(
     base: ParameterSets, terms: tuple[EffectTerm, ...], tool: Callable[[ParameterSets], list[Array]]
 ) -> Array:
     """Each effect's part (effects, m, 3) of what all do together; `tool` gives positions (m, 3) of every set."""
-    alone = [_with(base, (term,)) for term in terms]
-    others = [_with(base, terms[:k] + terms[k + 1 :]) for k in range(len(terms))]
-    every = [base, _with(base, terms), *alone, *others]
+    alone = [_parameters_with_terms(base, (term,)) for term in terms]
+    others = [_parameters_with_terms(base, terms[:k] + terms[k + 1 :]) for k in range(len(terms))]
+    every = [base, _parameters_with_terms(base, terms), *alone, *others]
     sets = base.repeated(len(every))
     for k, sets_of in enumerate(every):
         sets.joint[k], sets.machine[k] = sets_of.joint[0], sets_of.machine[0]

@@ -43,11 +43,11 @@ def endpoints() -> str:
     rows = []
     for path, operations in document()["paths"].items():
         for method, operation in operations.items():
-            rows.append(_endpoint(method.upper(), path, operation))
+            rows.append(_endpoint_row(method.upper(), path, operation))
     return table(("request", "what", "answers", "roles"), rows)
 
 
-def _endpoint(method: str, path: str, operation: dict[str, Any]) -> tuple[str, str, str, str]:
+def _endpoint_row(method: str, path: str, operation: dict[str, Any]) -> tuple[str, str, str, str]:
     good = [status for status in operation["responses"] if status < "400"]
     what = operation.get("description", operation["summary"]).split("\n\nRoles:")[0]
     roles = roles_needed(method, path)
@@ -122,10 +122,12 @@ def commands() -> str:
     """One table for each command."""
     from longreach.cli import app  # here: it imports this package
 
-    return "\n\n".join(_described(path, command) for path, command in _walk("longreach", typer.main.get_command(app)))
+    return "\n\n".join(
+        _command_section(path, command) for path, command in _walk_commands("longreach", typer.main.get_command(app))
+    )
 
 
-def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
+def _walk_commands(path: str, command: Any) -> Iterator[tuple[str, Any]]:
     command = loaded(command)
     children = getattr(command, "commands", None)  # typer's groups need not be click's own
     if children is None:
@@ -134,22 +136,22 @@ def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
     for name in sorted(children):
         if isinstance(children[name], LazyCommand) and children[name].lazy.of_checkout:
             continue  # evidence: not part of the package
-        yield from _walk(f"{path} {name}", children[name])
+        yield from _walk_commands(f"{path} {name}", children[name])
 
 
-def _described(path: str, command: Any) -> str:
-    rows = [_parameter(parameter) for parameter in command.params if parameter.name != "help"]
+def _command_section(path: str, command: Any) -> str:
+    rows = [_parameter_row(parameter) for parameter in command.params if parameter.name != "help"]
     about = " ".join((command.help or "").split())
     return f"### {path}\n\n{about}" + (f"\n\n{table(('option', 'default', 'what'), rows)}" if rows else "")
 
 
-def _parameter(one: Any) -> tuple[str, str, str]:
+def _parameter_row(one: Any) -> tuple[str, str, str]:
     names = one.name.upper() if one.param_type_name == "argument" else ", ".join([*one.opts, *one.secondary_opts])
-    default = "required" if one.required else _default(one)
+    default = "required" if one.required else _default_text(one)
     return code(names), default, getattr(one, "help", None) or ""
 
 
-def _default(one: Any) -> str:
+def _default_text(one: Any) -> str:
     value = one.default() if callable(one.default) else one.default
     return "" if value is None or value is False or value == () else code(str(value))
 

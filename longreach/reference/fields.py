@@ -15,11 +15,11 @@ from server.settings import ServerSettings
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table; cells on one line, bars escaped."""
-    lines = [_row(headings), _row(["---"] * len(headings)), *(_row(cells) for cells in rows)]
+    lines = [_markdown_row(headings), _markdown_row(["---"] * len(headings)), *(_markdown_row(cells) for cells in rows)]
     return "\n".join(lines)
 
 
-def _row(cells: Sequence[str]) -> str:
+def _markdown_row(cells: Sequence[str]) -> str:
     return "| " + " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells) + " |"
 
 
@@ -33,12 +33,14 @@ _BOUNDS = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less tha
 
 def settings() -> str:
     """One table for each section; the camera's depend on its kind."""
-    parts = [table(_HEADINGS, list(_plain(ServerSettings)))]
+    parts = [table(_HEADINGS, list(_plain_field_rows(ServerSettings)))]
     for name, field in ServerSettings.model_fields.items():
         models = models_of(field.annotation)
         for model in models:
-            kind = f', kind = "{_kind(model)}"' if len(models) > 1 else ""
-            parts.append(f"### [{name}]{kind}\n\n{_first_line(model)}\n\n{table(_HEADINGS, list(_plain(model)))}")
+            kind = f', kind = "{_kind_name(model)}"' if len(models) > 1 else ""
+            parts.append(
+                f"### [{name}]{kind}\n\n{_first_line(model)}\n\n{table(_HEADINGS, list(_plain_field_rows(model)))}"
+            )
     return "\n\n".join(parts)
 
 
@@ -52,7 +54,7 @@ def models_of(annotation: Any) -> list[type[BaseModel]]:
     return [model for part in get_args(annotation) for model in models_of(part)]
 
 
-def _kind(model: type[BaseModel]) -> str:
+def _kind_name(model: type[BaseModel]) -> str:
     return str(get_args(model.model_fields["kind"].annotation)[0])
 
 
@@ -60,14 +62,14 @@ def _first_line(model: type[BaseModel]) -> str:
     return " ".join((model.__doc__ or "").split("\n\n")[0].split())
 
 
-def _plain(model: type[BaseModel]) -> Iterator[tuple[str, str, str, str]]:
+def _plain_field_rows(model: type[BaseModel]) -> Iterator[tuple[str, str, str, str]]:
     for name, field in model.model_fields.items():
         if not models_of(field.annotation) and name != "kind":
-            default = "required" if field.default is PydanticUndefined else _value(field.default)
+            default = "required" if field.default is PydanticUndefined else _value_text(field.default)
             yield code(name), type_text(field.annotation), default, bounds_text(field)
 
 
-def _value(value: Any) -> str:
+def _value_text(value: Any) -> str:
     return "" if value is None else code(str(value).lower() if isinstance(value, bool) else str(value))
 
 

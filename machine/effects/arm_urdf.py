@@ -64,7 +64,7 @@ def arm_from_chain(
         moving = [joint.name for joint in chain if joint.kind != "fixed"]
         raise MachineError(f"urdf: none of {list(names)} moves on the chain, whose joints are {moving}; name those")
     tcp = pending @ (np.eye(4) if T_flange_tcp is None else T_flange_tcp)
-    return _arm(parts, names, tcp, np.array([0.0, 0.0, -9.81]) if gravity is None else gravity), names
+    return _arm_from_parts(parts, names, tcp, np.array([0.0, 0.0, -9.81]) if gravity is None else gravity), names
 
 
 def _require_no_follower(chain: Sequence[UrdfJoint], joint_names: Sequence[str] | None) -> None:
@@ -85,7 +85,7 @@ class _Part:
     T_last_joint: Array
 
 
-def _arm(parts: list[_Part], names: Sequence[str], T_flange_tcp: Array, gravity: Array) -> Arm:
+def _arm_from_parts(parts: list[_Part], names: Sequence[str], T_flange_tcp: Array, gravity: Array) -> Arm:
     """Joints in the chain's order must be in the vector's order; those that are not in the chain move nothing."""
     n, places = len(names), [names.index(part.joint.name) for part in parts]
     if places != sorted(places):
@@ -98,7 +98,7 @@ def _arm(parts: list[_Part], names: Sequence[str], T_flange_tcp: Array, gravity:
     for i, part in zip(places, parts, strict=True):
         turn = axis_turn(part.joint.axis)
         before[i], after[i] = part.T_last_joint @ turn, turn.T
-        length_before[i, 0] = _apart(last, part)
+        length_before[i, 0] = _axis_offset_direction(last, part)
         last = part.joint.axis / np.linalg.norm(part.joint.axis)
         length_after[i, 1, 2] = 1.0
         moves[i] = -1.0 if part.joint.rising else 1.0
@@ -109,7 +109,7 @@ def _arm(parts: list[_Part], names: Sequence[str], T_flange_tcp: Array, gravity:
     return Arm(before, after, zero, moves, prismatic, length_before, length_after, mass, com, gravity, T_flange_tcp)
 
 
-def _apart(last: Array | None, part: _Part) -> Array:
+def _axis_offset_direction(last: Array | None, part: _Part) -> Array:
     """Direction (3,), in the last joint's frame, in which an axis may lie further from the last one.
 
     0 where there is none: what goes along either axis is a d.

@@ -137,7 +137,7 @@ def drive_by_sent(
              by interpolation between two neighbours.
     """
     times = np.asarray(t_sent_s, dtype=float) + (plant.transport_delay_s - plant.whole_delay_s)
-    values = _table(sent, plant.n, "sent reference")
+    values = _checked_table(sent, plant.n, "sent reference")
     rising = len(times) > 0 and np.isfinite(times).all() and not (np.diff(times) < 0).any()
     if times.shape != (len(values),) or not rising:
         raise MachineError(f"sent times have shape {times.shape} for {len(values)} references; give one each, rising")
@@ -153,7 +153,7 @@ def drive_by_sent(
     start = values[latest[0]].copy()
     zero = np.zeros(plant.n)
     kept = np.zeros(0, np.int64) if lost is None else _last_there(~lost)
-    both = _loads(plant, cycles, loads)
+    both = _checked_loads(plant, cycles, loads)
     return Drive(DynamicStage.LINK, cycles, values, latest, none, none, none, *both, start, zero, kept)
 
 
@@ -167,12 +167,12 @@ def drive_controller(plant: Actuators, ref: Array, enc: Array, u_start: Array, f
 
     `fine`: the rows are PLC cycles already.
     """
-    ref_cycles, enc_cycles = _cycles(plant, ref, fine), _cycles(plant, enc, fine)
+    ref_cycles, enc_cycles = _rows_at_cycles(plant, ref, fine), _rows_at_cycles(plant, enc, fine)
     if ref_cycles.shape != enc_cycles.shape:
         raise MachineError(f"references {np.shape(ref)} and encoders {np.shape(enc)} differ in shape; give equal rows")
     cycles = len(ref_cycles)
     none, nothing = np.zeros((0, plant.n)), np.zeros(0, np.int64)
-    loads = _loads(plant, cycles, None)
+    loads = _checked_loads(plant, cycles, None)
     first = enc_cycles[0].copy()
     start = _of_joints(plant, u_start, "first valve command")
     return Drive(DynamicStage.CONTROLLER, cycles, none, nothing, ref_cycles, enc_cycles, none, *loads, first, start)
@@ -185,9 +185,9 @@ def drive_actuator(
 
     `fine`: the rows are PLC cycles already; loads stay logged rows.
     """
-    u_cycles = _cycles(plant, u, fine)
+    u_cycles = _rows_at_cycles(plant, u, fine)
     none, nothing = np.zeros((0, plant.n)), np.zeros(0, np.int64)
-    both = _loads(plant, len(u_cycles), loads)
+    both = _checked_loads(plant, len(u_cycles), loads)
     start = _of_joints(plant, enc_start, "encoders at the start")
     first = u_cycles[0].copy()
     return Drive(DynamicStage.ACTUATOR, len(u_cycles), none, nothing, none, none, u_cycles, *both, start, first)
@@ -204,7 +204,7 @@ def drive_joint(plant: Actuators, enc: Array) -> Drive:
     """From the encoders, logged rows (rows, n) [rad]."""
     cycles = at_cycles(plant, enc)
     none, nothing = np.zeros((0, plant.n)), np.zeros(0, np.int64)
-    loads = _loads(plant, len(cycles), None)
+    loads = _checked_loads(plant, len(cycles), None)
     start, zero = cycles[0].copy(), np.zeros(plant.n)
     return Drive(DynamicStage.JOINT, len(cycles), none, nothing, none, cycles, none, *loads, start, zero)
 
@@ -254,13 +254,13 @@ def simulate(
     return traces
 
 
-def _cycles(plant: Actuators, rows: Array, fine: bool) -> Array:
-    return _table(rows, plant.n, "PLC cycles") if fine else at_cycles(plant, rows)
+def _rows_at_cycles(plant: Actuators, rows: Array, fine: bool) -> Array:
+    return _checked_table(rows, plant.n, "PLC cycles") if fine else at_cycles(plant, rows)
 
 
 def at_cycles(plant: Actuators, logged: Array) -> Array:
     """Logged rows (rows, n) at every PLC cycle, linear in between; ((rows - 1) decimate + 1, n)."""
-    values = _table(logged, plant.n, "logged rows")
+    values = _checked_table(logged, plant.n, "logged rows")
     if plant.decimate == 1:
         return values
     part = (np.arange(plant.decimate) / plant.decimate)[:, None]
@@ -268,18 +268,18 @@ def at_cycles(plant: Actuators, logged: Array) -> Array:
     return np.concatenate([between.reshape(-1, plant.n), values[-1:]])
 
 
-def _table(values: Array, n: int, subject: str) -> Array:
+def _checked_table(values: Array, n: int, subject: str) -> Array:
     table = np.array(values, dtype=float, order="C")
     if table.ndim != 2 or table.shape[1] != n or len(table) == 0 or not np.isfinite(table).all():
         raise MachineError(f"{subject} have shape {table.shape}; give finite (rows, {n}), at least one row")
     return table
 
 
-def _loads(plant: Actuators, cycles: int, loads: tuple[Array, Array] | None) -> tuple[Array, Array]:
+def _checked_loads(plant: Actuators, cycles: int, loads: tuple[Array, Array] | None) -> tuple[Array, Array]:
     rows = (cycles - 1) // plant.decimate + 1
     if loads is None:
         return np.zeros((rows, plant.n)), np.zeros((rows, plant.n))
-    load, load_kg = (_table(values, plant.n, "loads") for values in loads)
+    load, load_kg = (_checked_table(values, plant.n, "loads") for values in loads)
     if load.shape != (rows, plant.n) or load_kg.shape != load.shape:
         raise MachineError(f"loads have shapes {load.shape}, {load_kg.shape}; the run has {rows} logged rows")
     return load, load_kg

@@ -59,7 +59,7 @@ def parse_entries(tables: object, n_joints: int) -> tuple[EffectEntry, ...]:
         return ()
     if not isinstance(tables, list):
         raise MachineFileError(f"effect = {tables!r} is not a list; write each effect as its own [[effect]] table")
-    entries = tuple(_entry(table, n_joints, f"effect {number}") for number, table in enumerate(tables, start=1))
+    entries = tuple(_parse_entry(table, n_joints, f"effect {number}") for number, table in enumerate(tables, start=1))
     pack_effects(entries, n_joints)  # a third oscillation of a joint
     _require_sums(entries)
     return entries
@@ -70,7 +70,7 @@ def _require_sums(entries: tuple[EffectEntry, ...]) -> None:
     sums: dict[tuple[str, int | None], float] = {}
     for entry in entries:
         if entry.name in (*FACTORS, *SHARES):
-            size = entry.value(_known(entry).size.name)
+            size = entry.value(_effect_of_entry(entry).size.name)
             sums[entry.name, entry.joint] = sums.get((entry.name, entry.joint), 0.0) + size
     for (name, joint), total in sums.items():
         if (name in FACTORS and total <= -SUM_MAX) or (name in SHARES and total >= SUM_MAX):
@@ -81,7 +81,7 @@ def _require_sums(entries: tuple[EffectEntry, ...]) -> None:
             )
 
 
-def _entry(table: object, n_joints: int, where: str) -> EffectEntry:
+def _parse_entry(table: object, n_joints: int, where: str) -> EffectEntry:
     if not isinstance(table, dict):
         raise MachineFileError(f"{where} is not a table; write [[effect]] with name, joint and parameters")
     unknown = sorted(set(table) - {"name", "joint", "parameters"})
@@ -90,9 +90,9 @@ def _entry(table: object, n_joints: int, where: str) -> EffectEntry:
     name = table.get("name")
     effect = effect_named(name) if isinstance(name, str) else None
     if effect is None:
-        raise MachineFileError(f"{where}: name = {name!r} is not in the catalogue{_nearest(name, NAMES)}")
+        raise MachineFileError(f"{where}: name = {name!r} is not in the catalogue{_nearest_names_text(name, NAMES)}")
     where = f"{where} ({effect.name})"
-    joint = _joint(effect, table.get("joint"), n_joints, where)
+    joint = _checked_joint(effect, table.get("joint"), n_joints, where)
     parameters = table.get("parameters", {})
     if not isinstance(parameters, dict):
         raise MachineFileError(
@@ -101,12 +101,12 @@ def _entry(table: object, n_joints: int, where: str) -> EffectEntry:
     return make_entry(effect, joint, parameters, where)
 
 
-def _nearest(name: object, known: Iterable[str]) -> str:
+def _nearest_names_text(name: object, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(str(name), list(known), n=3, cutoff=0.4)
     return f"; nearest: {', '.join(close)}" if close else f"; it knows {', '.join(known)}"
 
 
-def _joint(effect: Effect, joint: object, n_joints: int, where: str) -> int | None:
+def _checked_joint(effect: Effect, joint: object, n_joints: int, where: str) -> int | None:
     if effect.scope == "machine":
         if joint is not None:
             raise MachineFileError(f"{where}: joint = {joint!r}, but it belongs to the whole machine; leave joint out")
@@ -128,19 +128,23 @@ def make_entry(effect: Effect, joint: int | None, parameters: Mapping[str, objec
     names = [parameter.name for parameter in effect.parameters]
     for given in parameters:
         if given not in names and given not in words:
-            raise MachineFileError(f"{where}: unknown parameter {given!r}{_nearest(given, names + words)}")
+            raise MachineFileError(f"{where}: unknown parameter {given!r}{_nearest_names_text(given, names + words)}")
     if effect.size.name not in parameters:
         raise MachineFileError(f"{where}: {effect.size.name} is missing [{effect.size.unit}]; it says how large it is")
     values = tuple(
-        (parameter.name, _number(parameter, parameters.get(parameter.name, parameter.neutral), where))
+        (parameter.name, _checked_parameter_value(parameter, parameters.get(parameter.name, parameter.neutral), where))
         for parameter in effect.parameters
     )
     return EffectEntry(
-        effect.name, joint, values, _chosen_option(effect, parameters, where), _direction(effect, parameters, where)
+        effect.name,
+        joint,
+        values,
+        _chosen_option(effect, parameters, where),
+        _unit_direction(effect, parameters, where),
     )
 
 
-def _number(parameter: Parameter, value: object, where: str) -> float:
+def _checked_parameter_value(parameter: Parameter, value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not _is_number(value):
         raise MachineFileError(f"{where}: {parameter.name} = {repr(value)[:60]} is not a number [{parameter.unit}]")
     if not parameter.contains(float(value)):
@@ -173,7 +177,7 @@ def _chosen_option(effect: Effect, parameters: Mapping[str, object], where: str)
     return str(given)
 
 
-def _direction(effect: Effect, parameters: Mapping[str, object], where: str) -> Vector:
+def _unit_direction(effect: Effect, parameters: Mapping[str, object], where: str) -> Vector:
     if effect.direction is None:
         return ()
     dims, name = len(effect.direction.default), effect.direction.name
@@ -191,11 +195,11 @@ def _direction(effect: Effect, parameters: Mapping[str, object], where: str) -> 
 
 def entries_to_toml(entries: Iterable[EffectEntry]) -> str:
     """`[[effect]]` tables that `parse_entries` reads back to the same entries."""
-    return "".join(_toml(entry) for entry in entries)
+    return "".join(_entry_to_toml(entry) for entry in entries)
 
 
-def _toml(entry: EffectEntry) -> str:
-    effect = _known(entry)
+def _entry_to_toml(entry: EffectEntry) -> str:
+    effect = _effect_of_entry(entry)
     pairs = [f"{name} = {_toml_number(effect, name, value)}" for name, value in entry.values]
     if effect.choice is not None:
         pairs.append(f'{effect.choice.name} = "{entry.option or effect.choice.options[0]}"')
@@ -210,10 +214,10 @@ def _toml_number(effect: Effect, name: str, value: float) -> str:
     return str(int(value)) if parameter is not None and parameter.integer else repr(float(value))  # inf is TOML's too
 
 
-def _known(entry: EffectEntry) -> Effect:
+def _effect_of_entry(entry: EffectEntry) -> Effect:
     effect = effect_named(entry.name)
     if effect is None:
-        raise MachineFileError(f"effect {entry.name!r} is not in the catalogue{_nearest(entry.name, NAMES)}")
+        raise MachineFileError(f"effect {entry.name!r} is not in the catalogue{_nearest_names_text(entry.name, NAMES)}")
     return effect
 
 
@@ -227,15 +231,17 @@ def pack_effects(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets
     """
     packed = neutral_sets(n_joints)
     for entry in entries:
-        effect = _known(entry)
+        effect = _effect_of_entry(entry)
         if entry.joint is not None and effect.name == SWING and packed.joint[0, entry.joint - 1, FLEX_GAIN] != 0.0:
             _step_aside(packed, entry.joint)
         for name, value in entry.values:
             parameter = effect.parameter(name)
             if parameter is None:
                 known = [parameter.name for parameter in effect.parameters]
-                raise MachineFileError(f"effect {entry.name!r}: unknown parameter {name!r}{_nearest(name, known)}")
-            _put(packed, entry, effect, parameter, value)
+                raise MachineFileError(
+                    f"effect {entry.name!r}: unknown parameter {name!r}{_nearest_names_text(name, known)}"
+                )
+            _apply_parameter(packed, entry, effect, parameter, value)
     return packed
 
 
@@ -260,7 +266,9 @@ def _step_aside(packed: ParameterSets, joint: int) -> None:
     row[[FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]] = neutral_sets(joint).joint[0, 0, [FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]]
 
 
-def _put(packed: ParameterSets, entry: EffectEntry, effect: Effect, parameter: Parameter, value: float) -> None:
+def _apply_parameter(
+    packed: ParameterSets, entry: EffectEntry, effect: Effect, parameter: Parameter, value: float
+) -> None:
     column = column_of(effect, parameter.name, entry.option)
     row = packed.machine[0] if entry.joint is None else packed.joint[0, entry.joint - 1]
     if effect.direction is not None:

@@ -45,7 +45,7 @@ Traced = tuple[Array, Array, Array, Array]  # ref, u, enc, link (rows, joints)
 
 
 @njit(cache=True, inline="always")
-def _uniform(i: int, seed: int) -> float:
+def _counter_based_uniform(i: int, seed: int) -> float:
     """Counter-based uniform number in 0..1 (splitmix64): the same for the same datagram, whatever else is drawn."""
     z = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -55,11 +55,11 @@ def _uniform(i: int, seed: int) -> float:
 
 
 @njit(cache=True)
-def _kept(m: int, loss: float, seed: int) -> NDArray[np.int64]:
+def _last_arrived_datagrams(m: int, loss: float, seed: int) -> NDArray[np.int64]:
     """Index of the last datagram that arrived, for each sent one; the first always arrives."""
     kept = np.zeros(m, np.int64)
     for i in range(1, m):
-        kept[i] = kept[i - 1] if _uniform(i, seed) < loss else i
+        kept[i] = kept[i - 1] if _counter_based_uniform(i, seed) < loss else i
     return kept
 
 
@@ -74,7 +74,7 @@ def play_operator(x: float, y: float, half: float) -> float:
 
 
 @njit(cache=True, inline="always")
-def _encoder(q: float, p: Array) -> float:
+def _encoder_reading(q: float, p: Array) -> float:
     wave = p[ECC_AMPLITUDE] * np.sin(p[ECC_ORDER] * q + p[ECC_PHASE]) if p[ECC_AMPLITUDE] != 0.0 else 0.0
     return q * (1.0 + p[SCALE]) + p[BIAS] + wave
 
@@ -91,7 +91,7 @@ def _true_angle(encoder: float, p: Array) -> float:
 
 
 @njit(cache=True, inline="always")
-def _share(dt: float, tau: float) -> float:
+def _first_order_lag_share(dt: float, tau: float) -> float:
     """Share of the way that a first-order lag goes in dt under a held input; 1 without lag."""
     return 1.0 - np.exp(-dt / tau) if tau > 0.0 else 1.0
 
@@ -114,13 +114,13 @@ def _free_oscillation(w: float, damping: float, dt: float, out: Array) -> None:
 
 
 @njit(cache=True, inline="always")
-def _between(later: float, earlier: float, part: float) -> float:
+def _delayed_reference(later: float, earlier: float, part: float) -> float:
     """A reference that is late by part of a cycle: on the way from the one of the cycle before."""
     return (1.0 - part) * later + part * earlier if part > 0.0 else later
 
 
 @njit(cache=True, inline="always")
-def _received(target: float, ref: float, step: float, most: float) -> float:
+def _round_and_rate_limit(target: float, ref: float, step: float, most: float) -> float:
     """The reference after rounding to `step`, and no further than `most` from the one before."""
     if step > 0.0:
         target = np.round(target / step) * step
@@ -132,7 +132,7 @@ def _received(target: float, ref: float, step: float, most: float) -> float:
 
 
 @njit(cache=True, inline="always")
-def _lagged(x: float, slow: float, share: float) -> float:
+def _first_order_lag_step(x: float, slow: float, share: float) -> float:
     """A first-order lag after one step; the input itself where there is none."""
     return x if share == 1.0 else slow + share * (x - slow)
 
@@ -144,7 +144,7 @@ def _next_spool_speed(speed: float, ahead: float, wn: float, zeta: float, dt: fl
 
 
 @njit(cache=True, inline="always")
-def _moving(moving: float, x: float, breakaway: float, once: float) -> float:
+def _stiction_direction(moving: float, x: float, breakaway: float, once: float) -> float:
     """Which way a joint moves that sticks until its spool is open by more than the breakaway command; 0: it sticks.
 
     `once`: the part of it that a moving joint does not feel again before its spool changes sides.
@@ -157,7 +157,7 @@ def _moving(moving: float, x: float, breakaway: float, once: float) -> float:
 
 
 @njit(cache=True, inline="always")
-def _flow(x: float, deadband: float, gains: Gains, droop: float, load: float) -> float:
+def _valve_flow_speed(x: float, deadband: float, gains: Gains, droop: float, load: float) -> float:
     """Speed of a spool opening: dead band, flow gain by sign, droop by load."""
     inverse_span, gain_up, gain_down = gains
     opening = abs(x) - deadband
@@ -168,21 +168,21 @@ def _flow(x: float, deadband: float, gains: Gains, droop: float, load: float) ->
 
 
 @njit(cache=True)
-def _spring(p: Array, dt: float, out: Array) -> None:
+def _oil_spring_motion(p: Array, dt: float, out: Array) -> None:
     """Free motion (4,) of a joint on its oil's spring over dt; nothing without one."""
     if p[OIL_PERIOD] > 0.0:
         _free_oscillation(1.0 / p[OIL_PERIOD], p[OIL_DAMPING], dt, out)
 
 
 @njit(cache=True, inline="always")
-def _sprung(q: float, q_d: float, at: float, spring: Array) -> tuple[float, float]:
+def _step_on_oil_spring(q: float, q_d: float, at: float, spring: Array) -> tuple[float, float]:
     """Angle and speed of a joint after one step on a spring whose other end is at `at`."""
     off = q - at
     return at + spring[0] * off + spring[1] * q_d, spring[2] * off + spring[3] * q_d
 
 
 @njit(cache=True, inline="always")
-def _follow(behind: Array, q: float, p: Array, free: Array, cycle_s: float) -> None:
+def _step_link_behind_joint(behind: Array, q: float, p: Array, free: Array, cycle_s: float) -> None:
     """One PLC cycle of a link behind its joint: backlash, then the oscillations that it excites."""
     before, before_d = behind[SIDE], behind[SIDE_D]
     behind[SIDE] = play_operator(q, before, 0.5 * p[BACKLASH])
@@ -206,7 +206,7 @@ def link_side_course(p: Array, enc: Array, cycle_s: float, side: float = 0.0) ->
     _free_oscillations(p, cycle_s, free)
     behind[SIDE] = _true_angle(enc[0], p) + 0.5 * side * p[BACKLASH]
     for k in range(len(enc)):
-        _follow(behind, _true_angle(enc[k], p), p, free, cycle_s)
+        _step_link_behind_joint(behind, _true_angle(enc[k], p), p, free, cycle_s)
         out[k] = behind[SIDE] + behind[BEND] + behind[KNOWN_BEND]
     return out
 
@@ -249,40 +249,40 @@ def run_stages(
         late, kept = (0, 0.0), np.zeros(0, np.int64)
         if first == LINK:
             known = G[LOSS] > 0.0 and kept_in.shape[0] > 0
-            kept = kept_in if known else _kept(sent.shape[0], G[LOSS], LOSS_STREAM)
+            kept = kept_in if known else _last_arrived_datagrams(sent.shape[0], G[LOSS], LOSS_STREAM)
             delay = (delay_s + G[DELAY]) / cycle_s
             whole = int(np.floor(delay + 1e-9))
             late = (whole, delay - whole if delay - whole > 1e-9 else 0.0)
         out = (ref_out[s], u_out[s], enc_out[s], link_out[s])
         if n == 1 and G[FLOW_LIMIT] == np.inf:
-            _alone(joint[s, 0], G[PAYLOAD], nominal[0], given, kept, late, out)
+            _simulate_one_joint(joint[s, 0], G[PAYLOAD], nominal[0], given, kept, late, out)
         else:
-            _together(joint[s], G, nominal, given, kept, late, out)
+            _simulate_coupled_joints(joint[s], G, nominal, given, kept, late, out)
 
 
 @njit(cache=True, inline="always")
-def _gains(p: Array, velocity_gain: float) -> Gains:
+def _flow_gains(p: Array, velocity_gain: float) -> Gains:
     down = velocity_gain * (1.0 + p[FLOW])
     return 1.0 / (1.0 - p[DEADBAND]), down * (1.0 + p[ASYMMETRY]), down
 
 
 @njit(cache=True, nogil=True)
-def _alone(
+def _simulate_one_joint(
     p: Array, payload: float, nominal: Array, given: Given, kept: NDArray[np.int64], late: Late, out: Traced
 ) -> None:
-    """A joint run by itself, by one set: p (JOINT_COLUMNS,), nominal (5,). `_together` in scalars, for speed."""
+    """A joint run by itself, by one set: p (JOINT_COLUMNS,), nominal (5,). In scalars, for speed."""
     (first, last), (cycle_s, substeps, decimate), (sent, latest, ref_in, enc_in, u_in), loads, begin = given
     (load, load_kg), (enc_start, u_start), (whole, part) = loads, begin, late
     ref_out, u_out, enc_out, link_out = out
     dt = cycle_s / substeps
     step, most, limit = p[STEP], p[RATE] * cycle_s, p[U_LIMIT]
     kp = nominal[KP] * (1.0 + p[KP_GAIN])
-    pt1 = _share(cycle_s, nominal[TAU] * (1.0 + p[PT1_LAG]))
-    slow_share, hysteresis, wn, zeta = _share(dt, p[LAG]), p[HYSTERESIS], nominal[WN], nominal[ZETA]
+    pt1 = _first_order_lag_share(cycle_s, nominal[TAU] * (1.0 + p[PT1_LAG]))
+    slow_share, hysteresis, wn, zeta = _first_order_lag_share(dt, p[LAG]), p[HYSTERESIS], nominal[WN], nominal[ZETA]
     deadband, droop, leak, breakaway = p[DEADBAND] + p[DEADBAND_LOST], p[DROOP], p[LEAK], p[BREAKAWAY]
-    gains = _gains(p, nominal[KV])
+    gains = _flow_gains(p, nominal[KV])
     friction, sprung, spring = p[FRICTION], p[OIL_PERIOD] > 0.0, np.zeros(4)
-    _spring(p, dt, spring)
+    _oil_spring_motion(p, dt, spring)
     free, behind = np.zeros(FREE), np.zeros(BEHIND)
     _free_oscillations(p, cycle_s, free)
     ref = float(sent[kept[latest[0]], 0]) if first == LINK else float(enc_start[0])
@@ -299,20 +299,20 @@ def _alone(
         until -= 1
         if first == LINK:
             a, b = int(kept[latest[max(k - whole, 0)]]), int(kept[latest[max(k - whole - 1, 0)]])
-            ref = _received(_between(sent[a, 0], sent[b, 0], part), ref, step, most)
+            ref = _round_and_rate_limit(_delayed_reference(sent[a, 0], sent[b, 0], part), ref, step, most)
         elif first == CONTROLLER:
             ref = ref_in[k, 0]
         if first <= CONTROLLER and last >= CONTROLLER:
-            enc = _encoder(q, p) if last >= ACTUATOR else enc_in[k, 0]
+            enc = _encoder_reading(q, p) if last >= ACTUATOR else enc_in[k, 0]
             lagged += pt1 * (kp * (ref - enc) - lagged)
             u = min(max(lagged, -limit), limit)
         elif first == ACTUATOR:
             u = min(max(u_in[k, 0], -1.0), 1.0)
-            enc = _encoder(q, p)
+            enc = _encoder_reading(q, p)
         if last == JOINT:
             if first == JOINT:
                 q = _true_angle(enc_in[k, 0], p)
-            _follow(behind, q, p, free, cycle_s)
+            _step_link_behind_joint(behind, q, p, free, cycle_s)
         if logged:
             ref_out[row, 0], u_out[row, 0], enc_out[row, 0] = ref, u, enc
             link_out[row, 0] = behind[SIDE] + behind[BEND] + behind[KNOWN_BEND]
@@ -320,21 +320,21 @@ def _alone(
             pull = load[row, 0] + payload * load_kg[row, 0]
             for _ in range(substeps):
                 play = play_operator(u, play, hysteresis)
-                slow = _lagged(play, slow, slow_share)
+                slow = _first_order_lag_step(play, slow, slow_share)
                 spool_d = _next_spool_speed(spool_d, slow - spool, wn, zeta, dt)
                 spool += dt * spool_d
-                moving = _moving(moving, spool, breakaway, p[BREAKAWAY_ONCE])
-                speed = _flow(spool, deadband, gains, droop, pull) if moving != 0.0 else 0.0
+                moving = _stiction_direction(moving, spool, breakaway, p[BREAKAWAY_ONCE])
+                speed = _valve_flow_speed(spool, deadband, gains, droop, pull) if moving != 0.0 else 0.0
                 oil += dt * (speed + leak * pull)
                 pushed = play_operator(oil, pushed, friction)
                 if sprung:
-                    q, q_d = _sprung(q, q_d, pushed, spring)
+                    q, q_d = _step_on_oil_spring(q, q_d, pushed, spring)
                 else:
                     q = pushed
 
 
 @njit(cache=True, nogil=True)
-def _together(
+def _simulate_coupled_joints(
     P: Array, G: Array, nominal: Array, given: Given, kept: NDArray[np.int64], late: Late, out: Traced
 ) -> None:
     """All joints of one set, step by step, since they may share what the pump gives: P (joints, JOINT_COLUMNS)."""
@@ -350,11 +350,11 @@ def _together(
     behind, free = np.zeros((n, BEHIND)), np.zeros((n, FREE))
     pt1, slow_share, gains = np.zeros(n), np.zeros(n), np.zeros((n, 3))
     for j in range(n):
-        pt1[j] = _share(cycle_s, nominal[j, TAU] * (1.0 + P[j, PT1_LAG]))
-        slow_share[j] = _share(dt, P[j, LAG])
-        gains[j, 0], gains[j, 1], gains[j, 2] = _gains(P[j], nominal[j, KV])
+        pt1[j] = _first_order_lag_share(cycle_s, nominal[j, TAU] * (1.0 + P[j, PT1_LAG]))
+        slow_share[j] = _first_order_lag_share(dt, P[j, LAG])
+        gains[j, 0], gains[j, 1], gains[j, 2] = _flow_gains(P[j], nominal[j, KV])
         _free_oscillations(P[j], cycle_s, free[j])
-        _spring(P[j], dt, spring[j])
+        _oil_spring_motion(P[j], dt, spring[j])
         ref[j] = sent[kept[latest[0]], j] if first == LINK else enc_start[j]
         enc[j] = enc_start[j]
         q[j] = _true_angle(enc_start[j], P[j])
@@ -369,25 +369,27 @@ def _together(
         if first == LINK:
             a, b = int(kept[latest[max(k - whole, 0)]]), int(kept[latest[max(k - whole - 1, 0)]])
             for j in range(n):
-                ref[j] = _received(_between(sent[a, j], sent[b, j], part), ref[j], P[j, STEP], P[j, RATE] * cycle_s)
+                ref[j] = _round_and_rate_limit(
+                    _delayed_reference(sent[a, j], sent[b, j], part), ref[j], P[j, STEP], P[j, RATE] * cycle_s
+                )
         elif first == CONTROLLER:
             for j in range(n):
                 ref[j] = ref_in[k, j]
         if first <= CONTROLLER and last >= CONTROLLER:
             for j in range(n):
-                enc[j] = _encoder(q[j], P[j]) if last >= ACTUATOR else enc_in[k, j]
+                enc[j] = _encoder_reading(q[j], P[j]) if last >= ACTUATOR else enc_in[k, j]
                 wanted = nominal[j, KP] * (1.0 + P[j, KP_GAIN]) * (ref[j] - enc[j])
                 lagged[j] += pt1[j] * (wanted - lagged[j])
                 u[j] = min(max(lagged[j], -P[j, U_LIMIT]), P[j, U_LIMIT])
         elif first == ACTUATOR:
             for j in range(n):
                 u[j] = min(max(u_in[k, j], -1.0), 1.0)
-                enc[j] = _encoder(q[j], P[j])
+                enc[j] = _encoder_reading(q[j], P[j])
         if last == JOINT:
             for j in range(n):
                 if first == JOINT:
                     q[j] = _true_angle(enc_in[k, j], P[j])
-                _follow(behind[j], q[j], P[j], free[j], cycle_s)
+                _step_link_behind_joint(behind[j], q[j], P[j], free[j], cycle_s)
         if logged:
             for j in range(n):
                 ref_out[row, j], u_out[row, j], enc_out[row, j] = ref[j], u[j], enc[j]
@@ -401,20 +403,22 @@ def _together(
             for j in range(n):
                 wn, zeta = nominal[j, WN], nominal[j, ZETA]
                 play[j] = play_operator(u[j], play[j], P[j, HYSTERESIS])
-                slow[j] = _lagged(play[j], slow[j], slow_share[j])
+                slow[j] = _first_order_lag_step(play[j], slow[j], slow_share[j])
                 spool_d[j] = _next_spool_speed(spool_d[j], slow[j] - spool[j], wn, zeta, dt)
                 spool[j] += dt * spool_d[j]
-                moving[j] = _moving(moving[j], spool[j], P[j, BREAKAWAY], P[j, BREAKAWAY_ONCE])
+                moving[j] = _stiction_direction(moving[j], spool[j], P[j, BREAKAWAY], P[j, BREAKAWAY_ONCE])
                 speed[j] = 0.0
                 if moving[j] != 0.0:
                     of = (gains[j, 0], gains[j, 1], gains[j, 2])
-                    speed[j] = _flow(spool[j], P[j, DEADBAND] + P[j, DEADBAND_LOST], of, P[j, DROOP], pull[j])
+                    speed[j] = _valve_flow_speed(
+                        spool[j], P[j, DEADBAND] + P[j, DEADBAND_LOST], of, P[j, DROOP], pull[j]
+                    )
                 total += abs(speed[j]) / nominal[j, KV]
             served = G[FLOW_LIMIT] / total if total > G[FLOW_LIMIT] else 1.0
             for j in range(n):
                 oil[j] += dt * (speed[j] * served + P[j, LEAK] * pull[j])
                 pushed[j] = play_operator(oil[j], pushed[j], P[j, FRICTION])
                 if P[j, OIL_PERIOD] > 0.0:
-                    q[j], q_d[j] = _sprung(q[j], q_d[j], pushed[j], spring[j])
+                    q[j], q_d[j] = _step_on_oil_spring(q[j], q_d[j], pushed[j], spring[j])
                 else:
                     q[j] = pushed[j]

@@ -149,22 +149,22 @@ class ParameterSets:
 
 def neutral_sets(n_joints: int, sets: int = 1) -> ParameterSets:
     """Every effect at neutral."""
-    joint, machine = _neutral()
+    joint, machine = _neutral_parameters()
     return ParameterSets(np.tile(joint, (sets, n_joints, 1)), np.tile(machine, (sets, 1)))
 
 
 @cache
-def _neutral() -> tuple[Array, Array]:
+def _neutral_parameters() -> tuple[Array, Array]:
     """A joint's numbers (JOINT_COLUMNS,) and the machine's (MACHINE_COLUMNS,)."""
     joint, machine = np.zeros(JOINT_COLUMNS), np.zeros(MACHINE_COLUMNS)
     for effect in EFFECTS:
         for parameter in effect.parameters:
-            for column in _columns(effect, parameter.name):
+            for column in _parameter_columns(effect, parameter.name):
                 (machine if effect.scope == "machine" else joint)[column] = parameter.neutral
     return joint, machine
 
 
-def _columns(effect: Effect, parameter: str) -> list[int]:
+def _parameter_columns(effect: Effect, parameter: str) -> list[int]:
     if effect.scope == "machine":
         first = _MACHINE[effect.name, parameter]
         return list(range(first, first + (len(effect.direction.default) if effect.direction else 1)))

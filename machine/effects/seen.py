@@ -127,13 +127,15 @@ def seen_corners(
     later = _both_eyes(sets, lens, np.asarray(Ts_cam_object_later, dtype=float), points, which)
     return Corners(
         *(
-            _sheared(now, two, camera.height_px, readout / dt_s, float(sets.machine[which, STAMP_ROW]))
+            _rolling_shutter_pixels(now, two, camera.height_px, readout / dt_s, float(sets.machine[which, STAMP_ROW]))
             for now, two in zip((left, right), later, strict=True)
         )
     )
 
 
-def _sheared(pixels: Array, later: Array, height_px: int, readout_over_dt: float, stamp_row: float) -> Array:
+def _rolling_shutter_pixels(
+    pixels: Array, later: Array, height_px: int, readout_over_dt: float, stamp_row: float
+) -> Array:
     row = pixels[..., 1:] / (height_px - 1.0) - 0.5 + 0.5 * stamp_row
     return pixels + (later - pixels) * row * readout_over_dt
 
@@ -144,12 +146,12 @@ def _both_eyes(sets: ParameterSets, lens: StereoCamera, poses: Array, points: Ar
     numbers = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, *lens.distortion])
     shape = (len(poses), *points.shape[:2], 2)
     left, right = np.empty(shape), np.empty(shape)
-    _project(np.ascontiguousarray(poses), points, lens.baseline_m, R_left_right, numbers, left, right)
+    _project_both_eyes(np.ascontiguousarray(poses), points, lens.baseline_m, R_left_right, numbers, left, right)
     return left, right
 
 
 @njit(cache=True)
-def _project(
+def _project_both_eyes(
     poses: Array, points: Array, baseline_m: float, R_left_right: Array, lens: Array, left: Array, right: Array
 ) -> None:
     """`project_stereo` of points (k, c, 3) under poses (m, 4, 4), the right eye turned, in one pass."""
@@ -161,17 +163,17 @@ def _project(
                     at[row] = poses[i, row, 3]
                     for column in range(3):
                         at[row] += poses[i, row, column] * points[k, c, column]
-                _pixel(at, lens, left[i, k, c])
+                _project_point(at, lens, left[i, k, c])
                 at[0] -= baseline_m
                 for row in range(3):
                     turned[row] = 0.0
                     for column in range(3):
                         turned[row] += R_left_right[column, row] * at[column]
-                _pixel(turned, lens, right[i, k, c])
+                _project_point(turned, lens, right[i, k, c])
 
 
 @njit(cache=True)
-def _pixel(at: Array, lens: Array, out: Array) -> None:
+def _project_point(at: Array, lens: Array, out: Array) -> None:
     """`machine.camera.project` of one point (3,); lens: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     if at[2] <= DEPTH_MIN_M:
         out[0] = out[1] = np.nan

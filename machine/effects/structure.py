@@ -16,7 +16,7 @@ POSTURES = 2048  # Halton points over the joints' ranges for the reference torqu
 
 
 @njit(cache=True)
-def _rodrigues(x: float, y: float, z: float, out: Array) -> None:
+def _rotation_from_rotvec(x: float, y: float, z: float, out: Array) -> None:
     """Rotation of a rotation vector into out (3, 3); exactly the identity at 0."""
     angle = np.sqrt(x * x + y * y + z * z)
     s = np.sin(angle) / angle if angle > 1e-9 else 1.0
@@ -27,7 +27,7 @@ def _rodrigues(x: float, y: float, z: float, out: Array) -> None:
 
 
 @njit(cache=True)
-def _times(A: Array, B: Array, out: Array) -> None:
+def _multiply_poses(A: Array, B: Array, out: Array) -> None:
     """Pose product A B; the last row of a pose is (0, 0, 0, 1)."""
     for i in range(3):
         for j in range(4):
@@ -38,7 +38,7 @@ def _times(A: Array, B: Array, out: Array) -> None:
 
 
 @njit(cache=True)
-def _links(
+def _compute_link_poses(
     before: Array,
     after: Array,
     zero: Array,
@@ -54,13 +54,13 @@ def _links(
     n = q.shape[0]
     T, M, R = np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((3, 3))
     for i in range(n):
-        _times(links[i], before[i], T)
+        _multiply_poses(links[i], before[i], T)
         if tilts[i, 0] != 0.0 or tilts[i, 1] != 0.0:
-            _rodrigues(tilts[i, 0], tilts[i, 1], 0.0, R)
+            _rotation_from_rotvec(tilts[i, 0], tilts[i, 1], 0.0, R)
             M[:3, :3] = R
             M[:3, 3] = 0.0
             M[3, 3] = 1.0
-            _times(T, M, links[i + 1])
+            _multiply_poses(T, M, links[i + 1])
             T[:] = links[i + 1]
         for r in range(3):
             axes[i, 0, r], axes[i, 1, r] = T[r, 2], T[r, 3]
@@ -71,11 +71,11 @@ def _links(
             x, y = T[r, 0], T[r, 1]
             T[r, 0], T[r, 1] = x * c + y * s, y * c - x * s
             T[r, 3] += T[r, 2] * slide
-        _times(T, after[i], links[i + 1])
+        _multiply_poses(T, after[i], links[i + 1])
 
 
 @njit(cache=True)
-def _torques(
+def _compute_gravity_torques(
     links: Array,
     axes: Array,
     moves: Array,
@@ -115,7 +115,7 @@ def _torques(
 
 
 @njit(cache=True, nogil=True)
-def _structure(
+def _compute_deflected_links(
     before: Array,
     after: Array,
     zero: Array,
@@ -140,19 +140,19 @@ def _structure(
     R = np.zeros((3, 3))
     soft = base_compliance != 0.0 or np.any(sag != 0.0)
     for k in range(qs.shape[0]):
-        _rodrigues(base[0], base[1], base[2], R)
+        _rotation_from_rotvec(base[0], base[1], base[2], R)
         links[k, 0, :, :] = 0.0
         links[k, 0, :3, :3] = R
         links[k, 0, 3, 3] = 1.0
-        _links(before, after, zero, moves, prismatic, tilts, qs[k], none, links[k], axes)
-        _torques(links[k], axes, moves, prismatic, mass, com, gravity, payload, tip, torques[k])
+        _compute_link_poses(before, after, zero, moves, prismatic, tilts, qs[k], none, links[k], axes)
+        _compute_gravity_torques(links[k], axes, moves, prismatic, mass, com, gravity, payload, tip, torques[k])
         if soft:
             for i in range(n):
                 bent[i] = sag[i] * torques[k, i]
             lean = base_compliance * torques[k, n:]
-            _rodrigues(base[0] + lean[0], base[1] + lean[1], base[2] + lean[2], R)
+            _rotation_from_rotvec(base[0] + lean[0], base[1] + lean[1], base[2] + lean[2], R)
             links[k, 0, :3, :3] = R
-            _links(before, after, zero, moves, prismatic, tilts, qs[k], bent, links[k], axes)
+            _compute_link_poses(before, after, zero, moves, prismatic, tilts, qs[k], bent, links[k], axes)
 
 
 def link_poses(arm: Arm, sets: ParameterSets, qs: Array, which: int = 0) -> Array:
@@ -163,7 +163,7 @@ def link_poses(arm: Arm, sets: ParameterSets, qs: Array, which: int = 0) -> Arra
     Args:    qs: (m, n) [rad, m where prismatic]. which: of the parameter sets.
     Raises:  MachineError: wrong shape or not finite.
     """
-    return _solve(arm, sets, qs, which)[0]
+    return _link_poses_and_torques(arm, sets, qs, which)[0]
 
 
 def tcp_poses(arm: Arm, sets: ParameterSets, qs: Array, which: int = 0) -> Array:
@@ -173,10 +173,10 @@ def tcp_poses(arm: Arm, sets: ParameterSets, qs: Array, which: int = 0) -> Array
 
 def gravity_torques(arm: Arm, sets: ParameterSets, qs: Array, which: int = 0) -> Array:
     """Gravity's torque about each joint (m, n) [N m], positive where it drives the joint forward; rigid posture."""
-    return _solve(arm, sets, qs, which)[1][:, : arm.n]
+    return _link_poses_and_torques(arm, sets, qs, which)[1][:, : arm.n]
 
 
-def _solve(arm: Arm, sets: ParameterSets, qs: Array, which: int) -> tuple[Array, Array]:
+def _link_poses_and_torques(arm: Arm, sets: ParameterSets, qs: Array, which: int) -> tuple[Array, Array]:
     qs = np.array(qs, dtype=float, order="C")
     if qs.ndim != 2 or qs.shape[1] != arm.n or not np.isfinite(qs).all():
         raise MachineError(f"joint vectors have shape {qs.shape}; the arm has {arm.n} joints: give finite (m, {arm.n})")
@@ -203,7 +203,7 @@ def _solve(arm: Arm, sets: ParameterSets, qs: Array, which: int) -> tuple[Array,
         G[BASE_COMPLIANCE],
         G[PAYLOAD],
     )
-    _structure(*fixed, qs, links, torques)
+    _compute_deflected_links(*fixed, qs, links, torques)
     return links, torques
 
 
@@ -213,7 +213,7 @@ def reference_torques(arm: Arm, sets: ParameterSets, q_min: Array, q_max: Array)
     Model: over 2048 Halton points of the box q_min..q_max, so the same for the same machine file.
     """
     span = np.asarray(q_max, dtype=float) - np.asarray(q_min, dtype=float)
-    qs = np.asarray(q_min, dtype=float) + span * _halton(POSTURES, arm.n)
+    qs = np.asarray(q_min, dtype=float) + span * _halton_points(POSTURES, arm.n)
     largest = np.abs(gravity_torques(arm, sets, qs)).max(axis=0)
     least = np.clip(TORQUE_MIN_SHARE * largest.max(initial=0.0), TORQUE_NONE_NM, TORQUE_MIN_NM)
     return np.where(largest > least, largest, np.inf)
@@ -228,7 +228,7 @@ def loads_along(arm: Arm, sets: ParameterSets, qs: Array, torque_reference: Arra
     return empty / torque_reference, (gravity_torques(arm, one, qs) - empty) / torque_reference
 
 
-def _halton(count: int, dims: int) -> Array:
+def _halton_points(count: int, dims: int) -> Array:
     """Halton points (count, dims) in 0..1."""
     primes = [p for p in range(2, 100) if all(p % d for d in range(2, p))][:dims]
     points = np.zeros((count, dims))

@@ -40,17 +40,24 @@ class Dut:
 def duts() -> tuple[Dut, ...]:
     """Structs and unions of the wire, of the limits table, and of the machine's readings."""
     knots = f"    aKnots : ARRAY[0..{layout.KNOTS_PER_COMMAND - 1}] OF ST_HmKnot; // {layout.KNOTS_OFFSET}"
-    command = [*_fields(layout.HEADER), *_fields(layout.COMMAND_BODY), knots, *_fields(layout.COMMAND_TAIL)]
+    command = [
+        *_field_declarations(layout.HEADER),
+        *_field_declarations(layout.COMMAND_BODY),
+        knots,
+        *_field_declarations(layout.COMMAND_TAIL),
+    ]
     return (
-        _struct("ST_HmKnot", "One point of the reference.", _fields(layout.KNOT)),
-        _struct("ST_HmCmd", "PC to PLC; comments: byte offsets.", command),
-        _struct("ST_HmState", "PLC to PC.", [*_fields(layout.HEADER), *_fields(layout.STATE_BODY)]),
-        _struct("ST_HmLimits", "What cfg_id is the CRC-32 of; never sent.", _fields(layout.LIMITS)),
-        _struct("ST_HmSample", "This machine's readings of one cycle: rad, rad/s, Pa, degC.", _SAMPLE),
-        _union("U_HmCmd", "ST_HmCmd", layout.COMMAND_SIZE),
-        _union("U_HmState", "ST_HmState", layout.STATE_SIZE),
-        _union("U_HmLimits", "ST_HmLimits", layout.LIMITS.codec.size),
-        _union("U_HmSample", "ST_HmSample", _SAMPLE_SIZE),
+        _struct_dut("ST_HmKnot", "One point of the reference.", _field_declarations(layout.KNOT)),
+        _struct_dut("ST_HmCmd", "PC to PLC; comments: byte offsets.", command),
+        _struct_dut(
+            "ST_HmState", "PLC to PC.", [*_field_declarations(layout.HEADER), *_field_declarations(layout.STATE_BODY)]
+        ),
+        _struct_dut("ST_HmLimits", "What cfg_id is the CRC-32 of; never sent.", _field_declarations(layout.LIMITS)),
+        _struct_dut("ST_HmSample", "This machine's readings of one cycle: rad, rad/s, Pa, degC.", _SAMPLE),
+        _union_dut("U_HmCmd", "ST_HmCmd", layout.COMMAND_SIZE),
+        _union_dut("U_HmState", "ST_HmState", layout.STATE_SIZE),
+        _union_dut("U_HmLimits", "ST_HmLimits", layout.LIMITS.codec.size),
+        _union_dut("U_HmSample", "ST_HmSample", _SAMPLE_SIZE),
     )
 
 
@@ -67,23 +74,23 @@ _SAMPLE = [
 ]
 
 
-def _fields(block: Block) -> list[str]:
-    return [f"    {field.name} : {_type(field)}; // {field.offset}" for field in block.fields]
+def _field_declarations(block: Block) -> list[str]:
+    return [f"    {field.name} : {_iec_type(field)}; // {field.offset}" for field in block.fields]
 
 
-def _type(field: Field) -> str:
+def _iec_type(field: Field) -> str:
     if field.count == 1:
         return field.iec
     base = "BYTE" if field.iec == "USINT" else field.iec
     return f"ARRAY[0..{field.count - 1}] OF {base}"
 
 
-def _struct(name: str, purpose: str, lines: list[str]) -> Dut:
+def _struct_dut(name: str, purpose: str, lines: list[str]) -> Dut:
     body = "\n".join(lines)
     return Dut(name, f"(* {purpose} *)\n{_PACK}\nTYPE {name} :\nSTRUCT\n{body}\nEND_STRUCT\nEND_TYPE\n")
 
 
-def _union(name: str, struct: str, size: int) -> Dut:
+def _union_dut(name: str, struct: str, size: int) -> Dut:
     text = (
         f"(* {struct} (m), its bytes (b), and its words (w) for finite tests on bits. *)\nTYPE {name} :\nUNION\n"
         f"    m : {struct};\n    b : ARRAY[0..{size - 1}] OF BYTE;\n    w : ARRAY[0..{size // 8 - 1}] OF ULINT;\n"
@@ -106,30 +113,30 @@ _HEAD = '<?xml version="1.0" encoding="utf-8"?>\n<TcPlcObject Version="1.1.0.1" 
 def dut_xml(name: str, text: str) -> str:
     """A .TcDUT file."""
     return (
-        f"{_HEAD}  <DUT Name={quoteattr(name)} Id={_id('DUT', name)}>\n{_declaration(text)}  </DUT>\n</TcPlcObject>\n"
+        f"{_HEAD}  <DUT Name={quoteattr(name)} Id={_guid('DUT', name)}>\n{_declaration(text)}  </DUT>\n</TcPlcObject>\n"
     )
 
 
 def gvl_xml(name: str, text: str) -> str:
     """A .TcGVL file."""
     return (
-        f"{_HEAD}  <GVL Name={quoteattr(name)} Id={_id('GVL', name)}>\n{_declaration(text)}  </GVL>\n</TcPlcObject>\n"
+        f"{_HEAD}  <GVL Name={quoteattr(name)} Id={_guid('GVL', name)}>\n{_declaration(text)}  </GVL>\n</TcPlcObject>\n"
     )
 
 
 def pou_xml(pou: Pou) -> str:
     """A .TcPOU file with its methods."""
-    parts = [_declaration(pou.declaration), _body(pou.body)]
+    parts = [_declaration(pou.declaration), _implementation_xml(pou.body)]
     for method in pou.methods:
-        identity = _id("METHOD", f"{pou.name}.{method.name}")
+        identity = _guid("METHOD", f"{pou.name}.{method.name}")
         parts.append(f"    <Method Name={quoteattr(method.name)} Id={identity}>\n")
-        parts.append(_declaration(method.declaration) + _body(method.body) + "    </Method>\n")
+        parts.append(_declaration(method.declaration) + _implementation_xml(method.body) + "    </Method>\n")
     special = ' SpecialFunc="None"'
-    head = f"  <POU Name={quoteattr(pou.name)} Id={_id('POU', pou.name)}{special}>\n"
+    head = f"  <POU Name={quoteattr(pou.name)} Id={_guid('POU', pou.name)}{special}>\n"
     return f"{_HEAD}{head}{''.join(parts)}  </POU>\n</TcPlcObject>\n"
 
 
-def _id(kind: str, name: str) -> str:
+def _guid(kind: str, name: str) -> str:
     return quoteattr("{" + str(uuid.uuid5(_NAMESPACE, f"{kind} {name}")) + "}")
 
 
@@ -143,7 +150,7 @@ def _declaration(text: str) -> str:
     return f"    <Declaration>{_cdata(text)}</Declaration>\n"
 
 
-def _body(text: str) -> str:
+def _implementation_xml(text: str) -> str:
     return f"    <Implementation>\n      <ST>{_cdata(text)}</ST>\n    </Implementation>\n"
 
 
@@ -163,19 +170,19 @@ def enums() -> tuple[Dut, ...]:
     """All enumerations."""
     rejects = [(code.name, int(code), codes.reject_text(code).partition(": ")[2]) for code in codes.RejectCode]
     return (
-        *(_enum(name, base, [(member.name, int(member), "") for member in kind]) for name, base, kind in _WIRE),
-        _enum("E_HmReject", "UINT", rejects),
-        _enum("E_HmEvent", "USINT", _counted(PlcEvent)),
-        _enum("E_HmEffect", "USINT", _counted(PlcAction)),
-        _enum("E_HmMotion", "USINT", [(name, i, "") for i, name in enumerate(_MOTIONS)]),
+        *(_enum_dut(name, base, [(member.name, int(member), "") for member in kind]) for name, base, kind in _WIRE),
+        _enum_dut("E_HmReject", "UINT", rejects),
+        _enum_dut("E_HmEvent", "USINT", _numbered_enum_members(PlcEvent)),
+        _enum_dut("E_HmEffect", "USINT", _numbered_enum_members(PlcAction)),
+        _enum_dut("E_HmMotion", "USINT", [(name, i, "") for i, name in enumerate(_MOTIONS)]),
     )
 
 
-def _counted(kind: Iterable[Enum]) -> list[tuple[str, int, str]]:
+def _numbered_enum_members(kind: Iterable[Enum]) -> list[tuple[str, int, str]]:
     return [(member.name, i, str(member.value)) for i, member in enumerate(kind)]
 
 
-def _enum(name: str, base: str, members: list[tuple[str, int, str]]) -> Dut:
+def _enum_dut(name: str, base: str, members: list[tuple[str, int, str]]) -> Dut:
     rows = []
     for i, (member, number, remark) in enumerate(members):
         comma = "," if i + 1 < len(members) else ""
@@ -236,12 +243,12 @@ def project(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, 
     """
     files = {f"DUTs/{dut.name}.TcDUT": dut_xml(dut.name, dut.text) for dut in (*duts(), *enums())}
     files |= {f"GVLs/{gvl.name}.TcGVL": gvl_xml(gvl.name, gvl.text) for gvl in gvls(parameters)}
-    pous = [parse_pou(next_state_source()), *(_named(name, text) for name, text in sources.items())]
+    pous = [parse_pou(next_state_source()), *(_parse_pou_matching_file(name, text) for name, text in sources.items())]
     files |= {f"POUs/{pou.name}.TcPOU": pou_xml(pou) for pou in pous}
     return {path: files[path].encode("utf-8") for path in sorted(files)}
 
 
-def _named(file_name: str, text: str) -> Pou:
+def _parse_pou_matching_file(file_name: str, text: str) -> Pou:
     pou = parse_pou(text)
     if file_name.removesuffix(".st") != pou.name:
         raise LocalProtocolError(f"ST source {file_name} holds {pou.name}; name the file {pou.name}.st")
@@ -274,10 +281,10 @@ def bundle(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, b
     program |= solution_files(parameters, program)
     files |= {f"twincat/{path}": data for path, data in program.items()}
     files = {path: files[path] for path in sorted(files)}
-    return {**files, MANIFEST: _manifest(parameters, files)}
+    return {**files, MANIFEST: _checksum_manifest(parameters, files)}
 
 
-def _manifest(parameters: PlcParameters, files: Mapping[str, bytes]) -> bytes:
+def _checksum_manifest(parameters: PlcParameters, files: Mapping[str, bytes]) -> bytes:
     """As sha256sum reads it; the first line is a comment to it."""
     head = (
         f"# HMLINK {documents.VERSION} for {parameters.machine}: layout_id {layout.LAYOUT_ID:#010x}, "

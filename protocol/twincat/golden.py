@@ -37,10 +37,10 @@ class Datagram:
 
 def pcap(datagrams: Iterable[Datagram]) -> bytes:
     """Classic pcap of UDP over IPv4; UDP checksums are left out, as IPv4 allows."""
-    return _GLOBAL + b"".join(_record(datagram) for datagram in datagrams)
+    return _GLOBAL + b"".join(_pcap_record(datagram) for datagram in datagrams)
 
 
-def _record(datagram: Datagram) -> bytes:
+def _pcap_record(datagram: Datagram) -> bytes:
     packet = _ip_packet(datagram)
     seconds, micros = divmod(datagram.t_us, 1_000_000)
     return _RECORD.pack(seconds, micros, len(packet), len(packet)) + packet
@@ -49,13 +49,13 @@ def _record(datagram: Datagram) -> bytes:
 def _ip_packet(datagram: Datagram) -> bytes:
     length = len(datagram.payload)
     udp = struct.pack(">HHHH", datagram.source[1], datagram.target[1], 8 + length, 0)
-    ends = _address(datagram.source[0]) + _address(datagram.target[0])
+    ends = _ipv4_address_bytes(datagram.source[0]) + _ipv4_address_bytes(datagram.target[0])
     blank = struct.pack(">BBHHHBBH8s", 0x45, 0, _UDP_OVERHEAD + length, 0, 0, 64, 17, 0, ends)
-    header = blank[:10] + struct.pack(">H", _checksum(blank)) + blank[12:]
+    header = blank[:10] + struct.pack(">H", _ip_header_checksum(blank)) + blank[12:]
     return header + udp + datagram.payload
 
 
-def _checksum(header: bytes) -> int:
+def _ip_header_checksum(header: bytes) -> int:
     """RFC 1071: the complement of the one's complement sum."""
     total = sum(struct.unpack(f">{len(header) // 2}H", header))
     while total >> 16:
@@ -63,7 +63,7 @@ def _checksum(header: bytes) -> int:
     return ~total & 0xFFFF
 
 
-def _address(text: str) -> bytes:
+def _ipv4_address_bytes(text: str) -> bytes:
     return bytes(int(part) for part in text.split("."))
 
 

@@ -22,7 +22,7 @@ def golden_page(parameters: PlcParameters) -> str:
         "The same messages as in `raw.pcap`, `eap.pcap` and `conversation.json`. Left out are fields that are 0,\n"
         "rows of 16 bytes that are all 0, and the 24 heartbeats between `hello` and `arm`.\n"
     )
-    return "\n".join((head, *(_section(golden) for golden in conversation(parameters))))
+    return "\n".join((head, *(_message_section(golden) for golden in conversation(parameters))))
 
 
 def golden_json(parameters: PlcParameters) -> str:
@@ -43,16 +43,16 @@ def golden_json(parameters: PlcParameters) -> str:
 
 def wire_fields(payload: bytes) -> dict[str, object]:
     """What lies in a payload of the right size, by wire name: all six knots, byte arrays in hexadecimal."""
-    fields: dict[str, object] = {**_block(layout.HEADER, payload, 0)}
+    fields: dict[str, object] = {**_unpack_block_values(layout.HEADER, payload, 0)}
     if len(payload) == layout.STATE_SIZE:
-        return fields | _block(layout.STATE_BODY, payload, layout.STATE_BODY.offset)
+        return fields | _unpack_block_values(layout.STATE_BODY, payload, layout.STATE_BODY.offset)
     starts = range(layout.KNOTS_OFFSET, layout.COMMAND_TAIL.offset, layout.KNOT_SIZE)
-    fields |= _block(layout.COMMAND_BODY, payload, layout.COMMAND_BODY.offset)
-    fields["knots"] = [_block(layout.KNOT, payload, start) for start in starts]
-    return fields | _block(layout.COMMAND_TAIL, payload, layout.COMMAND_TAIL.offset)
+    fields |= _unpack_block_values(layout.COMMAND_BODY, payload, layout.COMMAND_BODY.offset)
+    fields["knots"] = [_unpack_block_values(layout.KNOT, payload, start) for start in starts]
+    return fields | _unpack_block_values(layout.COMMAND_TAIL, payload, layout.COMMAND_TAIL.offset)
 
 
-def _block(block: Block, payload: bytes, offset: int) -> dict[str, Wire]:
+def _unpack_block_values(block: Block, payload: bytes, offset: int) -> dict[str, Wire]:
     flat = iter(block.codec.unpack_from(payload, offset))
     values: dict[str, Wire] = {}
     for field in block.fields:
@@ -65,16 +65,16 @@ def _block(block: Block, payload: bytes, offset: int) -> dict[str, Wire]:
     return values
 
 
-def _section(golden: GoldenMessage) -> str:
+def _message_section(golden: GoldenMessage) -> str:
     kind = "command" if isinstance(golden.message, Command) else "state"
-    values = "\n".join(f"- {name}: {_text(name, value)}" for name, value in _described(golden).items())
+    values = "\n".join(f"- {name}: {_value_text(name, value)}" for name, value in _informative_fields(golden).items())
     payload = golden.payload
     starts = [at for at in range(0, len(payload), 16) if any(payload[at : at + 16])]
     dump = "\n".join(f"{at:5d}: {payload[at : at + 16].hex(' ')}" for at in starts)
     return f"## {golden.name} ({kind}): {golden.purpose}\n\n{values}\n\n```\n{dump}\n```\n"
 
 
-def _described(golden: GoldenMessage) -> Mapping[str, object]:
+def _informative_fields(golden: GoldenMessage) -> Mapping[str, object]:
     return {name: value for name, value in asdict(golden.message).items() if _says_something(value)}
 
 
@@ -82,7 +82,7 @@ def _says_something(value: object) -> bool:
     return any(value) if isinstance(value, tuple | bytes) else bool(value)
 
 
-def _text(name: str, value: object) -> object:
+def _value_text(name: str, value: object) -> object:
     if isinstance(value, IntFlag):
         return f"{int(value)} ({', '.join(str(bit.name) for bit in type(value) if bit in value)})"
     if isinstance(value, IntEnum):

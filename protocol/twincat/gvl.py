@@ -19,10 +19,14 @@ class Gvl:
 def gvls(parameters: PlcParameters) -> tuple[Gvl, ...]:
     """All global variable lists."""
     return (
-        _constants("GVL_HmLayout", "Sizes, numbers and byte offsets of the wire.", _layout()),
-        _constants("GVL_HmBits", "Bits of flags, faults, warnings and axis words.", _bits()),
-        _constants("GVL_HmTimes", "Every time limit; docs/timeouts.md gives the reasons.", _times()),
-        _constants("GVL_HmMachine", f"Limits, gains and thresholds of {parameters.machine}; SI.", _machine(parameters)),
+        _constant_gvl("GVL_HmLayout", "Sizes, numbers and byte offsets of the wire.", _layout_constants()),
+        _constant_gvl("GVL_HmBits", "Bits of flags, faults, warnings and axis words.", _flag_bit_constants()),
+        _constant_gvl("GVL_HmTimes", "Every time limit; docs/timeouts.md gives the reasons.", _timeout_constants()),
+        _constant_gvl(
+            "GVL_HmMachine",
+            f"Limits, gains and thresholds of {parameters.machine}; SI.",
+            _machine_constants(parameters),
+        ),
         Gvl("GVL_HmAuth", _AUTH),
         Gvl("GVL_HmIo", _IO),
     )
@@ -61,12 +65,12 @@ END_VAR
 Row = tuple[str, str, str]
 
 
-def _constants(name: str, purpose: str, rows: list[Row]) -> Gvl:
+def _constant_gvl(name: str, purpose: str, rows: list[Row]) -> Gvl:
     body = "\n".join(f"    {row[0]} : {row[1]} := {row[2]};" for row in rows)
     return Gvl(name, f"(* {purpose} Generated: do not edit. *)\n{_QUALIFIED}\nVAR_GLOBAL CONSTANT\n{body}\nEND_VAR\n")
 
 
-def _layout() -> list[Row]:
+def _layout_constants() -> list[Row]:
     numbers = (
         ("CMD_SIZE", layout.COMMAND_SIZE),
         ("STATE_SIZE", layout.STATE_SIZE),
@@ -83,9 +87,9 @@ def _layout() -> list[Row]:
     )
     fields = (*layout.HEADER.fields, *layout.COMMAND_BODY.fields)
     return [
-        ("CMD_MAGIC", "UDINT", _hex(layout.COMMAND_MAGIC)),
-        ("STATE_MAGIC", "UDINT", _hex(layout.STATE_MAGIC)),
-        ("LAYOUT_ID", "UDINT", _hex(layout.LAYOUT_ID)),
+        ("CMD_MAGIC", "UDINT", _st_hex_literal(layout.COMMAND_MAGIC)),
+        ("STATE_MAGIC", "UDINT", _st_hex_literal(layout.STATE_MAGIC)),
+        ("LAYOUT_ID", "UDINT", _st_hex_literal(layout.LAYOUT_ID)),
         ("VERSION_MAJOR", "USINT", str(layout.VERSION_MAJOR)),
         ("VERSION_MINOR", "USINT", str(layout.VERSION_MINOR)),
         *((name, "UDINT", str(number)) for name, number in numbers),
@@ -94,7 +98,7 @@ def _layout() -> list[Row]:
     ]
 
 
-def _bits() -> list[Row]:
+def _flag_bit_constants() -> list[Row]:
     kinds: tuple[tuple[str, str, type[IntFlag]], ...] = (
         ("HDR", "UINT", codes.HeaderFlag),
         ("CMD", "UINT", codes.CommandFlag),
@@ -102,10 +106,10 @@ def _bits() -> list[Row]:
         ("WARN", "ULINT", codes.WarnBit),
         ("AXIS", "UDINT", codes.AxisBit),
     )
-    return [(f"{prefix}_{bit.name}", iec, _hex(int(bit))) for prefix, iec, kind in kinds for bit in kind]
+    return [(f"{prefix}_{bit.name}", iec, _st_hex_literal(int(bit))) for prefix, iec, kind in kinds for bit in kind]
 
 
-def _times() -> list[Row]:
+def _timeout_constants() -> list[Row]:
     return [
         *((f"{t.name.upper().replace(' ', '_')}_NS", "ULINT", str(t.ns)) for t in timeouts.ALL),
         ("GOOD_COMMANDS_TO_ARM", "UDINT", str(timeouts.GOOD_COMMANDS_TO_ARM)),
@@ -113,13 +117,13 @@ def _times() -> list[Row]:
         ("RING_KNOTS", "UDINT", str(timeouts.RING_KNOTS)),
         ("KNOT_SPACING_MIN_NS", "ULINT", str(timeouts.KNOT_SPACING_MIN_NS)),
         ("KNOT_SPACING_MAX_NS", "ULINT", str(timeouts.KNOT_SPACING_MAX_NS)),
-        ("START_TOLERANCE", "LREAL", _real(timeouts.START_TOLERANCE_RAD)),
+        ("START_TOLERANCE", "LREAL", _st_real_literal(timeouts.START_TOLERANCE_RAD)),
         ("FROZEN_NS", "ULINT", str(timeouts.FROZEN_NS)),
-        ("SERVO_REACH_S", "LREAL", _real(timeouts.SERVO_REACH_S)),
+        ("SERVO_REACH_S", "LREAL", _st_real_literal(timeouts.SERVO_REACH_S)),
     ]
 
 
-def _machine(p: PlcParameters) -> list[Row]:
+def _machine_constants(p: PlcParameters) -> list[Row]:
     axes = p.table.axes
     columns = (
         ("Q_MIN", [axis.q_min for axis in axes]),
@@ -149,17 +153,17 @@ def _machine(p: PlcParameters) -> list[Row]:
     return [
         ("N_AXES", "UDINT", str(len(axes))),
         ("CYCLE_NS", "ULINT", str(p.cycle_ns)),
-        ("CFG_ID_EXPECTED", "UDINT", _hex(cfg_id(p.table))),
-        *((name, iec, _real(value)) for name, iec, value in scalars),
-        *((name, f"ARRAY[0..{layout.AXES - 1}] OF LREAL", _list(values)) for name, values in columns),
+        ("CFG_ID_EXPECTED", "UDINT", _st_hex_literal(cfg_id(p.table))),
+        *((name, iec, _st_real_literal(value)) for name, iec, value in scalars),
+        *((name, f"ARRAY[0..{layout.AXES - 1}] OF LREAL", _st_array_literal(values)) for name, values in columns),
     ]
 
 
-def _hex(number: int) -> str:
+def _st_hex_literal(number: int) -> str:
     return f"16#{number:X}"
 
 
-def _real(value: float) -> str:
+def _st_real_literal(value: float) -> str:
     """The shortest decimal that gives back the same double; ST wants a point before the exponent."""
     text = repr(float(value)).upper()
     mantissa, _, exponent = text.partition("E")
@@ -167,5 +171,5 @@ def _real(value: float) -> str:
     return f"{mantissa}E{exponent}" if exponent else mantissa
 
 
-def _list(values: tuple[float, ...] | list[float]) -> str:
-    return "[" + ", ".join(_real(value) for value in (*values, *(0.0,) * (layout.AXES - len(values)))) + "]"
+def _st_array_literal(values: tuple[float, ...] | list[float]) -> str:
+    return "[" + ", ".join(_st_real_literal(value) for value in (*values, *(0.0,) * (layout.AXES - len(values)))) + "]"

@@ -29,31 +29,33 @@ def solution_files(parameters: PlcParameters, paths: Iterable[str]) -> dict[str,
     """
     listed = (f"{TASK}.TcTTO", *sorted(paths))
     texts = {
-        f"{TASK}.TcTTO": _task(parameters),
+        f"{TASK}.TcTTO": _task_xml(parameters),
         f"{NAME}.plcproj": _plc_project(listed),
         f"{NAME}.tsproj": _twincat_project(parameters),
-        f"{NAME}.sln": _solution(),
+        f"{NAME}.sln": _solution_file_text(),
     }
     return {path: text.encode("utf-8") for path, text in texts.items()}
 
 
-def _id(what: str) -> str:
+def _object_guid(what: str) -> str:
     return "{" + str(uuid.uuid5(_NAMESPACE, what)) + "}"
 
 
-def _task(parameters: PlcParameters) -> str:
-    ids = "".join(f"    <{tag}>{_id(tag)}</{tag}>\n" for tag in ("TaskFBGuid", "Fb_init", "Fb_exit", "CycleUpdate"))
+def _task_xml(parameters: PlcParameters) -> str:
+    ids = "".join(
+        f"    <{tag}>{_object_guid(tag)}</{tag}>\n" for tag in ("TaskFBGuid", "Fb_init", "Fb_exit", "CycleUpdate")
+    )
     return f"""\
 <?xml version="1.0" encoding="utf-8"?>
 <TcPlcObject Version="1.1.0.1">
-  <Task Name={quoteattr(TASK)} Id={quoteattr(_id(TASK))}>
+  <Task Name={quoteattr(TASK)} Id={quoteattr(_object_guid(TASK))}>
     <!--CycleTime in micro seconds.-->
     <CycleTime>{parameters.cycle_ns // 1000}</CycleTime>
     <Priority>{PRIORITY}</Priority>
     <PouCall>
       <Name>MAIN</Name>
     </PouCall>
-{ids}    <PostCycleUpdate>{_id("PostCycleUpdate")}</PostCycleUpdate>
+{ids}    <PostCycleUpdate>{_object_guid("PostCycleUpdate")}</PostCycleUpdate>
   </Task>
 </TcPlcObject>
 """
@@ -63,17 +65,17 @@ def _plc_project(listed: Iterable[str]) -> str:
     files = tuple(listed)
     folders = sorted({path.rpartition("/")[0] for path in files} - {""})
     options = ("Application", "TypeSystem", "Implicit_Task_Info", "Implicit_KindOfTask", "Implicit_Jitter_Distribution")
-    ids = "".join(f"    <{tag}>{_id(tag)}</{tag}>\n" for tag in (*options, "LibraryReferences"))
-    compiled = "".join(_compiled(path) for path in files)
+    ids = "".join(f"    <{tag}>{_object_guid(tag)}</{tag}>\n" for tag in (*options, "LibraryReferences"))
+    compiled = "".join(_compile_entry(path) for path in files)
     made = "".join(f"    <Folder Include={quoteattr(folder)} />\n" for folder in folders)
-    libraries = "".join(_library(name, company) for name, company in LIBRARIES)
+    libraries = "".join(_library_reference(name, company) for name, company in LIBRARIES)
     return f"""\
 <?xml version="1.0" encoding="utf-8"?>
 <Project DefaultTargets="Build" xmlns="http://schemas.microsoft.com/developer/msbuild/2003">
   <PropertyGroup>
     <FileVersion>1.0.0.0</FileVersion>
     <SchemaVersion>2.0</SchemaVersion>
-    <ProjectGuid>{_id(NAME)}</ProjectGuid>
+    <ProjectGuid>{_object_guid(NAME)}</ProjectGuid>
     <SubObjectsSortedByName>True</SubObjectsSortedByName>
     <Name>{NAME}</Name>
     <ProgramVersion>3.1.4024.0</ProgramVersion>
@@ -88,14 +90,14 @@ def _plc_project(listed: Iterable[str]) -> str:
 """
 
 
-def _compiled(path: str) -> str:
+def _compile_entry(path: str) -> str:
     block = path.rpartition("/")[2].partition(".")[0]
     left_out = "      <ExcludeFromBuild>true</ExcludeFromBuild>\n" if block in LEFT_OUT else ""
     windows = path.replace("/", "\\")
     return f"    <Compile Include={quoteattr(windows)}>\n      <SubType>Code</SubType>\n{left_out}    </Compile>\n"
 
 
-def _library(name: str, company: str) -> str:
+def _library_reference(name: str, company: str) -> str:
     return f"""\
     <PlaceholderReference Include={quoteattr(name)}>
       <DefaultResolution>{escape(f"{name}, * ({company})")}</DefaultResolution>
@@ -112,7 +114,7 @@ def _twincat_project(parameters: PlcParameters) -> str:
 <?xml version="1.0"?>
 <TcSmProject xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:noNamespaceSchemaLocation="{schema}" \
 TcSmVersion="1.0" TcVersion="3.1.4024.0">
-  <Project ProjectGUID="{_id("tsproj")}" Target64Bit="true" ShowHideConfigurations="#x3c7">
+  <Project ProjectGUID="{_object_guid("tsproj")}" Target64Bit="true" ShowHideConfigurations="#x3c7">
     <System>
       <Tasks>
         <Task Id="3" Priority="{PRIORITY}" CycleTime="{cycle_100ns}" AmsPort="350" AdtTasks="true">
@@ -121,7 +123,7 @@ TcSmVersion="1.0" TcVersion="3.1.4024.0">
       </Tasks>
     </System>
     <Plc>
-      <Project GUID="{_id(NAME)}" Name="{NAME}" {files} AmsPort="851" FileArchiveSettings="#x000e" \
+      <Project GUID="{_object_guid(NAME)}" Name="{NAME}" {files} AmsPort="851" FileArchiveSettings="#x000e" \
 SymbolicMapping="true">
         <Instance Id="{_PLC_INSTANCE}" TcSmClass="TComPlcObjDef" KeepUnrestoredLinks="2" TmcPath="{NAME}.tmc">
           <Name>{NAME} Instance</Name>
@@ -148,8 +150,8 @@ SymbolicMapping="true">
 """
 
 
-def _solution() -> str:
-    project = _id("tsproj").upper()
+def _solution_file_text() -> str:
+    project = _object_guid("tsproj").upper()
     known = "".join(f"\t\t{each} = {each}\n" for each in _CONFIGURATIONS)
     built = "".join(
         f"\t\t{project}.{each}.{what} = {each}\n" for each in _CONFIGURATIONS for what in ("ActiveCfg", "Build.0")

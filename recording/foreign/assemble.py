@@ -53,7 +53,7 @@ def assemble(found: SourceContents, mapping: Mapping, name: str, urdf: Path | No
     if chain is not None and found.numbered:
         found = _named_by_chain(found, chain)
         recorded = [joint for signal in found.of("position") for joint in signal.names]
-    joints, notes = _joints(found, mapping, chain, recorded)
+    joints, notes = _select_joint_order(found, mapping, chain, recorded)
     base = max(found.of("position"), key=lambda one: (len(set(one.names) & set(joints)), len(one.t_s)), default=None)
     t = base.t_s if base is not None else found.of("reference")[0].t_s
     if len(t) > ROWS_MAX:
@@ -61,7 +61,7 @@ def assemble(found: SourceContents, mapping: Mapping, name: str, urdf: Path | No
             f"{len(t)} rows of encoders, limit {ROWS_MAX}; read a part by [window] from_s and to_s of the mapping file"
         )
     signals = {kind: _on_axis(found.of(kind), joints, t) for kind in ("position", "reference", "velocity_reference")}
-    command, sliding = _on_axis(found.of("command"), joints, t), _sliding(joints, chain)
+    command, sliding = _on_axis(found.of("command"), joints, t), _prismatic_joint_flags(joints, chain)
     limits = _velocity_limits(joints, chain)
     largest = (
         np.zeros(len(joints)) if command is None else np.nan_to_num(np.nanmax(np.abs(command), axis=0, initial=0.0))
@@ -116,7 +116,7 @@ def _urdf_text(urdf: Path | None) -> str:
         raise RecordingError(f"URDF {urdf} cannot be read: {error.strerror}") from error
 
 
-def _joints(
+def _select_joint_order(
     found: SourceContents, mapping: Mapping, chain: ChosenChain | None, recorded: Sequence[str]
 ) -> tuple[tuple[str, ...], list[str]]:
     """The joint vector: the mapping's, else the chain's, else as recorded; and what is said of the others."""
@@ -148,7 +148,7 @@ def _joints(
     return joints, notes
 
 
-def _sliding(joints: Sequence[str], chain: ChosenChain | None) -> tuple[bool, ...]:
+def _prismatic_joint_flags(joints: Sequence[str], chain: ChosenChain | None) -> tuple[bool, ...]:
     kinds = {joint.name: joint.kind for joint in chain.joints} if chain is not None else {}
     return tuple(kinds.get(joint) == "prismatic" for joint in joints)
 
@@ -165,11 +165,11 @@ def _on_axis(signals: Sequence[JointSignal], joints: Sequence[str], t: Array) ->
         having = [signal for signal in signals if joint in signal.names]
         if having:
             signal = max(having, key=lambda one: len(one.t_s))
-            out[:, k] = _at(signal.t_s, signal.values[:, signal.names.index(joint)], t, signal.held)
+            out[:, k] = _values_at_times(signal.t_s, signal.values[:, signal.names.index(joint)], t, signal.held)
     return out if np.isfinite(out).any() else None
 
 
-def _at(t_of: Array, values: Array, t: Array, held: bool) -> Array:
+def _values_at_times(t_of: Array, values: Array, t: Array, held: bool) -> Array:
     """Values at other times: the last one before, or a line between two that are not further apart than a gap."""
     good = np.isfinite(values)
     t_of, values = t_of[good], values[good]
@@ -215,12 +215,12 @@ def _write_plc(recording: AssembledRecording, path: Path) -> None:
         ("u_{j}_frac", recording.u),
     ):
         if values is not None:
-            header += [_column(pattern, k, slides) for k, slides in enumerate(recording.sliding, start=1)]
+            header += [_joint_column_name(pattern, k, slides) for k, slides in enumerate(recording.sliding, start=1)]
             parts.append(values)
     _write_rows(path, header, np.hstack(parts))
 
 
-def _column(pattern: str, joint: int, slides: bool) -> str:
+def _joint_column_name(pattern: str, joint: int, slides: bool) -> str:
     name = pattern.replace("{j}", str(joint))
     return re.sub("_rad", "_m", name) if slides else name
 

@@ -22,7 +22,7 @@ _POINT = "trajectory_msgs/JointTrajectoryPoint {name}\n"
 _MULTI = "trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_{name}\n"
 
 
-def _state(names: tuple[str, ...], multi: tuple[str, ...] = (), last: str = "") -> str:
+def _controller_state_definition(names: tuple[str, ...], multi: tuple[str, ...] = (), last: str = "") -> str:
     """A controller state's definition, whose fields differ between the distributions of ROS 2."""
     several = "string[] multi_dof_joint_names\n" if multi else ""
     points = "".join(_POINT.format(name=name) for name in names)
@@ -34,10 +34,10 @@ _NOW = ("reference", "feedback", "error", "output")
 _HUMBLE = (*_NOW, "desired", "actual")
 #: control_msgs is in no store of rosbags, and bags before ROS 2 Iron hold no definitions: newest first, tried in turn.
 CONTROLLER_STATES = (
-    _state(_NOW, _NOW, "float64 speed_scaling_factor\n"),
-    _state(_NOW, _NOW),
-    _state(_HUMBLE, _HUMBLE),
-    _state(("desired", "actual", "error")),
+    _controller_state_definition(_NOW, _NOW, "float64 speed_scaling_factor\n"),
+    _controller_state_definition(_NOW, _NOW),
+    _controller_state_definition(_HUMBLE, _HUMBLE),
+    _controller_state_definition(("desired", "actual", "error")),
 )
 OTHERS = {
     "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
@@ -108,31 +108,35 @@ class RosBag:
         if self._path.is_dir() and not (self._path / METADATA).is_file():
             self.notes.append(f"{METADATA} is missing; the storage files are read as they are")
             for path in _storage_files(self._path):
-                yield from self._file(path)
+                yield from self._read_file_messages(path)
         elif self._path.is_dir():
-            yield from self._folder()
+            yield from self._read_folder_messages()
         else:
-            yield from self._file(self._path)
+            yield from self._read_file_messages(self._path)
 
-    def _file(self, path: Path) -> Iterator[RosMessage]:
-        yield from self._mcap(path) if path.suffix == ".mcap" else self._rosbags(path)
+    def _read_file_messages(self, path: Path) -> Iterator[RosMessage]:
+        yield from self._read_mcap_messages(path) if path.suffix == ".mcap" else self._read_with_rosbags(path)
 
-    def _folder(self) -> Iterator[RosMessage]:
+    def _read_folder_messages(self) -> Iterator[RosMessage]:
         """An uncompressed MCAP bag file by file, so that a cut one is read as far as it goes; others by rosbags."""
         files = sorted(self._path.glob("*.mcap"))
-        if files and not any(self._path.glob("*.zstd")) and "compression_mode: MESSAGE" not in self._metadata():
+        if (
+            files
+            and not any(self._path.glob("*.zstd"))
+            and "compression_mode: MESSAGE" not in self._read_metadata_text()
+        ):
             for path in files:
-                yield from self._mcap(path)
+                yield from self._read_mcap_messages(path)
         else:
-            yield from self._rosbags(self._path)
+            yield from self._read_with_rosbags(self._path)
 
-    def _metadata(self) -> str:
+    def _read_metadata_text(self) -> str:
         try:
             return (self._path / METADATA).read_text(encoding="utf-8", errors="replace")
         except OSError as error:
             raise RecordingError(f"{self._path / METADATA} cannot be read: {error.strerror}") from error
 
-    def _mcap(self, path: Path) -> Iterator[RosMessage]:
+    def _read_mcap_messages(self, path: Path) -> Iterator[RosMessage]:
         stream = RecordStream(path)
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
@@ -145,7 +149,7 @@ class RosBag:
                 channel = channels[record.channel_id]
                 yield self._of_mcap(record, channel, schemas.get(channel.schema_id))
             else:
-                _learn(record, schemas, channels)
+                _store_schema_or_channel(record, schemas, channels)
         if not records:
             raise RecordingError(f"{path} is not an MCAP file: {stream.reason or 'it is empty'}")
         if written > messages and not stream.cut:  # chunks without check sums: damage shows by the count only
@@ -168,7 +172,7 @@ class RosBag:
 
         return RosMessage(channel.topic, kind, message.log_time, decode)
 
-    def _rosbags(self, path: Path) -> Iterator[RosMessage]:
+    def _read_with_rosbags(self, path: Path) -> Iterator[RosMessage]:
         """Raises: RecordingError: not a bag, or nothing of it can be read."""
         from rosbags import rosbag1, rosbag2
 
@@ -198,7 +202,7 @@ class RosBag:
             self.notes.append(f"{path.name} is cut or damaged ({why}): used up to there, {read} messages")
 
 
-def _learn(record: McapRecord, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
+def _store_schema_or_channel(record: McapRecord, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
     match record:
         case Schema():
             schemas[record.id] = record
@@ -224,7 +228,7 @@ class _Types:
             raise NotDecodedError(f"its encoding {encoding!r} is not one of ROS")
         stores = self._stores.get((kind, encoding))
         if stores is None:
-            stores = self._stores[kind, encoding] = self._made(kind, encoding, text, style)
+            stores = self._stores[kind, encoding] = self._message_type_stores(kind, encoding, text, style)
         why = f"its type {kind} is not known and the bag holds no definition of it"
         for place, store in enumerate(stores):
             try:
@@ -238,7 +242,7 @@ class _Types:
             return message
         raise NotDecodedError(why)
 
-    def _made(self, kind: str, encoding: str, text: str, style: str) -> list[Any]:
+    def _message_type_stores(self, kind: str, encoding: str, text: str, style: str) -> list[Any]:
         from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
         store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)

@@ -120,12 +120,12 @@ def collect(bag: RosBag, mapping: Mapping) -> CollectedTopics:
             found.failures[message.topic] = f"its fields are not those of {message.kind}: {error}"
             found.failed[message.topic] += 1
     if first_ns is None:
-        raise RecordingError(f"the bag holds no message that can be read{_why(bag)}; record it again")
+        raise RecordingError(f"the bag holds no message that can be read{_bag_notes_suffix(bag)}; record it again")
     found.first_s = first_ns * 1e-9
     return found
 
 
-def _why(bag: RosBag) -> str:
+def _bag_notes_suffix(bag: RosBag) -> str:
     return f" ({'; '.join(bag.notes)})" if bag.notes else ""
 
 
@@ -169,7 +169,7 @@ def _controller_state(found: CollectedTopics, message: RosMessage, t_s: float, f
             found.add(message.topic, f"{now}.{name}", names, at, getattr(point, name))
 
 
-def _trajectory(found: CollectedTopics, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
+def _collect_trajectory(found: CollectedTopics, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
     fields = message.decode()
     points, names = fields.points, tuple(fields.joint_names)
     if not points or any(len(point.positions) != len(names) for point in points):
@@ -182,11 +182,11 @@ def _trajectory(found: CollectedTopics, message: RosMessage, t_s: float, first_n
     found.trajectories.setdefault(message.topic, []).append(one)
 
 
-def _array(found: CollectedTopics, message: RosMessage, t_s: float, *_: object) -> None:
+def _collect_array(found: CollectedTopics, message: RosMessage, t_s: float, *_: object) -> None:
     found.add(message.topic, "data", (), (t_s, float("nan")), message.decode().data)
 
 
-def _place(of: Callable[[Any], Any]) -> Callable[..., None]:
+def _point_collector(of: Callable[[Any], Any]) -> Callable[..., None]:
     """A taker of messages that hold one point; `of` gives the part with x, y, z."""
 
     def take(
@@ -201,7 +201,7 @@ def _place(of: Callable[[Any], Any]) -> Callable[..., None]:
     return take
 
 
-def _transforms(
+def _collect_transforms(
     found: CollectedTopics, message: RosMessage, t_s: float, first_ns: int, wanted: tuple[set[str], set[str]]
 ) -> None:
     for transform in message.decode().transforms:
@@ -223,13 +223,13 @@ _TAKERS: dict[str, Callable[..., None]] = {
     JOINT_STATE: _joint_state,
     DYNAMIC_STATE: _dynamic_state,
     CONTROLLER_STATE: _controller_state,
-    TRAJECTORY: _trajectory,
-    ARRAY: _array,
-    "geometry_msgs/msg/PoseStamped": _place(lambda fields: fields.pose.position),
-    "geometry_msgs/msg/PointStamped": _place(lambda fields: fields.point),
-    "geometry_msgs/msg/TransformStamped": _place(lambda fields: fields.transform.translation),
-    TF: _transforms,
-    "tf/msg/tfMessage": _transforms,
+    TRAJECTORY: _collect_trajectory,
+    ARRAY: _collect_array,
+    "geometry_msgs/msg/PoseStamped": _point_collector(lambda fields: fields.pose.position),
+    "geometry_msgs/msg/PointStamped": _point_collector(lambda fields: fields.point),
+    "geometry_msgs/msg/TransformStamped": _point_collector(lambda fields: fields.transform.translation),
+    TF: _collect_transforms,
+    "tf/msg/tfMessage": _collect_transforms,
 }
 
 

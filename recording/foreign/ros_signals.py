@@ -58,36 +58,38 @@ class _Chooser:
         ros = self._mapping.ros
         for topic in (ros.encoders, ros.reference, ros.command, *(tracker.topic for tracker in ros.tracker)):
             if topic and topic not in self._all.types:
-                raise RecordingError(f"the mapping names topic {topic}, which is not in the bag: {self._topics()}")
-        self._references()
-        self._encoders()
-        self._commands()
-        self._points()
-        self._rest()
-        self._out.proposal = self._proposal()
+                raise RecordingError(
+                    f"the mapping names topic {topic}, which is not in the bag: {self._topic_list_text()}"
+                )
+        self._select_reference_signals()
+        self._select_encoder_signals()
+        self._select_command_signals()
+        self._select_tracked_points()
+        self._list_ignored_topics()
+        self._out.proposal = self._proposed_mapping_text()
         self._out.notes += bag.notes
         self._out.cut = bag.cut
         if not self._out.of("position") and not self._out.points:
             raise RecordingError(
-                f"the bag holds no joint positions and no tracked points that could be read: {self._why()}"
+                f"no joint positions and no tracked points of the bag could be read: {self._missing_signal_reason()}"
             )
         return self._out
 
-    def _topics(self) -> str:
+    def _topic_list_text(self) -> str:
         return ", ".join(sorted(self._all.types)[:20]) or "it has no topic"
 
-    def _why(self) -> str:
+    def _missing_signal_reason(self) -> str:
         failures = [f"{topic}: {why}" for topic, why in self._all.failures.items()]
-        return "; ".join(failures) or f"its topics are {self._topics()}; name the topics in a mapping file"
+        return "; ".join(failures) or f"its topics are {self._topic_list_text()}; name the topics in a mapping file"
 
-    def _use(self, topic: str, why: str, guess: bool = False) -> None:
+    def _mark_topic_used(self, topic: str, why: str, guess: bool = False) -> None:
         self._used.add(topic)
         kind, count = self._all.types.get(topic, ""), self._all.counts[topic]
         if self._all.failed[topic]:
             why += f"; {self._all.failed[topic]} messages are damaged and left out"
         self._out.entries.append(SourceEntry(topic, kind, count, "used", why, guess))
 
-    def _proposal(self) -> str:
+    def _proposed_mapping_text(self) -> str:
         """What was chosen as a mapping file, to be corrected."""
         roles = {"encoders": "position", "reference": "reference", "command": "command"}
         lines = ["[ros]"]
@@ -109,16 +111,16 @@ class _Chooser:
                 found = True
         return found
 
-    def _unread(self, topic: str) -> bool:
+    def _is_topic_unreadable(self, topic: str) -> bool:
         """Whether no message of a topic could be read."""
         return self._all.failed[topic] > 0 and self._all.failed[topic] >= min(self._all.counts[topic], FAILED_MAX)
 
     def _of_type(self, kind: str) -> list[str]:
         """Topics of a type that were read, the one with most messages first."""
-        topics = [topic for topic, of in self._all.types.items() if of == kind and not self._unread(topic)]
+        topics = [topic for topic, of in self._all.types.items() if of == kind and not self._is_topic_unreadable(topic)]
         return sorted(topics, key=lambda topic: -self._all.counts[topic])
 
-    def _references(self) -> None:
+    def _select_reference_signals(self) -> None:
         wanted = self._mapping.ros.reference
         states = [wanted] if wanted else self._of_type(CONTROLLER_STATE)
         for topic in states:
@@ -126,32 +128,36 @@ class _Chooser:
                 break
             if self._add("reference", topic, "reference.positions"):
                 self._add("velocity_reference", topic, "reference.velocities")
-                self._use(topic, "reference and feedback of the joints, by type")
+                self._mark_topic_used(topic, "reference and feedback of the joints, by type")
         if self._out.of("reference"):
             return
         if wanted:
             if not self._reference_from(wanted):
-                raise RecordingError(f"topic {wanted} of the mapping holds no joint positions: {self._why()}")
-            self._use(wanted, "reference of the joints, by the mapping")
+                raise RecordingError(
+                    f"topic {wanted} of the mapping holds no joint positions: {self._missing_signal_reason()}"
+                )
+            self._mark_topic_used(wanted, "reference of the joints, by the mapping")
             return
         for topic in self._of_type(JOINT_STATE):
-            if _named(topic, REFERENCE_WORDS) and self._reference_from(topic):
-                self._use(topic, "reference of the joints, by its name", guess=True)
+            if _has_any_word(topic, REFERENCE_WORDS) and self._reference_from(topic):
+                self._mark_topic_used(topic, "reference of the joints, by its name", guess=True)
                 return
         for topic in self._of_type(TRAJECTORY):
             if self._reference_from(topic):
-                self._use(topic, "reference of the joints: its trajectories one after the other", guess=True)
+                self._mark_topic_used(
+                    topic, "reference of the joints: its trajectories one after the other", guess=True
+                )
                 return
 
     def _reference_from(self, topic: str) -> bool:
         kind = self._all.types[topic]
         if kind == TRAJECTORY:
-            signals = _played(topic, self._all.trajectories.get(topic, ()), self._by_stamp)
+            signals = _concatenate_trajectories(topic, self._all.trajectories.get(topic, ()), self._by_stamp)
             self._out.signals += signals
             return bool(signals)
         return self._add("reference", topic, "position", held=True)
 
-    def _encoders(self) -> None:
+    def _select_encoder_signals(self) -> None:
         """From the controller's state where it is fast enough, since reference and feedback are of one moment there."""
         wanted = self._mapping.ros.encoders
         used = {signal.source.split(" ")[0] for signal in self._out.of("reference")}
@@ -159,26 +165,28 @@ class _Chooser:
         if wanted:
             is_state = self._all.types[wanted] == CONTROLLER_STATE
             if not self._add("position", wanted, "feedback.positions" if is_state else "position"):
-                raise RecordingError(f"topic {wanted} of the mapping holds no joint positions: {self._why()}")
-            self._use(wanted, "encoders, by the mapping")
+                raise RecordingError(
+                    f"topic {wanted} of the mapping holds no joint positions: {self._missing_signal_reason()}"
+                )
+            self._mark_topic_used(wanted, "encoders, by the mapping")
             return
         most = max((self._all.counts[topic] for topic in states), default=0)
         for topic in self._of_type(CONTROLLER_STATE):
             if 2 * self._all.counts[topic] >= most and self._add("position", topic, "feedback.positions"):
                 return
-        states = [topic for topic in states if not _named(topic, REFERENCE_WORDS)] or states
+        states = [topic for topic in states if not _has_any_word(topic, REFERENCE_WORDS)] or states
         states.sort(key=lambda topic: (not topic.endswith("joint_states"), -self._all.counts[topic]))
         for topic in states:
             if self._add("position", topic, "position"):
                 several = (
                     len([state_topic for state_topic in states if not state_topic.endswith("dynamic_joint_states")]) > 1
                 )
-                self._use(topic, "encoders, by type" + (" and name" if several else ""), guess=several)
+                self._mark_topic_used(topic, "encoders, by type" + (" and name" if several else ""), guess=several)
                 return
         for topic in self._of_type(CONTROLLER_STATE):
             self._add("position", topic, "feedback.positions")
 
-    def _commands(self) -> None:
+    def _select_command_signals(self) -> None:
         ros = self._mapping.ros
         for topic in [] if ros.command else self._of_type(CONTROLLER_STATE):
             if self._add("command", topic, "output.velocities", held=True):
@@ -187,11 +195,11 @@ class _Chooser:
         topics = (
             [ros.command]
             if ros.command
-            else [topic for topic in self._of_type(ARRAY) if _named(topic, ("command", "cmd"))]
+            else [topic for topic in self._of_type(ARRAY) if _has_any_word(topic, ("command", "cmd"))]
         )
         for topic in topics:
             kind = ros.command_kind or _kind_by_name(topic)
-            names = tuple(ros.command_joints) or self._names()
+            names = tuple(ros.command_joints) or self._encoder_joint_names()
             series = next(iter([*series_of(self._all, topic, "data"), *series_of(self._all, topic, "velocity")]), None)
             if series is None or kind is None:
                 continue
@@ -200,10 +208,10 @@ class _Chooser:
                 if ros.command:
                     raise RecordingError(f"topic {topic} has {series.width} numbers; give as many command_joints")
                 continue
-            self._command(topic, kind, names, series)
+            self._add_command_topic(topic, kind, names, series)
             return
 
-    def _command(self, topic: str, kind: CommandKind, names: tuple[str, ...], series: Series) -> None:
+    def _add_command_topic(self, topic: str, kind: CommandKind, names: tuple[str, ...], series: Series) -> None:
         guess = not (self._mapping.ros.command and self._mapping.ros.command_kind)
         how = f"{kind} commands of {', '.join(names)}" + (", by its name and the encoders' order" if guess else "")
         if kind == "effort":
@@ -219,13 +227,13 @@ class _Chooser:
         what: Kind = "reference" if kind == "position" else "command"
         self._out.signals.append(JointSignal(what, topic, names, t, values, held=True))
         self._out.command_kind = "" if kind == "position" else kind
-        self._use(topic, how, guess)
+        self._mark_topic_used(topic, how, guess)
 
-    def _names(self) -> tuple[str, ...]:
+    def _encoder_joint_names(self) -> tuple[str, ...]:
         signals = self._out.of("position")
         return max(signals, key=lambda signal: len(signal.t_s)).names if signals else ()
 
-    def _points(self) -> None:
+    def _select_tracked_points(self) -> None:
         named = {(tracker.topic, tracker.frame): tracker.point for tracker in self._mapping.ros.tracker}
         for (topic, name, _), series in self._all.series.items():
             frame = name.removeprefix("frame ") if name.startswith("frame ") else ""
@@ -237,9 +245,11 @@ class _Chooser:
             t, xyz = in_time_order(times(series, self._by_stamp), series.values)
             point = mapped or (frame or topic).strip("/").replace("/", "_")
             self._out.points.append(TrackedPointSeries(point, topic, t, xyz))
-            self._use(topic, f"tracked point {point!r}" + ("" if mapped else ", by its name"), guess=mapped is None)
+            self._mark_topic_used(
+                topic, f"tracked point {point!r}" + ("" if mapped else ", by its name"), guess=mapped is None
+            )
 
-    def _rest(self) -> None:
+    def _list_ignored_topics(self) -> None:
         """Every topic that is not used, and why."""
         frames = sorted({frame for _, frame in self._all.frames})
         shown = ", ".join(frames[:8]) + (" ..." if len(frames) > 8 else "")
@@ -262,7 +272,7 @@ def _why_ignored(kind: str, frames: str) -> str:
     return "not a signal that the diagnosis uses"
 
 
-def _named(topic: str, words: Sequence[str]) -> bool:
+def _has_any_word(topic: str, words: Sequence[str]) -> bool:
     return any(word in topic.lower() for word in words)
 
 
@@ -270,7 +280,7 @@ def _kind_by_name(topic: str) -> CommandKind | None:
     return next((kind for kind in KINDS if kind in topic.lower()), None)
 
 
-def _played(topic: str, trajectories: Sequence[Trajectory], by_stamp: bool) -> list[JointSignal]:
+def _concatenate_trajectories(topic: str, trajectories: Sequence[Trajectory], by_stamp: bool) -> list[JointSignal]:
     """Trajectories one after the other; each counts until the next one starts, and its end is held."""
     by_names: dict[tuple[str, ...], list[Trajectory]] = {}
     for trajectory in trajectories:
@@ -284,7 +294,7 @@ def _played(topic: str, trajectories: Sequence[Trajectory], by_stamp: bool) -> l
         ends = [*starts[1:], np.inf]
         times_s, rows = list[Array](), list[Array]()
         for trajectory, start, end in zip(several, starts, ends, strict=True):
-            t, positions = _curve(trajectory, rows[-1][-1] if rows else None)
+            t, positions = _sample_trajectory(trajectory, rows[-1][-1] if rows else None)
             inside = start + t < end - HELD_S
             if not inside.any():
                 continue
@@ -304,7 +314,7 @@ def _played(topic: str, trajectories: Sequence[Trajectory], by_stamp: bool) -> l
     return signals
 
 
-def _curve(one: Trajectory, before: Array | None) -> tuple[Array, Array]:
+def _sample_trajectory(one: Trajectory, before: Array | None) -> tuple[Array, Array]:
     """Times since the start and positions: cubic where points have velocities as ros2_control does; else lines."""
     since, positions, velocities = one.since_s, one.positions, one.velocities
     if since[0] > 0.0 and before is not None:

@@ -43,7 +43,7 @@ def read_table(path: Path) -> list[TableColumn]:
 
     Raises: RecordingError: not readable, not of its ending's form, without rows, or without a number.
     """
-    read = {".parquet": _parquet, ".mat": _mat}.get(path.suffix.lower(), _text)
+    read = {".parquet": _read_parquet_file, ".mat": _read_mat_file}.get(path.suffix.lower(), _read_text_table)
     try:
         columns = read(path)
     except OSError as error:
@@ -53,7 +53,7 @@ def read_table(path: Path) -> list[TableColumn]:
     return columns
 
 
-def _text(path: Path) -> list[TableColumn]:
+def _read_text_table(path: Path) -> list[TableColumn]:
     with path.open("rb") as file:
         head = file.read(SNIFFED)
     if not head.strip():
@@ -79,24 +79,28 @@ def _text(path: Path) -> list[TableColumn]:
                 f"{path}: a Scope export separated by spaces, but names contain spaces; export with tabs"
             )
         if scope:
-            return _scope(csv.reader(_lines(file), delimiter=scope), scope)
-        separator = _separator(lines)
-        rows = csv.reader(_lines(file), delimiter=separator) if separator != " " else (line.split() for line in file)
+            return _parse_scope_export(csv.reader(_non_empty_lines(file), delimiter=scope), scope)
+        separator = _detect_separator(lines)
+        rows = (
+            csv.reader(_non_empty_lines(file), delimiter=separator)
+            if separator != " "
+            else (line.split() for line in file)
+        )
         try:
-            return _plain(path, rows, separator)
+            return _parse_plain_table(path, rows, separator)
         except csv.Error as error:
             raise RecordingError(
                 f"{path} is not CSV: {error}; a quote that is never closed, or no text at all"
             ) from error
 
 
-def _lines(file: Any) -> Iterator[str]:
+def _non_empty_lines(file: Any) -> Iterator[str]:
     for line in file:
         if line.strip():
             yield line
 
 
-def _separator(lines: Sequence[str]) -> str:
+def _detect_separator(lines: Sequence[str]) -> str:
     """What stands between columns: of those that cut most lines alike, the one that gives most columns."""
     body = [line for line in lines[:-1] or lines if line.strip()][-20:]
     scores = {}
@@ -153,10 +157,10 @@ def _as_nan(text: str) -> float:
 
 
 def _is_number(text: str, comma: bool) -> bool:
-    return not np.isnan((_with_comma if comma else _as_nan)(text)) or _parses(text)
+    return not np.isnan((_with_comma if comma else _as_nan)(text)) or _is_float_text(text)
 
 
-def _parses(text: str) -> bool:
+def _is_float_text(text: str) -> bool:
     try:
         float(text)
     except ValueError:
@@ -164,7 +168,7 @@ def _parses(text: str) -> bool:
     return True
 
 
-def _plain(path: Path, rows: Iterator[list[str]], separator: str) -> list[TableColumn]:
+def _parse_plain_table(path: Path, rows: Iterator[list[str]], separator: str) -> list[TableColumn]:
     """A row of names, perhaps one of units, then numbers; comments before are passed over."""
     comma = separator != ","
     header: list[str] = []
@@ -193,7 +197,7 @@ def _plain(path: Path, rows: Iterator[list[str]], separator: str) -> list[TableC
     if table is None:
         raise RecordingError(f"{path} has no row of numbers")
     names = [name or f"column {number}" for number, name in enumerate(header, start=1)]
-    return _columns(names, table.arrays(), units or [""] * len(names))
+    return _uniquely_named_columns(names, table.arrays(), units or [""] * len(names))
 
 
 # fmt: off
@@ -208,7 +212,7 @@ def _are_units(cells: Sequence[str]) -> bool:
     return bool(filled) and 2 * sum(cell in _KNOWN_UNITS for cell in filled) >= len(filled)
 
 
-def _columns(names: Sequence[str], arrays: Sequence[Array], units: Sequence[str]) -> list[TableColumn]:
+def _uniquely_named_columns(names: Sequence[str], arrays: Sequence[Array], units: Sequence[str]) -> list[TableColumn]:
     twice = {name for name, count in Counter(names).items() if count > 1}
     seen: Counter[str] = Counter()
     out = []
@@ -219,7 +223,7 @@ def _columns(names: Sequence[str], arrays: Sequence[Array], units: Sequence[str]
     return out
 
 
-def _scope(rows: Iterator[list[str]], separator: str) -> list[TableColumn]:
+def _parse_scope_export(rows: Iterator[list[str]], separator: str) -> list[TableColumn]:
     """Scope's export: header lines of key and value for each channel, then a time [ms] and values for each group.
 
     Channels of one sample time may share a time column: a key of the header stands over each time column.
@@ -271,7 +275,7 @@ def _of_scope(header: dict[str, list[str]], names: list[str], arrays: list[Array
     return out
 
 
-def _parquet(path: Path) -> list[TableColumn]:
+def _read_parquet_file(path: Path) -> list[TableColumn]:
     try:
         import pyarrow
         import pyarrow.parquet
@@ -308,7 +312,7 @@ def _arrow_column(name: str, column: Any, pyarrow: Any) -> list[TableColumn]:
     return []
 
 
-def _mat(path: Path) -> list[TableColumn]:
+def _read_mat_file(path: Path) -> list[TableColumn]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
@@ -318,7 +322,7 @@ def _mat(path: Path) -> list[TableColumn]:
         raise RecordingError(f"{path} is of MATLAB 7.3 (HDF5); save it by save(..., '-v7')") from error
     except (MatReadError, ValueError, TypeError, KeyError, IndexError, OSError) as error:
         raise RecordingError(f"{path} is not a .mat file, or damaged: {error}; save it again by '-v7'") from error
-    arrays = list(_leaves(data, ""))
+    arrays = list(_nested_numeric_arrays(data, ""))
     lengths = Counter(max(values.shape) for _, values in arrays if values.size > 1)
     if not lengths:
         return []
@@ -333,11 +337,11 @@ def _mat(path: Path) -> list[TableColumn]:
     return [replace(column, values=np.ascontiguousarray(column.values)) for column in out]
 
 
-def _leaves(value: Any, name: str) -> Iterator[tuple[str, Array]]:
+def _nested_numeric_arrays(value: Any, name: str) -> Iterator[tuple[str, Array]]:
     """Numeric arrays of structures, by their place in it."""
     if isinstance(value, dict):
         for key, inner in value.items():
             if not str(key).startswith("__"):
-                yield from _leaves(inner, f"{name}.{key}" if name else str(key))
+                yield from _nested_numeric_arrays(inner, f"{name}.{key}" if name else str(key))
     elif isinstance(value, np.ndarray) and value.dtype.kind in "iufb" and 1 <= value.ndim <= 2:
         yield name, value

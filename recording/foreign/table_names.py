@@ -70,7 +70,7 @@ def guess_column(name: str, unit: str, values: Array) -> ColumnGuess:
     """What a column may be."""
     bare, named_unit = _without_unit(name)
     unit = unit or named_unit
-    words = _words(bare)
+    words = _split_name_into_words(bare)
     numbers = [word for word in words if word.isdigit()]
     known = set(words)
     rest = "_".join(
@@ -80,7 +80,7 @@ def guess_column(name: str, unit: str, values: Array) -> ColumnGuess:
     if not np.isfinite(values).any():
         return ColumnGuess("ignored", why="holds no number")
     if known & TIME and not known & (REFERENCE | POSITION | VELOCITY) - {"s"}:
-        return _time(unit, values)
+        return _guess_time_column(unit, values)
     if known & OTHER:
         return ColumnGuess("ignored", why="not a signal that the diagnosis uses, by its name")
     axis = next((word for word in reversed(words) if word in ("x", "y", "z")), "")
@@ -115,12 +115,12 @@ def _without_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
-def _words(name: str) -> list[str]:
+def _split_name_into_words(name: str) -> list[str]:
     spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
     return [word.lower() for word in re.findall(r"[A-Za-z]+|\d+", spaced)]
 
 
-def _time(unit: str, values: Array) -> ColumnGuess:
+def _guess_time_column(unit: str, values: Array) -> ColumnGuess:
     if unit:
         return ColumnGuess("time", unit=unit, why="time, by its name")
     finite = values[np.isfinite(values)]

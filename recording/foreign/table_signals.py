@@ -22,9 +22,9 @@ def table_found(path: Path, mapping: Mapping) -> SourceContents:
     Raises: RecordingError: unreadable, a column of the mapping that is not there, no time, or no joint.
     """
     columns = read_table(path)
-    wanted = _mapped(columns, mapping, path) if mapping.column else _guessed(columns)
+    wanted = _checked_column_mapping(columns, mapping, path) if mapping.column else _guessed_column_mapping(columns)
     found = SourceContents(numbered=True)
-    clock = _clock(columns, wanted, mapping, path)
+    clock = _table_time_axis(columns, wanted, mapping, path)
     found.started_s = clock[1]
     kinds: dict[Kind, list[tuple[int, JointSignal]]] = {}
     for column in columns:
@@ -41,15 +41,17 @@ def table_found(path: Path, mapping: Mapping) -> SourceContents:
             )
         )
         if one.signal in KINDS:
-            kinds.setdefault(KINDS[one.signal], []).append((one.joint or 1, _signal(column, one, clock[0])))
+            kinds.setdefault(KINDS[one.signal], []).append(
+                (one.joint or 1, _joint_signal_from_column(column, one, clock[0]))
+            )
     for kind, several in kinds.items():
-        found.signals += _together(kind, several)
-    found.points += _points(columns, wanted, clock[0])
+        found.signals += _merge_joint_signals(kind, several)
+    found.points += _tracked_point_series(columns, wanted, clock[0])
     found.command_kind = _command_kind(wanted.values())
     found.proposal = propose_mapping(wanted.values())
     if not found.of("position") and not found.points:
         raise RecordingError(
-            f"{path}: no column is a joint's position; its columns are {_names(columns)}: name them in a mapping file"
+            f"{path}: no column is a joint's position, of {_column_names_text(columns)}: give a mapping file"
         )
     return found
 
@@ -59,15 +61,17 @@ def _why_ignored(column: TableColumn) -> str:
     return guess.why if guess.signal == "ignored" else f"{guess.why}; another column is taken for it"
 
 
-def _names(columns: Sequence[TableColumn]) -> str:
+def _column_names_text(columns: Sequence[TableColumn]) -> str:
     return ", ".join(column.name for column in columns[:30])
 
 
-def _mapped(columns: Sequence[TableColumn], mapping: Mapping, path: Path) -> dict[str, ColumnMapping]:
+def _checked_column_mapping(columns: Sequence[TableColumn], mapping: Mapping, path: Path) -> dict[str, ColumnMapping]:
     known = {column.name for column in columns}
     for column in mapping.column:
         if column.name not in known:
-            raise RecordingError(f"{path} has no column {column.name!r} of the mapping; it has {_names(columns)}")
+            raise RecordingError(
+                f"{path} has no column {column.name!r} of the mapping; it has {_column_names_text(columns)}"
+            )
         if column.signal in ("q", "q_ref", "qd_ref", "u") and column.joint is None:
             raise RecordingError(f"mapping: column {column.name!r} is {column.signal}: give its joint, from 1")
         if column.signal != "ignored":
@@ -75,7 +79,7 @@ def _mapped(columns: Sequence[TableColumn], mapping: Mapping, path: Path) -> dic
     return {column.name: column for column in mapping.column}
 
 
-def _guessed(columns: Sequence[TableColumn]) -> dict[str, ColumnMapping]:
+def _guessed_column_mapping(columns: Sequence[TableColumn]) -> dict[str, ColumnMapping]:
     guesses = {column.name: guess_column(column.name, column.unit, column.values) for column in columns}
     places = joint_numbers([guess.joint for guess in guesses.values() if guess.signal in KINDS])
     out: dict[str, ColumnMapping] = {}
@@ -86,19 +90,19 @@ def _guessed(columns: Sequence[TableColumn]) -> dict[str, ColumnMapping]:
         if guess.signal == "ignored" or key in taken:
             continue
         taken.add(key)
-        unit = _alike(
+        unit = _common_angle_unit(
             guess.signal, guess.unit, [other.unit for other in guesses.values() if other.signal == guess.signal]
         )
         out[name] = ColumnMapping(name=name, signal=guess.signal, joint=joint, point=guess.point, unit=unit)
     return out
 
 
-def _alike(signal: str, unit: str, units: Sequence[str]) -> str:
+def _common_angle_unit(signal: str, unit: str, units: Sequence[str]) -> str:
     """One joint beyond a whole turn in rad makes all of its kind degrees: a table has one unit per signal."""
     return "deg" if signal in ("q", "q_ref", "qd_ref") and unit == "rad" and "deg" in units else unit
 
 
-def _clock(
+def _table_time_axis(
     columns: Sequence[TableColumn], wanted: dict[str, ColumnMapping], mapping: Mapping, path: Path
 ) -> tuple[Array | None, float]:
     """The table's times (m,) [s] since the first, and the first [s since 1970] if it is; None: columns have theirs."""
@@ -112,11 +116,12 @@ def _clock(
     if mapping.rate_hz is not None:
         return np.arange(len(columns[0].values)) / mapping.rate_hz, 0.0
     raise RecordingError(
-        f"{path} has no column of times ({_names(columns)}); name one in a mapping file, or give its rate_hz there"
+        f"{path} has no column of times ({_column_names_text(columns)}); "
+        "name one in a mapping file, or give its rate_hz there"
     )
 
 
-def _signal(column: TableColumn, one: ColumnMapping, clock: Array | None) -> JointSignal:
+def _joint_signal_from_column(column: TableColumn, one: ColumnMapping, clock: Array | None) -> JointSignal:
     t = column.t_s if clock is None else clock
     assert t is not None  # _clock: every column has times of its own where the table has none
     good = np.isfinite(t)
@@ -124,7 +129,7 @@ def _signal(column: TableColumn, one: ColumnMapping, clock: Array | None) -> Joi
     return JointSignal(KINDS[one.signal], column.name, (f"joint{one.joint}",), t, values[:, None], one.signal == "u")
 
 
-def _together(kind: Kind, several: Sequence[tuple[int, JointSignal]]) -> list[JointSignal]:
+def _merge_joint_signals(kind: Kind, several: Sequence[tuple[int, JointSignal]]) -> list[JointSignal]:
     """Joints on one time axis as one signal; others stay apart."""
     groups: list[list[tuple[int, JointSignal]]] = []
     for number, signal in sorted(several, key=lambda pair: pair[0]):
@@ -142,7 +147,7 @@ def _together(kind: Kind, several: Sequence[tuple[int, JointSignal]]) -> list[Jo
     return out
 
 
-def _points(
+def _tracked_point_series(
     columns: Sequence[TableColumn], wanted: dict[str, ColumnMapping], clock: Array | None
 ) -> list[TrackedPointSeries]:
     axes: dict[str, dict[str, TableColumn]] = {}

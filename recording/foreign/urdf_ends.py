@@ -30,9 +30,9 @@ def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain) -> Chosen
     """
     try:
         root = ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"))
-        parents = {_link(joint, "child"): joint for joint in root.findall("joint")}
+        parents = {_joint_link_name(joint, "child"): joint for joint in root.findall("joint")}
         base = wanted.base_link or _root_link(parents)
-        tip = wanted.tip_link or _tip(parents, recorded)
+        tip = wanted.tip_link or _find_tip_link(parents, recorded)
         chain = urdf_chain(text, base, tip)
     except ElementTree.ParseError as error:
         raise RecordingError(f"the URDF is not XML: {error}; a xacro file has to be expanded by xacro first") from error
@@ -48,28 +48,28 @@ def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain) -> Chosen
     return ChosenChain(base, tip, moving, not (wanted.base_link and wanted.tip_link))
 
 
-def _link(joint: ElementTree.Element, side: str) -> str:
+def _joint_link_name(joint: ElementTree.Element, side: str) -> str:
     found = joint.find(side)
     return "" if found is None else found.get("link", "")
 
 
 def _root_link(parents: dict[str, ElementTree.Element]) -> str:
-    roots = [link for joint in parents.values() if (link := _link(joint, "parent")) not in parents]
+    roots = [link for joint in parents.values() if (link := _joint_link_name(joint, "parent")) not in parents]
     return roots[0] if roots else ""
 
 
-def _way(parents: dict[str, ElementTree.Element], link: str) -> list[ElementTree.Element]:
+def _joints_to_root(parents: dict[str, ElementTree.Element], link: str) -> list[ElementTree.Element]:
     """Joints from a link up to the root."""
     way: list[ElementTree.Element] = []
     while link in parents and parents[link] not in way:
         way.append(parents[link])
-        link = _link(way[-1], "parent")
+        link = _joint_link_name(way[-1], "parent")
     return way
 
 
-def _tip(parents: dict[str, ElementTree.Element], recorded: Collection[str]) -> str:
+def _find_tip_link(parents: dict[str, ElementTree.Element], recorded: Collection[str]) -> str:
     moving = [joint for joint in parents.values() if joint.get("type") != "fixed"]
-    last_mover = {id(joint): _next_moving(parents, _link(joint, "parent")) for joint in moving}
+    last_mover = {id(joint): _next_moving(parents, _joint_link_name(joint, "parent")) for joint in moving}
     siblings = list(last_mover.values())
     best, tip = 0, ""
     for joint in moving:
@@ -77,14 +77,18 @@ def _tip(parents: dict[str, ElementTree.Element], recorded: Collection[str]) -> 
         is_finger = joint.find("mimic") is not None or (above is not None and siblings.count(above) > 1)
         if joint.get("name") not in recorded or (is_finger and joint.get("type") == "prismatic"):
             continue
-        count = sum(element.get("name") in recorded for element in _way(parents, _link(joint, "child")))
+        count = sum(
+            element.get("name") in recorded for element in _joints_to_root(parents, _joint_link_name(joint, "child"))
+        )
         if count > best:
-            best, tip = count, _link(joint, "child")
+            best, tip = count, _joint_link_name(joint, "child")
     if tip:
         return tip
-    leaves = set(parents) - {_link(joint, "parent") for joint in parents.values()}
-    return max(leaves, key=lambda link: len(_way(parents, link)), default="")
+    leaves = set(parents) - {_joint_link_name(joint, "parent") for joint in parents.values()}
+    return max(leaves, key=lambda link: len(_joints_to_root(parents, link)), default="")
 
 
 def _next_moving(parents: dict[str, ElementTree.Element], link: str) -> str | None:
-    return next((element.get("name") for element in _way(parents, link) if element.get("type") != "fixed"), None)
+    return next(
+        (element.get("name") for element in _joints_to_root(parents, link) if element.get("type") != "fixed"), None
+    )

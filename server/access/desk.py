@@ -18,7 +18,7 @@ class LeaseDesk:
     def __init__(self, fencing: int = 0, clock: Callable[[], float] = mono_s) -> None:
         self.book = LeaseBook(fencing)
         self._clock = clock
-        self._still: Callable[[], bool] = _always
+        self._still: Callable[[], bool] = _always_admitted
         self._listeners: list[Callable[[], None]] = []
 
     def on_change(self, listener: Callable[[], None]) -> Callable[[], None]:
@@ -38,11 +38,11 @@ class LeaseDesk:
 
     def acquire(self, owner: str, kind: LeaseKind = LeaseKind.OPERATOR, ttl_s: float = TTL_S) -> Lease:
         """As LeaseBook.acquire, with a new secret."""
-        return self._given(self.book.acquire(owner, kind, ttl_s, new_lease_id(), self.now_s))
+        return self._announce_new_holder(self.book.acquire(owner, kind, ttl_s, new_lease_id(), self.now_s))
 
     def take(self, owner: str, kind: LeaseKind, reason: str, ttl_s: float = TTL_S) -> Lease:
         """As LeaseBook.take, with a new secret."""
-        return self._given(self.book.take(owner, kind, ttl_s, reason, new_lease_id(), self.now_s))
+        return self._announce_new_holder(self.book.take(owner, kind, ttl_s, reason, new_lease_id(), self.now_s))
 
     def vouch(self, still: Callable[[], bool]) -> None:
         """The present holder came by this admission: when `still` is over (key, session, role), so is their control."""
@@ -57,11 +57,11 @@ class LeaseDesk:
     def expel(self, why: str) -> Lease | None:
         """As LeaseBook.expel."""
         ended = self.book.expel(why)
-        return None if ended is None else self._announced(ended)
+        return None if ended is None else self._notify_listeners(ended)
 
     def release(self, lease_id: str) -> Lease:
         """As LeaseBook.release."""
-        return self._announced(self.book.release(lease_id, self.now_s))
+        return self._notify_listeners(self.book.release(lease_id, self.now_s))
 
     def keep_alive(self, lease_id: str) -> Lease:
         """As LeaseBook.keep_alive."""
@@ -83,17 +83,17 @@ class LeaseDesk:
         """As LeaseBook.lost."""
         return self.book.lost(fencing, self.now_s)
 
-    def _given(self, lease: Lease) -> Lease:
-        self._still = _always  # until the new holder's admission is known
-        return self._announced(lease)
+    def _announce_new_holder(self, lease: Lease) -> Lease:
+        self._still = _always_admitted  # until the new holder's admission is known
+        return self._notify_listeners(lease)
 
-    def _announced(self, lease: Lease) -> Lease:
+    def _notify_listeners(self, lease: Lease) -> Lease:
         for listener in tuple(self._listeners):
             listener()
         return lease
 
 
-def _always() -> bool:
+def _always_admitted() -> bool:
     return True
 
 

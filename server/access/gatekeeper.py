@@ -115,20 +115,20 @@ class Gatekeeper:
             raise HostError(f"host '{request.host[:64]}' is not one of this server's names")
         if request.method not in SAFE_METHODS and not origin_allowed(request.origin, request.host):
             raise OriginError(f"a page of {(request.origin or '')[:64]} may not command this machine")
-        roles = _needed(request)
+        roles = _required_roles(request)
         if self.open:
-            return self._role(Caller("local", Role.OPERATOR, request.address), roles, request)
+            return self._require_role(Caller("local", Role.OPERATOR, request.address), roles, request)
         if roles == ANYBODY and not (request.bearer or request.cookie):
             return Caller("anonymous", "", request.address)
-        caller = self._known(request, now_s, required=roles != ANYBODY)
-        return self._role(caller, roles, request)
+        caller = self._identify_caller(request, now_s, required=roles != ANYBODY)
+        return self._require_role(caller, roles, request)
 
     def admits_still(self, request: Credentials, now_s: float) -> bool:
         """Whether a connection that was admitted may go on: its key is in force, its session lives, its role may.
 
         A key that was revoked in the meantime is not a guess: it does not count towards the lock-out.
         """
-        roles = _needed(request)
+        roles = _required_roles(request)
         if self.open or roles == ANYBODY:
             return True
         key = self.keys.find(request.bearer, now_s) if request.bearer else self._by_session(request.cookie, now_s)
@@ -138,9 +138,9 @@ class Gatekeeper:
         """A cookie for a key. Raises: LockedOutError, KeyRequiredError."""
         return self.sessions.open(self._by_key(secret, address, now_s).sha256, now_s)
 
-    def _known(self, request: Credentials, now_s: float, required: bool) -> Caller:
+    def _identify_caller(self, request: Credentials, now_s: float, required: bool) -> Caller:
         try:
-            key = self._presented(request, now_s)
+            key = self._presented_key(request, now_s)
             return Caller(key.name, key.role, request.address, by_key=True)
         except Exception as error:  # a defect of ours too: a stop is a stop, whatever key it carries
             if required:
@@ -149,7 +149,7 @@ class Gatekeeper:
                 log.exception("the caller of %s is unknown", request.path)
             return Caller("anonymous", "", request.address)
 
-    def _presented(self, request: Credentials, now_s: float) -> ApiKey:
+    def _presented_key(self, request: Credentials, now_s: float) -> ApiKey:
         if request.bearer:
             return self._by_key(request.bearer, request.address, now_s)
         key = self._by_session(request.cookie, now_s)
@@ -180,12 +180,12 @@ class Gatekeeper:
         self._lockout.passed(address)
         return key
 
-    def _role(self, caller: Caller, roles: frozenset[Role], request: Credentials) -> Caller:
+    def _require_role(self, caller: Caller, roles: frozenset[Role], request: Credentials) -> Caller:
         if roles and caller.role not in roles:
             wanted = ", ".join(sorted(roles))
             raise RoleError(f"role {caller.role} may not {request.method} {request.path}; required: {wanted}")
         return caller
 
 
-def _needed(request: Credentials) -> frozenset[Role]:
+def _required_roles(request: Credentials) -> frozenset[Role]:
     return roles_needed("GET" if request.method == "WEBSOCKET" else request.method, request.path)

@@ -74,7 +74,7 @@ class LeaseBook:
         """
         held = self.held
         if held is None or held.stale(now_s) or held.offered(owner, now_s):
-            return self._give(owner, kind, ttl_s, lease_id, now_s, f"{owner} acquired it")
+            return self._grant_lease(owner, kind, ttl_s, lease_id, now_s, f"{owner} acquired it")
         raise LeaseHeldError(
             f"{held.owner} ({held.kind}) has control for {held.expires_in_s(now_s):.0f} s more unless renewed",
             self.references(now_s),
@@ -89,7 +89,7 @@ class LeaseBook:
             raise TakeRefusedError(
                 f"{owner} is a fleet program: only a person may take control", self.references(now_s)
             )
-        return self._give(owner, kind, ttl_s, lease_id, now_s, f"{owner} took it: {reason}")
+        return self._grant_lease(owner, kind, ttl_s, lease_id, now_s, f"{owner} took it: {reason}")
 
     def release(self, lease_id: str, now_s: float) -> Lease:
         """End the lease, so that no client has control; returns the lease that ended. Raises as `known`."""
@@ -104,7 +104,7 @@ class LeaseBook:
             self._end(held, why)
         return held
 
-    def _give(self, owner: str, kind: LeaseKind, ttl_s: float, lease_id: str, now_s: float, why: str) -> Lease:
+    def _grant_lease(self, owner: str, kind: LeaseKind, ttl_s: float, lease_id: str, now_s: float, why: str) -> Lease:
         if self.held is not None:
             self._end(self.held, why)
         self.fencing += 1
@@ -144,19 +144,20 @@ class LeaseBook:
         Raises: LeaseLostError: it ended, and how; its fencing number is an older one. NoLeaseError: never given.
         """
         held = self.held
-        if held is not None and _same(held.lease_id, lease_id):
+        if held is not None and _is_same_secret(held.lease_id, lease_id):
             if fencing is None or fencing == held.fencing:
                 return held
             raise LeaseLostError(
                 f"fencing number {fencing} is not this lease's ({held.fencing})", self.references(now_s)
             )
-        why = next((reason for ended, reason in reversed(self._ended) if _same(ended, lease_id)), "")
+        why = next((reason for ended, reason in reversed(self._ended) if _is_same_secret(ended, lease_id)), "")
         if why or (fencing is not None and 0 < fencing <= self.fencing):
             raise LeaseLostError(
-                f"control was lost: {why or 'it has ended'}; {self._now(now_s)}", self.references(now_s)
+                f"control was lost: {why or 'it has ended'}; {self._control_holder_text(now_s)}", self.references(now_s)
             )
         raise NoLeaseError(
-            f"the command carries a lease of another machine; {self._now(now_s)}", self.references(now_s)
+            f"the command carries a lease of another machine; {self._control_holder_text(now_s)}",
+            self.references(now_s),
         )
 
     def check(self, lease_id: str, fencing: int | None, now_s: float) -> Lease:
@@ -165,7 +166,9 @@ class LeaseBook:
         Raises: NoLeaseError, LeaseLostError as `known`; LeaseStaleError: not kept alive.
         """
         if not lease_id or not fencing:
-            raise NoLeaseError(f"the command carries no lease; {self._now(now_s)}", self.references(now_s))
+            raise NoLeaseError(
+                f"the command carries no lease; {self._control_holder_text(now_s)}", self.references(now_s)
+            )
         held = self.known(lease_id, now_s, fencing)
         if held.stale(now_s):
             raise LeaseStaleError(
@@ -192,12 +195,12 @@ class LeaseBook:
         left = f"{held.expires_in_s(now_s):.1f}"
         return {"owner": held.owner, "kind": held.kind.value, "fencing": str(held.fencing), "expires_in_s": left}
 
-    def _now(self, now_s: float) -> str:
+    def _control_holder_text(self, now_s: float) -> str:
         held = self.held
         if held is None:
             return "no one has control"
         return f"{held.owner} ({held.kind}) has control" + (", stale" if held.stale(now_s) else "")
 
 
-def _same(one: str, other: str) -> bool:
+def _is_same_secret(one: str, other: str) -> bool:
     return hmac.compare_digest(one.encode(), other.encode())

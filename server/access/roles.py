@@ -43,9 +43,9 @@ def roles_needed(method: str, path: str) -> frozenset[Role]:
     """The roles of which one is needed; empty: the route is open to everyone."""
     if (method.replace("HEAD", "GET"), path) in OPEN:
         return ANYBODY
-    if _under(path, "/v1/audit"):
+    if _is_path_under(path, "/v1/audit"):
         return PERSONS
-    if _under(path, "/v1/hold"):
+    if _is_path_under(path, "/v1/hold"):
         return PERSONS
     if method not in METHODS or any(path == open_path for _, open_path in OPEN):
         return EVERY_ROLE  # there is no such route: 405 for everybody who is known
@@ -53,8 +53,8 @@ def roles_needed(method: str, path: str) -> frozenset[Role]:
         return EVERY_ROLE
     if path.startswith("/v1/jobs/") and path.endswith("/cancel"):
         return EVERY_ROLE  # a stop of one job: as STOP, every known caller may
-    return COMMANDERS if any(_under(path, command) for command in COMMANDS) else PERSONS
+    return COMMANDERS if any(_is_path_under(path, command) for command in COMMANDS) else PERSONS
 
 
-def _under(path: str, prefix: str) -> bool:
+def _is_path_under(path: str, prefix: str) -> bool:
     return path == prefix or path.startswith(prefix + "/")

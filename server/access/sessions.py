@@ -26,20 +26,20 @@ class Sessions:
     def open(self, key_sha256: str, now_s: float) -> str:
         """The new cookie's value, for the key of that SHA-256."""
         token = secrets.token_urlsafe(32)
-        self._kept[_digest(token)] = Session(key_sha256, now_s + LIFE_S)
+        self._kept[_token_digest(token)] = Session(key_sha256, now_s + LIFE_S)
         if len(self._kept) > SESSIONS_MAX:
             self._kept.pop(next(iter(self._kept)))
         return token
 
     def find(self, token: str, now_s: float) -> Session | None:
         """Which it is, while it lives."""
-        session = self._kept.get(_digest(token))
+        session = self._kept.get(_token_digest(token))
         return session if session is not None and now_s < session.ends_s else None
 
     def close(self, token: str) -> None:
         """Log out."""
-        self._kept.pop(_digest(token), None)
+        self._kept.pop(_token_digest(token), None)
 
 
-def _digest(token: str) -> str:
+def _token_digest(token: str) -> str:
     return hashlib.sha256(token.encode("utf-8", "surrogateescape")).hexdigest()

@@ -93,14 +93,14 @@ def calibration_router(service: JobService) -> APIRouter:
     @router.get("", response_model=CalibrationView, responses={404: {"model": Problem}})
     async def read_calibration() -> CalibrationView | JSONResponse:
         """The current local calibration; 404 with the reason if there is none."""
-        return calibration_view(cell, service.context, mono_ns()) or _none(service)
+        return calibration_view(cell, service.context, mono_ns()) or _no_calibration_response(service)
 
     @router.get("/export", response_model=None, response_class=Response, responses=EXPORTED)
     async def export_calibration(format: Literal["yaml", "ros", "json"] = "yaml") -> PlainTextResponse | JSONResponse:
         """The calibration as YAML, as a ROS static transform, or as longreach's own file (JSON)."""
         life = cell.knowledge.life
         if life is None:
-            return _none(service)
+            return _no_calibration_response(service)
         if format == "json":
             saved = SavedCalibration(life, tuple(cell.knowledge.runs))
             return PlainTextResponse(calibration_text(saved), media_type="application/json")
@@ -111,7 +111,7 @@ def calibration_router(service: JobService) -> APIRouter:
     return router
 
 
-def _none(service: JobService) -> JSONResponse:
+def _no_calibration_response(service: JobService) -> JSONResponse:
     note = service.cell.knowledge.calibration_note
     return problem_response(
         404, "No calibration", note or "there is no calibration yet; run the job 'calibrate'", "no_calibration"

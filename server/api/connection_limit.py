@@ -35,18 +35,20 @@ def one_to_close(connections: Collection[Any], limit: int) -> Any | None:
     if len(connections) <= limit // 2:
         return None
     open_ones = [connection for connection in connections if not connection.transport.is_closing()]
-    counts = Counter(_address(connection) for connection in open_ones)
+    counts = Counter(_client_address(connection) for connection in open_ones)
     address, most = max(counts.items(), key=lambda item: item[1], default=("", 0))
     if len(open_ones) <= limit and most <= limit // 2:
         return None
-    return min((connection for connection in open_ones if _address(connection) == address), key=_standing)
+    return min(
+        (connection for connection in open_ones if _client_address(connection) == address), key=_eviction_order_key
+    )
 
 
-def _address(connection: Any) -> str:
+def _client_address(connection: Any) -> str:
     return connection.client[0] if connection.client else ""
 
 
-def _standing(connection: Any) -> tuple[int, float]:
+def _eviction_order_key(connection: Any) -> tuple[int, float]:
     """Idle before busy before a WebSocket, and the one that has been so longest first."""
     idle, since_s = getattr(connection, "idle", None), getattr(connection, "since_s", 0.0)
     return (2, 0.0) if idle is None else (0 if idle else 1, since_s)
@@ -141,13 +143,13 @@ class PatientProtocol(HttpToolsProtocol):
         return self.cycle is None or self.cycle.response_complete
 
     def _look_later(self) -> None:
-        self._watch = self.loop.call_later(HEADER_S, self._look)
+        self._watch = self.loop.call_later(HEADER_S, self._close_if_stalled)
 
     def _look_no_more(self) -> None:
         if self._watch is not None:
             self._watch.cancel()
 
-    def _look(self) -> None:
+    def _close_if_stalled(self) -> None:
         if self.transport.is_closing():
             return
         awaited = self._answered if self._awaits_head else None

@@ -60,31 +60,31 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
     @router.post("", status_code=202, response_model=DiagnosisView, responses=refused)
     async def start_diagnosis(body: RunDiagnosis | PathDiagnosis | RunsDiagnosis) -> JSONResponse:
         """Start `longreach diagnose` in a process of its own at low priority; 409 while another one runs."""
-        found, missing = await asyncio.to_thread(_recordings, folder, body)
+        found, missing = await asyncio.to_thread(_requested_recordings, folder, body)
         if missing:
             detail = f"no recording {', '.join(repr(name[:64]) for name in missing)} in the folder"
             return problem_response(404, "Unknown recording", detail, "unknown_run", "see GET /v1/runs")
         one = diagnoses.start(*found)
         headers = {"Location": f"../v1/diagnoses/{one.diagnosis_id}"}
-        return JSONResponse(_view(one).model_dump(), status_code=202, headers=headers)
+        return JSONResponse(_diagnosis_view(one).model_dump(), status_code=202, headers=headers)
 
     @router.get("", response_model=list[DiagnosisView])
     async def list_diagnoses() -> list[DiagnosisView]:
         """The diagnoses since the server started, newest first."""
-        return [_view(diagnosis) for diagnosis in reversed(diagnoses.all)]
+        return [_diagnosis_view(diagnosis) for diagnosis in reversed(diagnoses.all)]
 
     @router.get("/{diagnosis_id}", response_model=DiagnosisView, responses=UNKNOWN)
     async def read_diagnosis(diagnosis_id: Id) -> DiagnosisView | JSONResponse:
         """State and progress of a diagnosis."""
         one = diagnoses.find(diagnosis_id)
-        return _view(one) if one else _unknown(diagnosis_id)
+        return _diagnosis_view(one) if one else _unknown_diagnosis_response(diagnosis_id)
 
     @router.delete("/{diagnosis_id}", status_code=204, response_class=Response, responses=UNKNOWN)
     async def stop_diagnosis(diagnosis_id: Id) -> Response:
         """Cancel a diagnosis."""
         one = diagnoses.find(diagnosis_id)
         if one is None:
-            return _unknown(diagnosis_id)
+            return _unknown_diagnosis_response(diagnosis_id)
         await diagnoses.stop(one)
         return Response(status_code=204)
 
@@ -93,7 +93,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
         """The full result as JSON; docs/diagnosis-answer.md describes it field by field."""
         one = diagnoses.find(diagnosis_id)
         if one is None or one.state != "done":
-            return _unfinished(one) if one else _unknown(diagnosis_id)
+            return _not_finished_response(one) if one else _unknown_diagnosis_response(diagnosis_id)
         return JSONResponse(await asyncio.to_thread(diagnoses.result, one))
 
     @router.get(
@@ -106,14 +106,14 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
         """The report as a self-contained HTML page."""
         one = diagnoses.find(diagnosis_id)
         if one is None or one.state != "done":
-            return _unfinished(one) if one else _unknown(diagnosis_id)
+            return _not_finished_response(one) if one else _unknown_diagnosis_response(diagnosis_id)
         headers = {"Content-Security-Policy": REPORT_CSP}
         return FileResponse(diagnoses.page(one), media_type="text/html", headers=headers)
 
     return router
 
 
-def _recordings(
+def _requested_recordings(
     folder: Path, body: RunDiagnosis | PathDiagnosis | RunsDiagnosis
 ) -> tuple[tuple[Path, ...], tuple[str, ...]]:
     """The recordings to diagnose, and the requested names that are not recordings (such as the server's database)."""
@@ -128,7 +128,7 @@ def _recordings(
     return tuple(path for run_id in wanted if (path := paths[run_id]) is not None), missing
 
 
-def _view(one: Diagnosis) -> DiagnosisView:
+def _diagnosis_view(one: Diagnosis) -> DiagnosisView:
     return DiagnosisView.model_validate(
         {
             "diagnosis_id": one.diagnosis_id,
@@ -143,12 +143,12 @@ def _view(one: Diagnosis) -> DiagnosisView:
     )
 
 
-def _unknown(diagnosis_id: str) -> JSONResponse:
+def _unknown_diagnosis_response(diagnosis_id: str) -> JSONResponse:
     return problem_response(
         404, "Unknown diagnosis", f"no diagnosis {diagnosis_id}", "unknown_diagnosis", "POST /v1/diagnoses"
     )
 
 
-def _unfinished(one: Diagnosis) -> JSONResponse:
+def _not_finished_response(one: Diagnosis) -> JSONResponse:
     detail = f"diagnosis is {one.state}{': ' + one.reason if one.reason else ''}"
     return problem_response(409, "No answer", detail, "no_answer", "wait until its state is done")

@@ -42,15 +42,15 @@ class EventLog:
         self.number += 1
         text = json.dumps({"t_unix_s": round(time.time(), 3), **data})
         self._kept.append((self.number, f"id: {self.life}-{self.number}\nevent: {kind}\ndata: {text}\n\n"))
-        self._wake()
+        self._wake_waiters()
 
     def show(self, state_json: str) -> None:
         """The newest state: not kept, a reader gets the newest only."""
         self._state_number += 1
         self._state = f"event: state\ndata: {state_json}\n\n"
-        self._wake()
+        self._wake_waiters()
 
-    def _wake(self) -> None:
+    def _wake_waiters(self) -> None:
         self._fresh.set()
         self._fresh = asyncio.Event()
 
@@ -126,10 +126,10 @@ class EventFeed:
     def __init__(self, service: JobService, log: EventLog, cache: StateCache) -> None:
         self._service, self._log, self._cache = service, log, cache
         self._seen: dict[str, Any] = {}
-        service.engine.on_event(self._job)
+        service.engine.on_event(self._log_job_event)
         service.engine.leases.on_change(self._control)
 
-    def _job(self, job: Job, event: JobEvent) -> None:
+    def _log_job_event(self, job: Job, event: JobEvent) -> None:
         payload = {"job_id": job.job_id, "kind": job.kind, "owner": job.owner, "state": job.state.value}
         self._log.add("job", payload | {"name": event.name, "number": event.number, "text": event.text})
 

@@ -63,9 +63,9 @@ class LookLog:
         self._service = service
         self._last: LookRecord | None = None
         self.entries: deque[LookEntry] = deque(maxlen=LOOKS_KEPT)
-        service.engine.on_event(self._note)
+        service.engine.on_event(self._append_new_look)
 
-    def _note(self, job: Job, _event: JobEvent) -> None:
+    def _append_new_look(self, job: Job, _event: JobEvent) -> None:
         taken = self._service.cell.knowledge.last_look
         if taken is None or taken.record is self._last:
             return

@@ -134,13 +134,13 @@ class Guard:
             if scope["type"] == "http":
                 _check_length(headers)
                 if "content-length" in headers or "transfer-encoding" in headers:  # without either no body can come
-                    receive = (await _arrived(receive)).receive
+                    receive = (await _read_whole_body(receive)).receive
                 send = _with_headers(send, request_id)
-            await self._carry(scope, receive, send)
+            await self._forward_while_admitted(scope, receive, send)
         except AccessError as error:
-            await _refuse(error, scope, receive, send, request_id)
+            await _send_refusal(error, scope, receive, send, request_id)
 
-    async def _carry(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _forward_while_admitted(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Through to the application; what may last, only while its caller is admitted."""
         if self._gatekeeper.open or (scope["type"] == "http" and scope["method"] not in SAFE_METHODS):
             return await self._app(scope, receive, send)
@@ -164,7 +164,7 @@ class _Body:
         return message if message is not None else await self._receive()
 
 
-async def _arrived(receive: Receive) -> _Body:
+async def _read_whole_body(receive: Receive) -> _Body:
     """The whole body. Raises: BodyTooLargeError, SlowBodyError."""
     parts, size = [], 0
     try:
@@ -192,11 +192,11 @@ def credentials_of(scope: Scope) -> Credentials:
         host=headers.get("host", ""),
         origin=headers.get("origin"),
         bearer=secret.strip() if kind.lower() == "bearer" else "",
-        cookie=_cookie(headers.get("cookie", "")),
+        cookie=_session_cookie_value(headers.get("cookie", "")),
     )
 
 
-def _cookie(header: str) -> str:
+def _session_cookie_value(header: str) -> str:
     try:
         morsel = SimpleCookie(header).get(COOKIE)
     except CookieError:
@@ -227,7 +227,7 @@ def _with_headers(send: Send, request_id: str) -> Send:
     return sending
 
 
-async def _refuse(error: AccessError, scope: Scope, receive: Receive, send: Send, request_id: str) -> None:
+async def _send_refusal(error: AccessError, scope: Scope, receive: Receive, send: Send, request_id: str) -> None:
     log.info("refused %s (%s): %s", scope.get("method", "WEBSOCKET"), request_id, error.code)
     if scope["type"] == "websocket":
         return await send({"type": "websocket.close", "code": 4403, "reason": error.code})

@@ -99,24 +99,24 @@ async def _serve(socket: WebSocket, service: JobService, memory: PanelMemory) ->
     held = HoldToRun(bond, lambda: secrets.randbits(32), mono_ns())
     memory.held_by = lease.owner
     try:
-        await _hold(socket, service, memory, job, held, bond)
+        await _supervise_hold_to_run(socket, service, memory, job, held, bond)
     finally:
         memory.held_by = ""
 
 
-async def _hold(
+async def _supervise_hold_to_run(
     socket: WebSocket, service: JobService, memory: PanelMemory, job: Job, held: HoldToRun, bond: str
 ) -> None:
     """Until the job needs no hold any more or the button is up; then the stop comes first, words after it."""
     changed = asyncio.Event()
-    hearing = asyncio.create_task(_hear(socket, service, held, changed))
+    hearing = asyncio.create_task(_receive_hold_replies(socket, service, held, changed))
     try:
         await service.engine.hold_until(held.dead_ns)
         await _send(socket, held=job.job_id, bond=bond)
         await _ask_until_over(socket, job, held, changed)
     finally:  # whatever ended it, a socket that broke or the server's own end: nothing may go on moving
         hearing.cancel()
-        if _needed(job):
+        if _is_hold_needed(job):
             await _stop(service, memory, held.ended or "the page is disconnected")
         await asyncio.gather(hearing, return_exceptions=True)
         await service.engine.hold_until(None)
@@ -124,7 +124,7 @@ async def _hold(
 
 
 async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed: asyncio.Event) -> None:
-    while _needed(job):
+    while _is_hold_needed(job):
         challenge = held.poll(mono_ns())
         if held.ended:
             return
@@ -140,7 +140,9 @@ async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed:
         changed.clear()
 
 
-async def _hear(socket: WebSocket, service: JobService, held: HoldToRun, changed: asyncio.Event) -> None:
+async def _receive_hold_replies(
+    socket: WebSocket, service: JobService, held: HoldToRun, changed: asyncio.Event
+) -> None:
     """Answers and the release; anything else, and the socket's end, is a button let go."""
     try:
         while not held.ended:
@@ -157,7 +159,7 @@ async def _hear(socket: WebSocket, service: JobService, held: HoldToRun, changed
     changed.set()
 
 
-def _needed(job: Job) -> bool:
+def _is_hold_needed(job: Job) -> bool:
     """Whether the job may still move: an execute moves no more once it looks, anything else until its end."""
     looks = job.kind == "execute" and any(event.name == "look" for event in job.events)
     return not job.ended and not looks

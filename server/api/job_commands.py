@@ -86,25 +86,25 @@ class JobCommands:
         Raises: KeyMissingError, KeyReusedError, KeyInProgressError, refusals of control, of the service, of the store.
         """
         try:
-            return await self._once(body, sent)
+            return await self._run_command_once(body, sent)
         except (ServerError, LinkError) as error:
-            self._refused(body.kind, sent, getattr(error, "code", "link"))
+            self._audit_refusal(body.kind, sent, getattr(error, "code", "link"))
             raise
 
-    async def _once(self, body: JobBody, sent: CommandHeaders) -> StoredAnswer:
+    async def _run_command_once(self, body: JobBody, sent: CommandHeaders) -> StoredAnswer:
         if not sent.key:
             return await self._carried_out(body, sent, "")
         mark, body_hash = (sent.caller.name, sent.key), hash_of(body.model_dump_json().encode())
         mine = mark not in self._in_progress
         self._in_progress.add(mark)
         try:
-            replay = replay_of(await self._known(*mark), not mine, body_hash)
+            replay = replay_of(await self._stored_answer(*mark), not mine, body_hash)
             return replay if replay is not None else await self._carried_out(body, sent, body_hash)
         finally:
             if mine:
                 self._in_progress.discard(mark)
 
-    async def _known(self, who: str, key: str) -> StoredAnswer | None:
+    async def _stored_answer(self, who: str, key: str) -> StoredAnswer | None:
         keeper = self._service.keeper
         return None if keeper is None else await keeper.database.found(lambda db: read_answer(db, who, key))
 
@@ -127,7 +127,7 @@ class JobCommands:
 
     def cancel(self, job: Job, caller: Caller, request_id: str) -> None:
         """Begin to stop a job; returns immediately, the job is `stopping` then."""
-        self._audited(caller, request_id, "job.cancel", job.job_id)
+        self._write_audit_entry(caller, request_id, "job.cancel", job.job_id)
         stopping = asyncio.ensure_future(self._service.engine.stop(f"cancelled by {caller.name}", job))
         self._stopping.add(stopping)
         stopping.add_done_callback(self._stop_done)
@@ -141,14 +141,16 @@ class JobCommands:
         folded = self._stops.to_write(caller.address, mono_s(), matters=running)
         if folded is not None:
             detail = f"and {folded} more since the last line" if folded else ""
-            self._audited(caller, request_id, "stop", job.job_id if job is not None and not job.ended else "", detail)
+            self._write_audit_entry(
+                caller, request_id, "stop", job.job_id if job is not None and not job.ended else "", detail
+            )
 
     def _stop_done(self, done: "asyncio.Future[None]") -> None:
         self._stopping.discard(done)
         if not done.cancelled() and (error := done.exception()) is not None:
             log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
 
-    def _audited(self, caller: Caller, request_id: str, action: str, job_id: str, detail: str = "") -> None:
+    def _write_audit_entry(self, caller: Caller, request_id: str, action: str, job_id: str, detail: str = "") -> None:
         if self._service.keeper is not None:
             entry = AuditEntry(
                 time.time(),
@@ -162,7 +164,7 @@ class JobCommands:
             )
             self._service.keeper.audit(entry)
 
-    def _refused(self, kind: str, sent: CommandHeaders, code: str) -> None:
+    def _audit_refusal(self, kind: str, sent: CommandHeaders, code: str) -> None:
         keeper, held = self._service.keeper, self._service.engine.leases.held
         if keeper is not None:
             who = sent.caller

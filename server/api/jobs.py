@@ -37,12 +37,12 @@ def stop_line_router(service: JobService, commands: JobCommands) -> APIRouter:
         with contextlib.suppress(WebSocketDisconnect):
             while (await socket.receive())["type"] != "websocket.disconnect":
                 commands.stopped(caller_of(socket), "")
-                await socket.send_text(await _stopped(service))
+                await socket.send_text(await _stop_from_panel(service))
 
     return router
 
 
-async def _stopped(service: JobService) -> str:
+async def _stop_from_panel(service: JobService) -> str:
     try:
         await service.engine.stop("stopped in the panel")
     except (ServerError, LinkError):
@@ -104,7 +104,7 @@ def jobs_router(service: JobService) -> APIRouter:
     async def read_job(job_id: str) -> JobView | JSONResponse:
         """A job with its events and, at its end, its result."""
         job = service.engine.find(job_id)
-        return job_view(job) if job else _unknown(job_id)
+        return job_view(job) if job else _unknown_job_response(job_id)
 
     @router.get("/jobs/{job_id}/events", response_model=None, response_class=StreamingResponse, responses=STORY)
     async def follow_job(
@@ -113,16 +113,16 @@ def jobs_router(service: JobService) -> APIRouter:
         """The events of a job as server-sent events; resumes after Last-Event-ID; ends with the job."""
         job = service.engine.find(job_id)
         if job is None:
-            return _unknown(job_id)
+            return _unknown_job_response(job_id)
         seen = int(last_event_id[:18]) if last_event_id.isdecimal() else 0
-        return StreamingResponse(_story(job, seen), media_type="text/event-stream")
+        return StreamingResponse(_job_event_stream(job, seen), media_type="text/event-stream")
 
     @router.post("/jobs/{job_id}/cancel", status_code=202, response_model=JobView, responses=cancelled)
     async def cancel(job_id: str, request: Request) -> Response:
         """Stop one job: its state is `stopping` until the machine stands still, then `stopped`. Needs no control."""
         job = service.engine.find(job_id)
         if job is None:
-            return _unknown(job_id)
+            return _unknown_job_response(job_id)
         if job.ended:
             return problem_response(
                 409, "Job has ended", f"job {job_id} is {job.state.value}", "job_ended", "nothing to do"
@@ -150,7 +150,7 @@ def jobs_router(service: JobService) -> APIRouter:
     return router
 
 
-async def _story(job: Job, seen: int) -> AsyncIterator[str]:
+async def _job_event_stream(job: Job, seen: int) -> AsyncIterator[str]:
     keep_alive = mono_s()
     while True:
         view = job_view(job, events_from=seen)
@@ -166,5 +166,5 @@ async def _story(job: Job, seen: int) -> AsyncIterator[str]:
         await asyncio.sleep(EVENT_POLL_S)
 
 
-def _unknown(job_id: str) -> JSONResponse:
+def _unknown_job_response(job_id: str) -> JSONResponse:
     return problem_response(404, "Unknown job", f"no job {job_id[:32]!r} among the last 200", "unknown_job")

@@ -52,9 +52,9 @@ class ControlLog:
         self._desk.vouch(admission_of(request))
         if self._keeper is not None:
             try:
-                await self._keeper.control(self._entry(request, lease, action, detail))
+                await self._keeper.control(self._lease_audit_entry(request, lease, action, detail))
             except StoreError:
-                self._withdraw(lease)
+                self._release_if_still_held(lease)
                 raise
         headers = {"Cache-Control": "no-store"}
         return JSONResponse(lease_view(self._desk, lease).model_dump(), status_code=201, headers=headers)
@@ -62,15 +62,15 @@ class ControlLog:
     def note(self, request: Request, lease: Lease | None, action: str, detail: str = "") -> None:
         """A line about what happened already."""
         if self._keeper is not None and lease is not None:
-            self._keeper.audit(self._entry(request, lease, action, detail))
+            self._keeper.audit(self._lease_audit_entry(request, lease, action, detail))
 
-    def _withdraw(self, lease: Lease) -> None:
+    def _release_if_still_held(self, lease: Lease) -> None:
         try:
             self._desk.release(lease.lease_id)
         except AccessError:
             return  # another client holds it by now
 
-    def _entry(self, request: Request, lease: Lease, action: str, detail: str) -> AuditEntry:
+    def _lease_audit_entry(self, request: Request, lease: Lease, action: str, detail: str) -> AuditEntry:
         who = caller_of(request)
         return AuditEntry(
             t_unix_s=time.time(),

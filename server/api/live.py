@@ -63,7 +63,10 @@ def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
             return
         memory.viewers += 1
         room = asyncio.Semaphore(UNDER_WAY_MAX)
-        tasks = [asyncio.create_task(_send(socket, feed, room)), asyncio.create_task(_hear(socket, memory, room))]
+        tasks = [
+            asyncio.create_task(_send(socket, feed, room)),
+            asyncio.create_task(_receive_viewer_messages(socket, memory, room)),
+        ]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -81,7 +84,7 @@ async def _send(socket: WebSocket, feed: LiveFeed, room: asyncio.Semaphore) -> N
         await socket.send_text(await feed.next())
 
 
-async def _hear(socket: WebSocket, memory: PanelMemory, room: asyncio.Semaphore) -> None:
+async def _receive_viewer_messages(socket: WebSocket, memory: PanelMemory, room: asyncio.Semaphore) -> None:
     """Acknowledgements and requests about the view only; unknown messages are ignored."""
     while True:
         with contextlib.suppress(ValueError, TypeError, AttributeError):

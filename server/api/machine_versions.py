@@ -88,7 +88,7 @@ def machine_router(service: JobService) -> APIRouter:
     @router.get("/versions", response_model=VersionsView)
     async def list_versions() -> VersionsView:
         """Every version of this machine, and which one is in use."""
-        return await asyncio.to_thread(_versions, service)
+        return await asyncio.to_thread(_versions_view, service)
 
     @router.post("/versions", status_code=201, response_model=VersionView, responses=REFUSED)
     async def make_version(body: NewVersion) -> JSONResponse:
@@ -101,7 +101,7 @@ def machine_router(service: JobService) -> APIRouter:
             version = await asyncio.to_thread(service.versions.make, answer, one.diagnosis_id)
         except (ServerError, CompensationError) as error:
             return problem_response(409, "No version", str(error), "no_version", "see GET /v1/diagnoses")
-        return JSONResponse(_view(version).model_dump(mode="json"), status_code=201)
+        return JSONResponse(_version_view(version).model_dump(mode="json"), status_code=201)
 
     @router.put("/in-use", response_model=VersionsView, dependencies=[Depends(control)], responses=REFUSED)
     async def use_version(body: InUse) -> VersionsView | JSONResponse:
@@ -112,7 +112,7 @@ def machine_router(service: JobService) -> APIRouter:
             return problem_response(
                 409, "Version not used", str(error), "version_refused", "see GET /v1/machine/versions"
             )
-        return await asyncio.to_thread(_versions, service)
+        return await asyncio.to_thread(_versions_view, service)
 
     @router.get(
         "/versions/{version_id}/file",
@@ -133,12 +133,12 @@ def machine_router(service: JobService) -> APIRouter:
     return router
 
 
-def _versions(service: JobService) -> VersionsView:
+def _versions_view(service: JobService) -> VersionsView:
     used = service.versions.in_use
     return VersionsView(
         in_use="" if used is None else used.version_id,
         problem=service.versions.problem,
-        versions=[_view(version) for version in service.versions.all()],
+        versions=[_version_view(version) for version in service.versions.all()],
         compared=[
             ComparedView(
                 number=comparison.number,
@@ -151,7 +151,7 @@ def _versions(service: JobService) -> VersionsView:
     )
 
 
-def _view(version: MachineVersion) -> VersionView:
+def _version_view(version: MachineVersion) -> VersionView:
     return VersionView(
         version_id=version.version_id,
         made_unix_s=version.made_unix_s,
@@ -162,11 +162,11 @@ def _view(version: MachineVersion) -> VersionView:
         sentence=version.sentence,
         miss_mm=version.miss_mm,
         left_mm=version.left_mm,
-        effects=[_effect(effect) for effect in version.effects],
+        effects=[_effect_view(effect) for effect in version.effects],
     )
 
 
-def _effect(one: FoundEffect) -> FoundEffectView:
+def _effect_view(one: FoundEffect) -> FoundEffectView:
     parameters: dict[str, float | str | list[float]] = dict(one.entry.values)
     if one.entry.option:
         parameters["option"] = one.entry.option

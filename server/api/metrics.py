@@ -54,19 +54,23 @@ class CellCollector(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """One family per figure."""
-        for name, text, value in [*_link(self._service), *_camera(self._service), *_service(self._service)]:
+        for name, text, value in [
+            *_link_figures(self._service),
+            *_camera_figures(self._service),
+            *_service_figures(self._service),
+        ]:
             yield GaugeMetricFamily(f"longreach_{name}", text, value)
         yield GaugeMetricFamily("longreach_event_readers", "readers of /v1/events", self._readers())
-        for name, text, value in _counters(self._service):
+        for name, text, value in _link_counters(self._service):
             yield CounterMetricFamily(f"longreach_{name}", text, value)
-        yield _alarms(self._service)
-        yield _faults(self._service)
+        yield _alarm_metric(self._service)
+        yield _fault_metric(self._service)
 
 
 Figures = list[tuple[str, str, float]]
 
 
-def _link(service: JobService) -> Figures:
+def _link_figures(service: JobService) -> Figures:
     health, latest = service.cell.link.health, service.cell.link.latest
     age_s = (mono_ns() - latest.t_mono_ns) * 1e-9 if latest is not None else float("nan")
     return [
@@ -76,7 +80,7 @@ def _link(service: JobService) -> Figures:
     ]
 
 
-def _counters(service: JobService) -> Figures:
+def _link_counters(service: JobService) -> Figures:
     """What only grows; Prometheus takes a smaller value for a restart."""
     health, latest = service.cell.link.health, service.cell.link.latest
     return [
@@ -87,7 +91,7 @@ def _counters(service: JobService) -> Figures:
     ]
 
 
-def _alarms(service: JobService) -> Metric:
+def _alarm_metric(service: JobService) -> Metric:
     """Every code of the catalogue, so that a rule can be written before an alarm was ever on."""
     family = GaugeMetricFamily("longreach_alarm", "1 while the alarm's cause is there", labels=("code", "priority"))
     active = service.alarm_codes()
@@ -96,14 +100,14 @@ def _alarms(service: JobService) -> Metric:
     return family
 
 
-def _faults(service: JobService) -> Metric:
+def _fault_metric(service: JobService) -> Metric:
     family = GaugeMetricFamily("longreach_fault", "1 while GET /v1/faults lists it", labels=("fault_id", "level"))
     for fault in fault_views(service):
         family.add_metric((fault.fault_id, fault.level), 1.0)
     return family
 
 
-def _camera(service: JobService) -> Figures:
+def _camera_figures(service: JobService) -> Figures:
     report = service.cell.vision.latest
     if report is None:
         return []
@@ -115,7 +119,7 @@ def _camera(service: JobService) -> Figures:
     ]
 
 
-def _service(service: JobService) -> Figures:
+def _service_figures(service: JobService) -> Figures:
     job = service.engine.current
     keeper, free = service.keeper, service.disk.free_bytes
     return [
@@ -126,11 +130,11 @@ def _service(service: JobService) -> Figures:
         ("faults", "faults now", len(fault_views(service))),
         ("disk_free_bytes", "free disk space where recordings are written", float("nan") if free is None else free),
         ("asyncio_tasks", "tasks of the event loop", len(asyncio.all_tasks())),
-        ("store_bytes", "size of the database with its log", _size(service)),
+        ("store_bytes", "size of the database with its log", _database_size_bytes(service)),
     ]
 
 
-def _size(service: JobService) -> float:
+def _database_size_bytes(service: JobService) -> float:
     """Bytes of the database file and of its write-ahead log."""
     path = service.keeper.database.path if service.keeper is not None else None
     files = [] if path is None else [path, path.with_name(path.name + "-wal")]

@@ -71,16 +71,16 @@ def complete_openapi(document: dict[str, Any]) -> dict[str, Any]:
     for name in ("HTTPValidationError", "ValidationError"):
         document["components"]["schemas"].pop(name, None)
     _describe_files(document["paths"])
-    _name(document["paths"])
+    _shorten_operation_ids(document["paths"])
     with_examples(document)
-    _link(document["paths"])
+    _add_response_links(document["paths"])
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
-            _complete(operation, method.upper(), path)
+            _add_errors_and_roles(operation, method.upper(), path)
     return document
 
 
-def _name(paths: dict[str, Any]) -> None:
+def _shorten_operation_ids(paths: dict[str, Any]) -> None:
     """Operations by their short names, which generated clients make their functions of: a test holds them apart."""
     for path, operations in paths.items():
         for method, operation in operations.items():
@@ -104,7 +104,7 @@ def _describe_files(paths: dict[str, Any]) -> None:
                     )
 
 
-def _link(paths: dict[str, Any]) -> None:
+def _add_response_links(paths: dict[str, Any]) -> None:
     """Say which answer gives what another request takes (OpenAPI links): control, jobs, diagnoses."""
     for (path, status), (source, targets) in LINKS.items():
         links = {}
@@ -120,7 +120,7 @@ def _link(paths: dict[str, Any]) -> None:
         paths[path]["post"]["responses"][status]["links"] = links
 
 
-def _complete(operation: dict[str, Any], method: str, path: str) -> None:
+def _add_errors_and_roles(operation: dict[str, Any], method: str, path: str) -> None:
     responses = operation["responses"]
     for status, text in BY_GUARD.items():
         if status not in responses or "HTTPValidationError" in str(responses[status]):

@@ -28,17 +28,17 @@ class FaultView(View):
 def fault_views(service: JobService) -> list[FaultView]:
     """All of them, most severe first."""
     found = [
-        *_link(service),
-        *_inner(service),
-        *_store(service),
-        *_camera(service),
-        *_recorder(service),
-        *_disk(service),
+        *_link_faults(service),
+        *_internal_faults(service),
+        *_store_faults(service),
+        *_camera_faults(service),
+        *_recorder_faults(service),
+        *_disk_faults(service),
     ]
     return sorted(found, key=lambda fault: fault.level != "URGENT")
 
 
-def _link(service: JobService) -> list[FaultView]:
+def _link_faults(service: JobService) -> list[FaultView]:
     health = service.cell.link.health
     phase = health.phase.value
     texts = {
@@ -59,7 +59,7 @@ def _link(service: JobService) -> list[FaultView]:
     return found
 
 
-def _inner(service: JobService) -> list[FaultView]:
+def _internal_faults(service: JobService) -> list[FaultView]:
     hints = {
         KEYS_UNREADABLE: "make the file readable to the server's user, or write it again with `longreach keys`",
         PART_FAILED: "see the server's log and report it; restart the server if it goes on",
@@ -72,13 +72,13 @@ def _inner(service: JobService) -> list[FaultView]:
     ]
 
 
-def _store(service: JobService) -> list[FaultView]:
+def _store_faults(service: JobService) -> list[FaultView]:
     problem = service.store_problem
     hint = "free space, or make the folder writable; a damaged database is moved away by hand"
     return [FaultView(fault_id="store", level="URGENT", text=problem, hint=hint)] if problem else []
 
 
-def _camera(service: JobService) -> list[FaultView]:
+def _camera_faults(service: JobService) -> list[FaultView]:
     report = service.cell.vision.latest
     age_ms = None if report is None else (mono_ns() - report.t_receive_mono_ns) * 1e-6
     if age_ms is not None and age_ms < CAMERA_SILENT_MS:
@@ -89,13 +89,13 @@ def _camera(service: JobService) -> list[FaultView]:
     ]
 
 
-def _recorder(service: JobService) -> list[FaultView]:
+def _recorder_faults(service: JobService) -> list[FaultView]:
     problem = service.recording_problem
     hint = "free space in the recordings folder, and make it writable; then start the job again"
     return [FaultView(fault_id="recorder", level="WARNING", text=problem, hint=hint)] if problem else []
 
 
-def _disk(service: JobService) -> list[FaultView]:
+def _disk_faults(service: JobService) -> list[FaultView]:
     problem = service.disk.problem
     hint = "move old recordings away: without space nothing is recorded, and motion is refused in the end"
     text = f"the disk is nearly full: {problem}"

@@ -110,7 +110,7 @@ def panel_router(service: JobService, memory: PanelMemory) -> APIRouter:
         kind = CATALOGUE.get(code)
         if kind is None:
             return problem_response(404, "No such page", f"there is no alarm {code[:40]!r}", "no_such_alarm")
-        return HTMLResponse(_page(kind), headers={"Content-Security-Policy": HELP_CSP})
+        return HTMLResponse(_alarm_help_html(kind), headers={"Content-Security-Policy": HELP_CSP})
 
     return router
 
@@ -127,7 +127,7 @@ def setting_rows(settings: dict[str, Any], prefix: str = "") -> list[SettingRow]
     return rows
 
 
-def _page(kind: AlarmKind) -> str:
+def _alarm_help_html(kind: AlarmKind) -> str:
     rows = (("Cause", kind.cause), ("What to do", kind.remedy), ("Who may clear it", kind.clears))
     body = "".join(f"<h2>{title}</h2><p>{html.escape(text)}</p>" for title, text in rows)
     return (

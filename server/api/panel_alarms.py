@@ -116,15 +116,15 @@ class Surroundings:
 def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
     """Alarms whose cause is there now: code -> what to show in addition to the catalogue's text."""
     return (
-        _plc(state, around)
+        _plc_alarms(state, around)
         | ({"plc_contested": around.other_pc} if around.other_pc else {})
-        | _camera(state, around)
+        | _camera_alarms(state, around)
         | ({"link_lossy": f"{around.loss_pct:.1f} % lost"} if around.loss_pct > LOSS_MAX_PCT else {})
         | ({"recording_failed": around.recorder_problem} if around.recorder_problem else {})
         | ({"disk_low": low} if (low := disk_shortage(around.disk_free_bytes)) else {})
         | ({"scene_ended": around.scene_problem} if around.scene_problem else {})
-        | _calibration(state)
-        | _mode(state, around)
+        | _calibration_alarms(state)
+        | _mode_mismatch_alarms(state, around)
         | dict(around.inner_faults)
         | ({STORE_FAILED: around.store_problem} if around.store_problem else {})
     )
@@ -135,7 +135,7 @@ def unknown_alarms(state: StateView) -> frozenset[str]:
     return frozenset(code for _, code in FAULT_CODES) if state.link.phase == "offline" else frozenset()
 
 
-def _plc(state: StateView, around: Surroundings) -> dict[str, str]:
+def _plc_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
     link = state.link
     if link.phase == "offline":
         if link.age_ms is None and around.up_s < STARTING_S:
@@ -146,7 +146,7 @@ def _plc(state: StateView, around: Surroundings) -> dict[str, str]:
     return {code: f"reported by the PLC (fault bits {bits:#x})" for mask, code in FAULT_CODES if bits & mask}
 
 
-def _camera(state: StateView, around: Surroundings) -> dict[str, str]:
+def _camera_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
     if around.vision_problem:
         return {"vision_ended": around.vision_problem}
     age_ms = state.camera.age_ms
@@ -159,13 +159,13 @@ def _camera(state: StateView, around: Surroundings) -> dict[str, str]:
     return {}
 
 
-def _mode(state: StateView, around: Surroundings) -> dict[str, str]:
+def _mode_mismatch_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
     if state.link.age_ms is None or state.link.simulation == (around.set_mode == "SIM"):
         return {}
     plc = "a simulation" if state.link.simulation else "a real machine"
     return {"mode_mismatch": f"the settings say {around.set_mode}, the PLC says that it drives {plc}"}
 
 
-def _calibration(state: StateView) -> dict[str, str]:
+def _calibration_alarms(state: StateView) -> dict[str, str]:
     found = state.calibration
     return {} if found is None or found.valid else {"calibration_expired": found.expiry_reason}

@@ -72,13 +72,13 @@ class PanelMemory:
         service, now_s = self.service, mono_s()
         state = state_view(service.cell, service.engine, service.context, service.store_problem)
         self._note_look()
-        self._refresh(now_s)
-        self.book.update(active_alarms(state, self._surroundings(state, now_s)), time.time(), unknown_alarms(state))
-        return LiveView(**state.__dict__, panel=self._panel())
+        self._refresh_slow_figures(now_s)
+        self.book.update(active_alarms(state, self._alarm_inputs(state, now_s)), time.time(), unknown_alarms(state))
+        return LiveView(**state.__dict__, panel=self._panel_view())
 
     # --- parts ------------------------------------------------------------------------------------------------------
 
-    def _panel(self) -> PanelView:
+    def _panel_view(self) -> PanelView:
         service = self.service
         cell, goal = service.cell, service.context.settings.position
         alarms = [_alarm_view(alarm) for alarm in self.book.alarms]
@@ -108,7 +108,7 @@ class PanelMemory:
         required = mode_of(cell.settings.mode, cell.link.latest) == "REAL"
         return HoldState(required=required, held_by=self.held_by, limit_ms=SILENCE_NS * 1e-6)
 
-    def _surroundings(self, state: StateView, now_s: float) -> Surroundings:
+    def _alarm_inputs(self, state: StateView, now_s: float) -> Surroundings:
         if not state.camera.warnings:
             self._fit_s = now_s
         text = self.service.cell.vision.stream_text
@@ -126,7 +126,7 @@ class PanelMemory:
             inner_faults=self.service.inner_faults.active,
         )
 
-    def _refresh(self, now_s: float) -> None:
+    def _refresh_slow_figures(self, now_s: float) -> None:
         """What costs something, once a second."""
         cell = self.service.cell
         if now_s - self._figures_s >= FIGURES_S:

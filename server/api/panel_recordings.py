@@ -48,7 +48,7 @@ def recordings_router(service: JobService) -> APIRouter:
     @router.get("", response_model=list[RecordingView])
     async def list_panel_recordings() -> list[RecordingView]:
         """All recordings with the panel's details, newest first."""
-        return await asyncio.to_thread(_listed, folder)
+        return await asyncio.to_thread(_newest_recordings, folder)
 
     @router.get("/viewers/foxglove-layout", include_in_schema=False)
     async def layout() -> Response:
@@ -59,15 +59,19 @@ def recordings_router(service: JobService) -> APIRouter:
     @router.get("/{name}/file", response_model=None)
     async def recording_file(name: str) -> FileResponse | JSONResponse:
         """The MCAP file: opens in Foxglove and Rerun."""
-        path = _path(folder, name)
-        return GrowingFile(path, media_type="application/octet-stream", filename=name) if path else _unknown(name)
+        path = _recording_path(folder, name)
+        return (
+            GrowingFile(path, media_type="application/octet-stream", filename=name)
+            if path
+            else _unknown_recording_response(name)
+        )
 
     @router.get("/{name}/replay", response_model=None)
     async def recording_replay(name: str) -> Response:
         """Contents of a run over time, for the replay; read in a separate process."""
-        path = _path(folder, name)
+        path = _recording_path(folder, name)
         if path is None:
-            return _unknown(name)
+            return _unknown_recording_response(name)
         async with reading:
             stat = path.stat()
             version = (stat.st_size, stat.st_mtime_ns)
@@ -106,7 +110,7 @@ async def _read(path: Path) -> tuple[int | None, bytes, str]:
     return process.returncode, out, error.decode(errors="replace")[-300:]
 
 
-def _listed(folder: Path) -> list[RecordingView]:
+def _newest_recordings(folder: Path) -> list[RecordingView]:
     try:
         found = [(path, path.stat()) for path in folder.glob("*.mcap") if run_path(folder, path.stem)]
     except OSError:
@@ -118,10 +122,10 @@ def _listed(folder: Path) -> list[RecordingView]:
     ]
 
 
-def _path(folder: Path, name: str) -> Path | None:
+def _recording_path(folder: Path, name: str) -> Path | None:
     """A recording by its file's name; nothing outside the folder can be named, or linked."""
     return run_path(folder, name.removesuffix(".mcap")) if name.endswith(".mcap") else None
 
 
-def _unknown(name: str) -> JSONResponse:
+def _unknown_recording_response(name: str) -> JSONResponse:
     return problem_response(404, "Unknown recording", f"there is no recording {name[:80]!r}", "unknown_recording")

@@ -41,7 +41,7 @@ def replay_of(path: Path) -> tuple[dict[str, Any], list[bytes]]:
     pictures: list[tuple[float, bytes]] = []
     t_zero_ns: int | None = None
     apart_s = 1.0 / PICTURES_HZ
-    for topic, message in _messages(path):
+    for topic, message in _wanted_messages(path):
         t_zero_ns = message.log_time if t_zero_ns is None else t_zero_ns
         t_s = round((message.log_time - t_zero_ns) * 1e-9, 3)
         if topic == LOG_TOPIC:
@@ -52,9 +52,9 @@ def replay_of(path: Path) -> tuple[dict[str, Any], list[bytes]]:
             if len(pictures) > PICTURES_MAX:  # of a long run every second one, to its end
                 pictures, apart_s = pictures[::2], 2.0 * apart_s
         elif topic == LookRow.topic:
-            looks.append([t_s, *_look(CODECS[topic].decode(message.data))])
+            looks.append([t_s, *_look_status_and_reason(CODECS[topic].decode(message.data))])
         elif not joints or t_s - joints[-1][0] >= 1.0 / JOINTS_HZ:
-            joints.append([t_s, *_joints(CODECS[topic].decode(message.data))])
+            joints.append([t_s, *_joint_angles_and_state(CODECS[topic].decode(message.data))])
     if t_zero_ns is None:
         raise RecordingError(f"recording {path.name} holds nothing that could be replayed")
     ends = np.cumsum([0, *(len(data) for _, data in pictures)]).tolist()
@@ -67,7 +67,7 @@ def replay_of(path: Path) -> tuple[dict[str, Any], list[bytes]]:
     return replay, [data for _, data in pictures]
 
 
-def _messages(path: Path) -> Iterator[tuple[str, Message]]:
+def _wanted_messages(path: Path) -> Iterator[tuple[str, Message]]:
     channels = Channels()
     for record in RecordStream(path):
         channels.take(record)
@@ -75,14 +75,14 @@ def _messages(path: Path) -> Iterator[tuple[str, Message]]:
             yield topic, record
 
 
-def _joints(row: Row) -> list[Any]:
+def _joint_angles_and_state(row: Row) -> list[Any]:
     if not isinstance(row, PlcState):
         raise RecordingError(f"a row of {PlcState.topic} is {type(row).__name__}")
     degrees = np.round(np.rad2deg(row.q_rad), 2).tolist()
     return [[q if np.isfinite(q) else None for q in degrees], row.plc_state]
 
 
-def _look(row: Row) -> list[Any]:
+def _look_status_and_reason(row: Row) -> list[Any]:
     if not isinstance(row, LookRow):
         raise RecordingError(f"a row of {LookRow.topic} is {type(row).__name__}")
     return [row.status, row.reason]

@@ -67,16 +67,16 @@ class SceneFeed:
                 await self._one_life()
                 await asyncio.sleep(RESTART_S)
         finally:
-            await asyncio.shield(asyncio.to_thread(self._end))
+            await asyncio.shield(asyncio.to_thread(self._close_process))
 
     async def _one_life(self) -> None:
         process = SceneProcess(self._service.cell.machine)
         try:
             await asyncio.to_thread(process.start)
             self._process = process
-            self._say(running=True, problem="", process_id=process.process_id)
+            self._set_scene_status(running=True, problem="", process_id=process.process_id)
             while True:
-                view = self._view()
+                view = self._scene_view()
                 if view is not None:
                     process.show(view)
                 elif process.process_id is None:
@@ -84,25 +84,25 @@ class SceneFeed:
                 await asyncio.sleep(PERIOD_S)
         except SceneGoneError as error:
             log.error("%s; the page continues without it, it restarts in %s s", error, RESTART_S)
-            self._say(running=False, problem=str(error), process_id=None)
+            self._set_scene_status(running=False, problem=str(error), process_id=None)
         except Exception:  # the scene is an extra: the page with its STOP must go on without it
             log.exception("the 3D view failed")
-            self._say(running=False, problem="the 3D view failed; see the server's log", process_id=None)
+            self._set_scene_status(running=False, problem="the 3D view failed; see the server's log", process_id=None)
         finally:
             self._process = None
             await asyncio.shield(asyncio.to_thread(process.close))
 
-    def _end(self) -> None:
+    def _close_process(self) -> None:
         if self._process is not None:
             self._process.close()
 
-    def _say(self, running: bool, problem: str, process_id: int | None) -> None:
+    def _set_scene_status(self, running: bool, problem: str, process_id: int | None) -> None:
         update = {"running": running, "problem": problem, "process_id": process_id}
         self._memory.scene = self._memory.scene.model_copy(update=update)
 
     # --- what is shown ----------------------------------------------------------------------------------------------
 
-    def _view(self) -> SceneView | None:
+    def _scene_view(self) -> SceneView | None:
         cell, ctx = self._service.cell, self._service.context
         latest = cell.link.latest
         if latest is None:
@@ -121,7 +121,7 @@ class SceneFeed:
             scrub_frac=self._memory.scene.scrub_frac,
             track_base_m=self._track_shown(T_base_cam),
             map_base_m=self._map_shown(),
-            picture_jpeg=self._picture(),
+            picture_jpeg=self._preview_if_due(),
         )
 
     def _plan_shown(self, previewed: PreviewedPlan | None) -> PlanShown | None:
@@ -154,7 +154,7 @@ class SceneFeed:
             self._map = found, points_base
         return self._map[1]
 
-    def _picture(self) -> bytes | None:
+    def _preview_if_due(self) -> bytes | None:
         preview, now_s = self._service.cell.vision.latest_preview, mono_s()
         if preview is None or now_s - self._picture_s < PICTURE_S:
             return None

@@ -94,7 +94,7 @@ def runs_router(folder: Path) -> APIRouter:
     @router.get("", response_model=list[RunView])
     async def list_runs(limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[RunView]:
         """All recordings, newest first."""
-        return await asyncio.to_thread(_views, folder, limit)
+        return await asyncio.to_thread(_run_views, folder, limit)
 
     @router.get("/{run_id}/mcap", response_model=None, response_class=FileResponse, responses=FILE)
     async def run_mcap(run_id: RunId) -> FileResponse | JSONResponse:
@@ -112,7 +112,7 @@ def runs_router(folder: Path) -> APIRouter:
     return router
 
 
-def _views(folder: Path, limit: int) -> list[RunView]:
+def _run_views(folder: Path, limit: int) -> list[RunView]:
     views = []
     for run_id in run_ids(folder)[:limit]:
         path = run_path(folder, run_id)

@@ -75,11 +75,11 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext, store_problem: s
         q_ref_deg=references,
         q_min_deg=[float(np.rad2deg(joint.q_min_rad)) for joint in joints],
         q_max_deg=[float(np.rad2deg(joint.q_max_rad)) for joint in joints],
-        link=_link(cell),
-        camera=_camera(cell),
-        markers=_markers(cell),
+        link=_link_view(cell),
+        camera=_camera_view(cell),
+        markers=_marker_views(cell),
         live_error=error_view(live_error(cell, ctx)),
-        look=_look(cell),
+        look=_last_look_view(cell),
         calibration=calibration_view(cell, ctx, mono_ns()),
         calibration_note=knowledge.calibration_note,
         plan=plan_view(knowledge.previewed, ctx) if knowledge.previewed else None,
@@ -89,19 +89,21 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext, store_problem: s
         tolerance_deg=goal.tolerance_deg,
         stand_off_mm=goal.stand_off_mm,
         control=control_view(engine.leases),
-        compensation=_compensation(ctx),
+        compensation=_compensation_view(ctx),
         steps=step_refusals(cell, engine, store_problem),
     )
 
 
-def _compensation(ctx: PlanContext) -> CompensationView:
+def _compensation_view(ctx: PlanContext) -> CompensationView:
     known = ctx.compensation
     return CompensationView() if known is None else CompensationView(active=True, effects=list(known.sorted.lines()))
 
 
 def step_refusals(cell: Cell, engine: JobEngine, store_problem: str = "") -> dict[str, str]:
     """For each step the reason why it is not possible now; empty when it is."""
-    common = _blocked(cell, engine) or (f"the database cannot be written: {store_problem}" if store_problem else "")
+    common = _blocking_reason(cell, engine) or (
+        f"the database cannot be written: {store_problem}" if store_problem else ""
+    )
     look = cell.knowledge.last_look
     mode = mode_of(cell.settings.mode, cell.link.latest)
     no_look = "" if look is not None and look.error is not None else "look first"
@@ -130,7 +132,7 @@ def _no_plan(cell: Cell) -> str:
     return "" if latest is None else moved_since_look(cell.machine, latest.q_rad, plan.q_look)
 
 
-def _blocked(cell: Cell, engine: JobEngine) -> str:
+def _blocking_reason(cell: Cell, engine: JobEngine) -> str:
     job = engine.current
     if job is not None and not job.ended:
         return f"{job.kind} of {job.owner} is {job.state.value}"
@@ -150,7 +152,7 @@ def _blocked(cell: Cell, engine: JobEngine) -> str:
     return ""
 
 
-def _link(cell: Cell) -> LinkView:
+def _link_view(cell: Cell) -> LinkView:
     health, latest = cell.link.health, cell.link.latest
     total = max(1, health.received + health.lost)
     age_ms = None if latest is None else (mono_ns() - latest.t_mono_ns) * 1e-6
@@ -172,7 +174,7 @@ def _link(cell: Cell) -> LinkView:
     )
 
 
-def _camera(cell: Cell) -> CameraView:
+def _camera_view(cell: Cell) -> CameraView:
     report = cell.vision.latest
     if report is None:
         return CameraView(fps=0.0, age_ms=None, process_ms=0.0, skipped=0, warnings=["no image yet"])
@@ -189,7 +191,7 @@ def _camera(cell: Cell) -> CameraView:
     )
 
 
-def _markers(cell: Cell) -> list[MarkerViewOut]:
+def _marker_views(cell: Cell) -> list[MarkerViewOut]:
     report = cell.vision.latest
     if report is None:
         return []
@@ -206,7 +208,7 @@ def _markers(cell: Cell) -> list[MarkerViewOut]:
     ]
 
 
-def _look(cell: Cell) -> LookView | None:
+def _last_look_view(cell: Cell) -> LookView | None:
     taken = cell.knowledge.last_look
     if taken is None:
         return None
@@ -243,14 +245,14 @@ def plan_view(previewed: PreviewedPlan, ctx: PlanContext | None = None) -> PlanV
         sigma_min=round(plan.sigma_min, 4),
         joint_travel_deg=[round(float(value), 2) for value in np.rad2deg(plan.joint_travel_rad)],
         predicted_sigma_mm=[round(value, 2) for value in previewed.predicted_sigma_mm],
-        caution=_caution(previewed, ctx),
+        caution=_accuracy_warning(previewed, ctx),
         before=ErrorView(**asdict(previewed.before)),
         path_base_m=np.round(picked, 4).tolist(),
         q_goal_rad=[float(value) for value in previewed.q_goal],
     )
 
 
-def _caution(previewed: PreviewedPlan, ctx: PlanContext | None) -> str:
+def _accuracy_warning(previewed: PreviewedPlan, ctx: PlanContext | None) -> str:
     """What the operator should know before Execute: an error that will not be known well enough."""
     if ctx is None or is_inside_tolerance(ctx, previewed.predicted_sigma_mm):
         return ""

@@ -70,7 +70,9 @@ def taught_object_router(service: JobService, choice: TargetChoice) -> APIRouter
 
     def view() -> ObjectsView:
         return ObjectsView(
-            names=teaching.names(), in_use=teaching.in_use, view_landmarks=[_count(taken) for taken in teaching.views]
+            names=teaching.names(),
+            in_use=teaching.in_use,
+            view_landmarks=[_mark_count(taken) for taken in teaching.views],
         )
 
     @router.get("", response_model=ObjectsView)
@@ -112,7 +114,7 @@ def taught_object_router(service: JobService, choice: TargetChoice) -> APIRouter
     return router
 
 
-def _count(view: TaughtView) -> int:
+def _mark_count(view: TaughtView) -> int:
     return len(view.marks)
 
 
@@ -308,9 +310,9 @@ def patch_view(
         radius_mm=1e3 * patch.radius_m,
         shape=patch.shape,
         oblique_deg=float(np.rad2deg(np.arccos(np.clip(-view @ T[:3, 2], -1.0, 1.0)))),
-        outline_px=_rounded(_outline_px(T, patch.radius_m, camera)),
-        ellipse_px=_rounded(_ellipse_px(T, C, camera)),
-        axes_px=_rounded(project(camera, transform_points(T, ends))),
+        outline_px=_rounded_points(_outline_px(T, patch.radius_m, camera)),
+        ellipse_px=_rounded_points(_ellipse_px(T, C, camera)),
+        axes_px=_rounded_points(project(camera, transform_points(T, ends))),
     )
 
 
@@ -326,7 +328,7 @@ def _ellipse_px(T: Array, C: Array, camera: StereoCamera) -> Array:
     return project(camera, T[:3, 3] + ring)
 
 
-def _rounded(points: Array) -> list[list[float]]:
+def _rounded_points(points: Array) -> list[list[float]]:
     return np.round(points, 1).tolist()
 
 

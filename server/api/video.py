@@ -78,15 +78,15 @@ def overlay_of(cell: Cell, ctx: PlanContext, report: FrameReport, age_ms: float)
         height_px=camera.height_px,
         picture_width_px=report.preview_width_px,
         fps=round(report.fps, 1),
-        markers=[_marker(view, tool_ids) for view in seen.views if view.corners_left_px is not None],
-        tool=_cross(camera, _pose(seen.tool)),
-        goal=_goal(camera, seen.ooi, ctx.T_ooi_goal),
+        markers=[_marker_overlay(view, tool_ids) for view in seen.views if view.corners_left_px is not None],
+        tool=_axes_overlay(camera, _seen_pose(seen.tool)),
+        goal=_goal_overlay(camera, seen.ooi, ctx.T_ooi_goal),
         warnings=list(report.warnings),
         masks_px=[np.round(polygon, 1).tolist() for polygon in cell.vision.masks[0]],
     )
 
 
-def _marker(view: MarkerView, tool_ids: set[int]) -> MarkerOverlay:
+def _marker_overlay(view: MarkerView, tool_ids: set[int]) -> MarkerOverlay:
     corners = np.zeros((0, 2)) if view.corners_left_px is None else view.corners_left_px
     return MarkerOverlay(
         marker_id=view.marker_id,
@@ -98,16 +98,16 @@ def _marker(view: MarkerView, tool_ids: set[int]) -> MarkerOverlay:
     )
 
 
-def _pose(found: ObjectPose) -> Array | None:
+def _seen_pose(found: ObjectPose) -> Array | None:
     return found.T_cam_object if found.status in SEEN else None
 
 
-def _goal(camera: StereoCamera, ooi: ObjectPose, T_ooi_goal: Array) -> CrossOverlay | None:
-    T_cam_ooi = _pose(ooi)
-    return None if T_cam_ooi is None else _cross(camera, T_cam_ooi @ T_ooi_goal)
+def _goal_overlay(camera: StereoCamera, ooi: ObjectPose, T_ooi_goal: Array) -> CrossOverlay | None:
+    T_cam_ooi = _seen_pose(ooi)
+    return None if T_cam_ooi is None else _axes_overlay(camera, T_cam_ooi @ T_ooi_goal)
 
 
-def _cross(camera: StereoCamera, T_cam_object: Array | None) -> CrossOverlay | None:
+def _axes_overlay(camera: StereoCamera, T_cam_object: Array | None) -> CrossOverlay | None:
     """Projection of an object's origin and axes; None behind the camera."""
     if T_cam_object is None:
         return None
@@ -130,9 +130,9 @@ class VideoHub:
         self._number = 0
         self._message = b""
         self.viewers = 0
-        service.cell.vision.on_report(self._take)
+        service.cell.vision.on_report(self._pack_video_frame)
 
-    def _take(self, report: FrameReport) -> None:
+    def _pack_video_frame(self, report: FrameReport) -> None:
         """Packed once for all viewers; without viewers nothing is packed."""
         if report.preview_jpeg is None or self.viewers == 0:
             return
@@ -167,14 +167,14 @@ def video_router(service: JobService) -> APIRouter:
         hub.viewers += 1
         try:
             with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-                await _show(socket, hub)
+                await _stream_to_viewer(socket, hub)
         finally:
             hub.viewers -= 1
 
     return router
 
 
-async def _show(socket: WebSocket, hub: VideoHub) -> None:
+async def _stream_to_viewer(socket: WebSocket, hub: VideoHub) -> None:
     room = asyncio.Semaphore(UNDER_WAY_MAX)
     sending = asyncio.create_task(_send(socket, hub, room))
     drawn = asyncio.create_task(_count_drawn(socket, room))

@@ -14,7 +14,7 @@ PARENT, CHILD = "tcp", "cam_left"
 def as_yaml(calibration: LocalCalibration, validity: CalibrationValidity) -> str:
     """Everything that a person or a program may ask of it, units in the names."""
     made, limits = calibration.made, calibration.expiry
-    translation, quat_wxyz = _mount(calibration)
+    translation, quat_wxyz = _mount_translation_quaternion(calibration)
     body = {
         "format": "longreach calibration export",
         "version": 1,
@@ -24,13 +24,13 @@ def as_yaml(calibration: LocalCalibration, validity: CalibrationValidity) -> str
         "method": calibration.method,
         "made": {
             "utc": datetime.fromtimestamp(made.t_unix_s, UTC).isoformat(timespec="seconds"),
-            "q_deg": _rounded(np.rad2deg(made.q), 4),
-            "p_base_tcp_m": _rounded(made.T_base_tcp[:3, 3], 5),
+            "q_deg": _rounded_list(np.rad2deg(made.q), 4),
+            "p_base_tcp_m": _rounded_list(made.T_base_tcp[:3, 3], 5),
             "oil_temperature_c": made.oil_temperature_c,
         },
         "T_tcp_cam_left": {"translation_m": translation, "quat_wxyz": quat_wxyz},
-        "rotation_covariance_rad2": [_rounded(row, 12) for row in calibration.covariance],
-        "rotation_sigmas_deg": _rounded(np.rad2deg(calibration.sigmas_rad), 4),
+        "rotation_covariance_rad2": [_rounded_list(row, 12) for row in calibration.covariance],
+        "rotation_sigmas_deg": _rounded_list(np.rad2deg(calibration.sigmas_rad), 4),
         "observability": round(calibration.observability, 5),
         "observability_text": observability_text(calibration),
         "residual_rms_mm": round(calibration.residual_rms_mm, 4),
@@ -51,7 +51,7 @@ def as_yaml(calibration: LocalCalibration, validity: CalibrationValidity) -> str
 
 def as_ros(calibration: LocalCalibration, validity: CalibrationValidity) -> str:
     """The mount as geometry_msgs/TransformStamped in YAML, with the command that publishes it as a comment."""
-    (x, y, z), (w, i, j, k) = _mount(calibration)
+    (x, y, z), (w, i, j, k) = _mount_translation_quaternion(calibration)
     t_s = calibration.made.t_unix_s
     stamp = {"sec": int(t_s // 1), "nanosec": int((t_s % 1) * 1e9)}
     transform = {
@@ -67,13 +67,13 @@ def as_ros(calibration: LocalCalibration, validity: CalibrationValidity) -> str:
     return f"# {state}\n# {command}\n" + yaml.safe_dump({"transforms": [transform]}, sort_keys=False)
 
 
-def _mount(calibration: LocalCalibration) -> tuple[list[float], list[float]]:
+def _mount_translation_quaternion(calibration: LocalCalibration) -> tuple[list[float], list[float]]:
     """Translation [m] and quaternion wxyz of T_tcp_cam: the joint estimate's lever where there is one."""
     found = calibration.local_map
     R = calibration.R_tcp_cam if found is None else found.T_tcp_cam[:3, :3]
     p = calibration.p_tcp_cam_m if found is None else found.T_tcp_cam[:3, 3]
-    return _rounded(p, 6), _rounded(quat_wxyz_from_rotation(R), 9)
+    return _rounded_list(p, 6), _rounded_list(quat_wxyz_from_rotation(R), 9)
 
 
-def _rounded(values: np.ndarray, digits: int) -> list[float]:
+def _rounded_list(values: np.ndarray, digits: int) -> list[float]:
     return [round(float(value), digits) for value in values]

@@ -128,7 +128,7 @@ def calibration_text(saved: SavedCalibration) -> str:
             "oil_temperature_c": made.oil_temperature_c,
         },
         "tool": tool and {"T_cam_tool": tool.T_cam_tool.tolist(), "covariance": tool.covariance.tolist()},
-        "local_map": found and {name: _listed(getattr(found, name)) for name in _Map.model_fields},
+        "local_map": found and {name: _array_as_list(getattr(found, name)) for name in _Map.model_fields},
         "expiry": {name: getattr(one.expiry, name) for name in _Expiry.model_fields},
         "runs": [_run_body(run) for run in saved.runs],
     }
@@ -150,7 +150,7 @@ _PLAIN = (
 )
 
 
-def _listed(value: object) -> object:
+def _array_as_list(value: object) -> object:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
@@ -202,28 +202,34 @@ def _read(file: _File) -> SavedCalibration:
         R_tcp_cam=require_rotation(np.array(file.R_tcp_cam), "R_tcp_cam"),
         covariance=require_covariance(np.array(file.covariance_rad2), 3, "covariance_rad2"),
         p_tcp_cam_m=np.array(file.p_tcp_cam_m),
-        made=MadeAt(made.t_unix_s, np.array(made.q_rad), _pose(made.T_base_tcp, "T_base_tcp"), made.oil_temperature_c),
-        tool=None if tool is None else _tool(tool),
-        local_map=None if found is None else _map(found),
+        made=MadeAt(
+            made.t_unix_s, np.array(made.q_rad), _checked_pose(made.T_base_tcp, "T_base_tcp"), made.oil_temperature_c
+        ),
+        tool=None if tool is None else _tool_from_record(tool),
+        local_map=None if found is None else _local_map_from_record(found),
         expiry=CalibrationExpiry(**file.expiry.model_dump()),
     )
     return SavedCalibration(calibration, tuple(_run(run) for run in file.runs))
 
 
-def _pose(rows: Matrix, subject: str) -> Array:
+def _checked_pose(rows: Matrix, subject: str) -> Array:
     return require_pose(np.array(rows), subject)
 
 
-def _tool(tool: _Tool) -> ToolSeen:
+def _tool_from_record(tool: _Tool) -> ToolSeen:
     return ToolSeen(
-        _pose(tool.T_cam_tool, "T_cam_tool"), require_covariance(np.array(tool.covariance), 6, "tool.covariance")
+        _checked_pose(tool.T_cam_tool, "T_cam_tool"),
+        require_covariance(np.array(tool.covariance), 6, "tool.covariance"),
     )
 
 
-def _map(found: _Map) -> LocalMap:
+def _local_map_from_record(found: _Map) -> LocalMap:
     numbers = found.model_dump(exclude={"T_tcp_cam", "T_tcp_tool", "errors"})
     return LocalMap(
-        _pose(found.T_tcp_cam, "T_tcp_cam"), _pose(found.T_tcp_tool, "T_tcp_tool"), np.array(found.errors), **numbers
+        _checked_pose(found.T_tcp_cam, "T_tcp_cam"),
+        _checked_pose(found.T_tcp_tool, "T_tcp_tool"),
+        np.array(found.errors),
+        **numbers,
     )
 
 

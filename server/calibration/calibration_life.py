@@ -127,19 +127,19 @@ class LocalCalibration:
         Args:    q: encoders (n,) [rad]. T_base_tcp: nominal pose there (4, 4). oil_temperature_c: None where not known.
         """
         return (
-            self._slipped()
-            or self._aged(t_unix_s)
-            or self._moved(q, T_base_tcp)
-            or self._warmed(oil_temperature_c)
+            self._slip_or_shift_verdict()
+            or self._age_verdict(t_unix_s)
+            or self._displacement_verdict(q, T_base_tcp)
+            or self._oil_temperature_verdict(oil_temperature_c)
             or CalibrationValidity(ValidityStatus.VALID)
         )
 
-    def _slipped(self) -> CalibrationValidity | None:
+    def _slip_or_shift_verdict(self) -> CalibrationValidity | None:
         if self.slip:
             return CalibrationValidity(ValidityStatus.SLIPPED, self.slip)
         return CalibrationValidity(ValidityStatus.SHIFTED, self.shift) if self.shift else None
 
-    def _aged(self, t_unix_s: float) -> CalibrationValidity | None:
+    def _age_verdict(self, t_unix_s: float) -> CalibrationValidity | None:
         age_s, limit_s = t_unix_s - self.made.t_unix_s, self.expiry.age_max_s
         if age_s < -CLOCK_BACK_S:
             text = f"the calibration is from {-age_s / 60.0:.0f} min in the future: the clock was set back; calibrate"
@@ -149,7 +149,7 @@ class LocalCalibration:
             return CalibrationValidity(ValidityStatus.TOO_OLD, text)
         return None
 
-    def _moved(self, q: Array, T_base_tcp: Array) -> CalibrationValidity | None:
+    def _displacement_verdict(self, q: Array, T_base_tcp: Array) -> CalibrationValidity | None:
         far_m = float(np.linalg.norm(T_base_tcp[:3, 3] - self.made.T_base_tcp[:3, 3]))
         turn_rad = geodesic_angle(self.made.T_base_tcp[:3, :3], T_base_tcp[:3, :3])
         joint_rad = float(np.abs(q - self.made.q).max())
@@ -167,7 +167,7 @@ class LocalCalibration:
             )
         return None
 
-    def _warmed(self, oil_temperature_c: float | None) -> CalibrationValidity | None:
+    def _oil_temperature_verdict(self, oil_temperature_c: float | None) -> CalibrationValidity | None:
         before = self.made.oil_temperature_c
         if before is None or oil_temperature_c is None:
             return None

@@ -116,7 +116,7 @@ class ChordStep:
     weighting: ChordWeighting
 
 
-def _design(axis: int) -> Array:
+def _axis_design_matrix(axis: int) -> Array:
     """How the parameters enter one axis' residual, as columns over (point q, velocity v, residual r): (9, 14).
 
     Model:   r = y - s R x; a rotation vector w takes w x q from it, log s takes q, the offset -v, a strain M takes M q.
@@ -129,7 +129,7 @@ def _design(axis: int) -> Array:
     return K
 
 
-_DESIGNS = tuple(_design(axis) for axis in range(3))
+_DESIGNS = tuple(_axis_design_matrix(axis) for axis in range(3))
 
 
 def chord_step(tracks: PairedTracks, offset_s: float, offset_sigma_s: float) -> ChordStep:
@@ -146,7 +146,7 @@ def chord_step(tracks: PairedTracks, offset_s: float, offset_sigma_s: float) -> 
     residuals = tracks.points - tracks.rotated
     # the clean points stand for the rotated ones in the derivatives: the odometry's jitter must not explain itself
     points, residuals = tracks.points - tracks.points.mean(axis=0), residuals - residuals.mean(axis=0)
-    columns = (_extended(points), tracks.velocities, residuals)
+    columns = (_damp_weak_directions(points), tracks.velocities, residuals)
     stacked, weights = np.hstack(columns), tracks.kept.astype(float)
     count = 3.0 * (float(tracks.kept.sum()) - 1.0)
     found = []
@@ -165,7 +165,7 @@ def chord_step(tracks: PairedTracks, offset_s: float, offset_sigma_s: float) -> 
     return ChordStep(change, covariance, drift, jitter, chord_weighting(tracks.arc_steps_m, drift, jitter, weights))
 
 
-def _extended(points: Array) -> Array:
+def _damp_weak_directions(points: Array) -> Array:
     """Centred points (n, 3) less what lies in directions of hardly any extent: C (C + shaking^2)^-1 q, C = scatter."""
     scatter = points.T @ points / len(points)
     return points @ np.linalg.solve(scatter + _SHAKING_M**2 * np.eye(3), scatter)
@@ -266,10 +266,10 @@ def fit_chord_rotation(
         tracks = PairedTracks(points, velocities, guess.scale * points_vo @ guess.R.T, arc_steps_m, kept)
         step = chord_step(tracks, guess.offset_s, offset_bound_s)
         sigmas = np.sqrt(np.diag(step.covariance))
-        change, last = _calmed(step.change, last, sigmas)
+        change, last = _damp_oscillating_step(step.change, last, sigmas)
         guess = guess.after(change, offset_bound_s)
         points, velocities = base_track(guess.offset_s)
-        before, kept = kept, _likely(points, guess.scale * points_vo @ guess.R.T, step, kept)
+        before, kept = kept, _likely_inliers(points, guess.scale * points_vo @ guess.R.T, step, kept)
         if tries > _FREE_ROUNDS and (before & kept).sum() >= 0.5 * len(kept):
             kept = before & kept  # who is still coming and going stays out: the choice cannot go round in circles
         small = np.abs(step.change) < _STEP_SMALL_SIGMAS * sigmas + _STEP_SMALL
@@ -287,7 +287,7 @@ def fit_chord_rotation(
             )
 
 
-def _calmed(change: Array, last: Array, sigmas: Array) -> tuple[Array, Array]:
+def _damp_oscillating_step(change: Array, last: Array, sigmas: Array) -> tuple[Array, Array]:
     """The step, halved where it takes back most of the one before; and itself in sigmas, for the next one.
 
     Velocities at a swinging boom change with the offset, so full steps in the offset can go to and fro for long.
@@ -306,7 +306,7 @@ def _not_jumping(residuals: Array) -> NDArray[np.bool_]:
     return calm if calm.sum() >= 0.5 * len(calm) else np.ones(len(residuals), dtype=bool)
 
 
-def _likely(points: Array, rotated: Array, step: ChordStep, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _likely_inliers(points: Array, rotated: Array, step: ChordStep, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Samples that are likelier part of the track than spread over the path's volume; the old ones if few are."""
     differences, variances = step.weighting.left_out(points - rotated)
     total = variances + step.jitter

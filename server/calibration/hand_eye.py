@@ -89,7 +89,7 @@ def solve_ax_yb(
     Returns: the estimate; no X when the poses do not determine it.
     Source:  Park, Martin 1994; Zhuang, Roth, Sudhakar 1994 (A X = Y B).
     """
-    As, Bs, good = _pairs(As, Bs)
+    As, Bs, good = _usable_pose_pairs(As, Bs)
     covariances = _usable_covariances(camera_covariances, good)
     return _solve_poses(lambda offset_s: As, Bs, 0.0, False, settings, covariances)
 
@@ -115,7 +115,7 @@ def _solve_poses(
     """A X = Y B with the hand as a function of the clock offset; `free_offset`: the offset is refined along."""
     As = hand(offset_start_s)
     spread = min(_axis_spread(Ts) for Ts in (As, Bs)) if len(As) else 0.0
-    refusal = _refusal(len(As), settings.poses_min, spread, settings)
+    refusal = _input_refusal(len(As), settings.poses_min, spread, settings)
     if refusal is not None:
         return refusal
     X, Y = start_ax_yb(As, Bs, np.random.default_rng(0), settings.triples)
@@ -127,7 +127,7 @@ def _solve_poses(
         found = replace(again, residuals=model.evaluate(again.unknowns)[0])
     centred = Bs[:, :3, 3] - np.median(Bs[:, :3, 3], axis=0)
     turns = rotation_vectors(motions_between(Bs, *_far_pairs(len(Bs)))[:, :3, :3])
-    return _judged(found, (_median_norm(turns), _median_norm(centred)), spread, settings, free_offset)
+    return _judge_estimate(found, (_median_norm(turns), _median_norm(centred)), spread, settings, free_offset)
 
 
 def _axis_spread(Ts: Array) -> float:
@@ -145,7 +145,7 @@ def _far_pairs(n: int) -> tuple[Indices, Indices]:
     return first, (first + shifts) % n
 
 
-def _pairs(As: Array, Bs: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _usable_pose_pairs(As: Array, Bs: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """The usable pairs, and which they are."""
     As, Bs = np.asarray(As, dtype=float), np.asarray(Bs, dtype=float)
     if As.ndim != 3 or As.shape[1:] != (4, 4) or As.shape != Bs.shape:
@@ -154,7 +154,7 @@ def _pairs(As: Array, Bs: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     return As[good], Bs[good], good
 
 
-def _refusal(n: int, n_min: int, spread: float, settings: HandEyeSettings) -> HandEyeEstimate | None:
+def _input_refusal(n: int, n_min: int, spread: float, settings: HandEyeSettings) -> HandEyeEstimate | None:
     if n < n_min:
         text = f"{n} usable pairs, at least {n_min} are needed; record more poses"
         return refused_hand_eye(CalibrationStatus.TOO_FEW, text, n)
@@ -171,7 +171,7 @@ def _median_norm(vectors: Array) -> float:
     return float(np.median(np.linalg.norm(vectors, axis=1)))
 
 
-def _judged(
+def _judge_estimate(
     found: RefinedHandEye, sizes: tuple[float, float], spread: float, settings: HandEyeSettings, free_offset: bool
 ) -> HandEyeEstimate:
     """The result, or why it may not be used."""
@@ -290,13 +290,13 @@ def _coarse_offset(hand: HandPoses, t_cam: Array, Ts_cam: Array, settings: HandE
     first, last = first[close], last[close]
     if len(first) < 3:
         return 0.0
-    seen = _angles(Ts_cam, first, last, swapped=True)
+    seen = _motion_angles(Ts_cam, first, last, swapped=True)
     steps = round(settings.offset_bound_s / settings.offset_grid_s)
     grid = np.arange(-steps, steps + 1) * settings.offset_grid_s
-    costs = [float(np.mean(np.abs(_angles(hand.at(t_cam + offset_s), first, last) - seen))) for offset_s in grid]
+    costs = [float(np.mean(np.abs(_motion_angles(hand.at(t_cam + offset_s), first, last) - seen))) for offset_s in grid]
     return float(grid[int(np.argmin(costs))])
 
 
-def _angles(Ts: Array, first: Indices, last: Indices, swapped: bool = False) -> Array:
+def _motion_angles(Ts: Array, first: Indices, last: Indices, swapped: bool = False) -> Array:
     motions = motions_between(inverse_poses(Ts) if swapped else Ts, first, last)
     return np.linalg.norm(rotation_vectors(motions[:, :3, :3]), axis=1)

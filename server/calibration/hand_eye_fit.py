@@ -112,7 +112,7 @@ class PoseModel:
     def evaluate(self, at: HandEyeUnknowns) -> tuple[Array, Array]:
         """Residuals (n, 6) [rad, m] and their derivative (n, 6, 12 + offset)."""
         As = self.hand(at.offset_s)
-        R_pred, t_pred, w, R_XA = self._predicted(at, As)
+        R_pred, t_pred, w, R_XA = self._predicted_pose_terms(at, As)
         seen = self.Ts_cam_target
         turned = rotation_vectors(seen[:, :3, :3] @ R_pred.transpose(0, 2, 1))
         residuals = np.hstack((turned, seen[:, :3, 3] - t_pred))
@@ -124,13 +124,16 @@ class PoseModel:
         J[:, 3:, 3:6] = R_X.T
         J[:, 3:, 9:12] = -R_XA
         if self.free_offset:
-            sides = [self._predicted(at, self.hand(at.offset_s + side)) for side in (-_OFFSET_STEP_S, _OFFSET_STEP_S)]
+            sides = [
+                self._predicted_pose_terms(at, self.hand(at.offset_s + side))
+                for side in (-_OFFSET_STEP_S, _OFFSET_STEP_S)
+            ]
             turned = rotation_vectors(sides[1][0] @ sides[0][0].transpose(0, 2, 1))
             moved = sides[1][1] - sides[0][1]
             J[:, :, -1] = -np.hstack((turned, moved)) / (2.0 * _OFFSET_STEP_S)
         return residuals, J
 
-    def _predicted(self, at: HandEyeUnknowns, As: Array) -> tuple[Array, Array, Array, Array]:
+    def _predicted_pose_terms(self, at: HandEyeUnknowns, As: Array) -> tuple[Array, Array, Array, Array]:
         R_X, inverse_A = at.X[:3, :3], inverse_poses(As)
         w = (inverse_A @ at.Y)[:, :3, 3] - at.X[:3, 3]
         R_XA = R_X.T @ inverse_A[:, :3, :3]
@@ -195,15 +198,15 @@ def refine(
     S = _first_shape(residuals)
     for count in range(iterations_max):
         if count < _SHAPE_ROUNDS:  # then held: fitting it further only creeps
-            S, weights = _shape(residuals, S, freedom)
+            S, weights = _fit_shape_matrix(residuals, S, freedom)
         else:
-            weights = (freedom + 6.0) / (freedom + _squares(residuals, S))
-        cost = _cost(residuals, S, freedom)
-        H, g = _normal(residuals, J, S, weights)
+            weights = (freedom + 6.0) / (freedom + _mahalanobis_squares(residuals, S))
+        cost = _student_t_cost(residuals, S, freedom)
+        H, g = _normal_equations(residuals, J, S, weights)
         change: Array = -np.linalg.lstsq(H + damping * np.diag(np.diag(H)), g, rcond=None)[0].astype(float)
         tried = at.after(change)
         tried_residuals, tried_J = model.evaluate(tried)
-        if _cost(tried_residuals, S, freedom) <= cost + 1e-9:
+        if _student_t_cost(tried_residuals, S, freedom) <= cost + 1e-9:
             at, residuals, J, damping = tried, tried_residuals, tried_J, max(0.1 * damping, 1e-9)
             if float(np.abs(change).max()) < 1e-8 or float(change @ H @ change) < 1e-5:
                 settled = True
@@ -212,8 +215,8 @@ def refine(
             damping = max(10.0 * damping, 1e-4)
             if damping > 1e8:
                 break
-    weights = (freedom + 6.0) / (freedom + _squares(residuals, S))
-    return RefinedHandEye(at, _covariance(residuals, J, S, weights, freedom), residuals, weights, settled)
+    weights = (freedom + 6.0) / (freedom + _mahalanobis_squares(residuals, S))
+    return RefinedHandEye(at, _sandwich_covariance(residuals, J, S, weights, freedom), residuals, weights, settled)
 
 
 def _first_shape(residuals: Array) -> Array:
@@ -225,12 +228,12 @@ def _first_shape(residuals: Array) -> Array:
 _HALVES = (slice(0, 3), slice(3, 6))
 
 
-def _shape(residuals: Array, S: Array, freedom: float) -> tuple[Array, Array]:
+def _fit_shape_matrix(residuals: Array, S: Array, freedom: float) -> tuple[Array, Array]:
     """Shape matrix after some rounds of reweighting, and the weights; fewer numbers are fitted from fewer poses."""
     n = len(residuals)
     weights = np.ones(n)
     for _ in range(5):
-        weights = (freedom + 6.0) / (freedom + _squares(residuals, S))
+        weights = (freedom + 6.0) / (freedom + _mahalanobis_squares(residuals, S))
         full = (residuals * weights[:, None]).T @ residuals / n
         if n < _POSES_FOR_FULL:
             full = np.diag(np.diag(full))
@@ -240,20 +243,20 @@ def _shape(residuals: Array, S: Array, freedom: float) -> tuple[Array, Array]:
     return S, weights
 
 
-def _squares(residuals: Array, S: Array) -> Array:
+def _mahalanobis_squares(residuals: Array, S: Array) -> Array:
     return np.einsum("ni,ni->n", residuals, np.linalg.solve(S, residuals.T).T)
 
 
-def _cost(residuals: Array, S: Array, freedom: float) -> float:
-    return float(0.5 * (freedom + 6.0) * np.sum(np.log1p(_squares(residuals, S) / freedom)))
+def _student_t_cost(residuals: Array, S: Array, freedom: float) -> float:
+    return float(0.5 * (freedom + 6.0) * np.sum(np.log1p(_mahalanobis_squares(residuals, S) / freedom)))
 
 
-def _normal(residuals: Array, J: Array, S: Array, weights: Array) -> tuple[Array, Array]:
+def _normal_equations(residuals: Array, J: Array, S: Array, weights: Array) -> tuple[Array, Array]:
     JS = np.einsum("nip,ij->npj", J, np.linalg.inv(S)) * weights[:, None, None]
     return np.einsum("npj,njq->pq", JS, J), np.einsum("npj,nj->p", JS, residuals)
 
 
-def _covariance(residuals: Array, J: Array, S: Array, weights: Array, freedom: float) -> Array:
+def _sandwich_covariance(residuals: Array, J: Array, S: Array, weights: Array, freedom: float) -> Array:
     """The model's covariance, widened where the residuals scatter more than the model says (sandwich) or err alike."""
     n, p = len(residuals), J.shape[2]
     JS = np.einsum("nip,ij->npj", J, np.linalg.inv(S))

@@ -51,7 +51,9 @@ def concentration_of(mean_cosine: float, kappa_max: float) -> float:
     return min(kappa, kappa_max)
 
 
-def _posterior(square: Array, cosines: Array, sigma2: float, kappa: float, log_outlier: float, n_axes: int) -> Array:
+def _match_probabilities(
+    square: Array, cosines: Array, sigma2: float, kappa: float, log_outlier: float, n_axes: int
+) -> Array:
     """E step: P (m, n), the probability that model pose m made observation n; columns sum to at most 1."""
     m = square.shape[0]
     log_p = -square / (2.0 * sigma2) - 1.5 * np.log(2.0 * np.pi * sigma2) - np.log(m)
@@ -89,11 +91,11 @@ def register_poses(
         iteration += 1
         square = np.sum((points_x[None] - (points_y @ R.T + t)[:, None]) ** 2, axis=2)
         cosines = (R @ Rs_y).reshape(len(Rs_y), 9) @ flat_x.T
-        P = _posterior(square, cosines, sigma2, kappa, log_outlier, n_axes)
+        P = _match_probabilities(square, cosines, sigma2, kappa, log_outlier, n_axes)
         total = float(P.sum())
         if total < 1e-9:
             break
-        R, t = _motion(points_x, Rs_x, points_y, Rs_y, P, sigma2, kappa if n_axes else 0.0)
+        R, t = _fit_rigid_motion(points_x, Rs_x, points_y, Rs_y, P, sigma2, kappa if n_axes else 0.0)
         square = np.sum((points_x[None] - (points_y @ R.T + t)[:, None]) ** 2, axis=2)
         before, sigma2 = sigma2, max(float(np.sum(P * square)) / (3.0 * total), settings.sigma_floor_m**2)
         if n_axes:
@@ -104,7 +106,7 @@ def register_poses(
     return MixtureMatch(R, t, float(np.sqrt(sigma2)), kappa, iteration, P)
 
 
-def _motion(
+def _fit_rigid_motion(
     points_x: Array, Rs_x: Array, points_y: Array, Rs_y: Array, P: Array, sigma2: float, kappa: float
 ) -> tuple[Array, Array]:
     """M step for R and t."""

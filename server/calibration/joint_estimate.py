@@ -120,33 +120,33 @@ def estimate_jointly(
     """
     believed, accuracy = prior or JointPrior(), noise or NoiseModel()
     model = error_model(machine, believed.errors)
-    refusal = _broken(runs, looks, model)
+    refusal = _input_refusal(runs, looks, model)
     if refusal:
-        return _refused(model, *refusal, 0.0)
+        return _refused_estimate(model, *refusal, 0.0)
     thin = [(run, thin_samples(run, accuracy)) for run in runs if len(run.camera.t_s) >= 3]
     usable = [(run, samples) for run, samples in thin if len(samples.t_s) >= 3]  # of a camera that stood one is left
     length = float(sum(samples.length_m[-1] for _, samples in usable))
     if runs and length < PATH_MIN_M:
         reason = f"camera moved {1e3 * length:.0f} mm in all (need {1e3 * PATH_MIN_M:.0f} mm); drive a longer path"
-        return _refused(model, CalibrationStatus.TOO_FEW, reason, length)
+        return _refused_estimate(model, CalibrationStatus.TOO_FEW, reason, length)
     if not shows_plane(machine.camera, looks[-1].T_cam_ooi):
         reason = "the object of interest is too near, edge-on or behind the camera: no wall to see about it; look again"
-        return _refused(model, CalibrationStatus.DEGENERATE, reason, length)
+        return _refused_estimate(model, CalibrationStatus.DEGENERATE, reason, length)
     start = _start(machine, model, looks[-1])
     problem = _Problem(
         model=model,
         noise=accuracy,
-        believed=_believed(machine, start),
-        sigma=_sigma(model, believed),
+        believed=_prior_mean(machine, start),
+        sigma=_prior_sigmas(model, believed),
         runs=[
-            (run, samples, _inverse(run_covariance(samples, accuracy, Scatter(accuracy.sigma_position_m))))
+            (run, samples, _inverse_matrix(run_covariance(samples, accuracy, Scatter(accuracy.sigma_position_m))))
             for run, samples in usable
         ],
         scatters=[Scatter(accuracy.sigma_position_m)] * len(usable),
         looks=tuple(
             (
                 look,
-                _inverse(look_covariance(model, start, look, accuracy)),
+                _inverse_matrix(look_covariance(model, start, look, accuracy)),
                 look_sensitivity(machine, look.T_cam_tool, look.T_cam_ooi),
             )
             for look in looks
@@ -155,14 +155,14 @@ def estimate_jointly(
         weights=[np.ones(len(samples.t_s) - 1) for _, samples in usable],
         evidence=mean_evidence([look.evidence for look in looks if look.evidence is not None]),
     )
-    state, information = _settled(problem, start)
+    state, information = _fit_until_scatter_settles(problem, start)
     if state is None:
-        return _refused(model, CalibrationStatus.DEGENERATE, "the normal matrix is singular", length)
+        return _refused_estimate(model, CalibrationStatus.DEGENERATE, "the normal matrix is singular", length)
     layout = layout_covariance(machine, looks[-1].T_cam_ooi, believed.lens)
-    return replace(_judged(problem, state, information, length), layout_covariance=layout)
+    return replace(_judge_estimate(problem, state, information, length), layout_covariance=layout)
 
 
-def _broken(
+def _input_refusal(
     runs: Sequence[OdometryRun], looks: Sequence[LookAt], model: ErrorModel
 ) -> tuple[CalibrationStatus, str] | None:
     if not looks:
@@ -189,34 +189,34 @@ def _start(machine: Machine, model: ErrorModel, look: LookAt) -> JointState:
     return JointState(model.mean.copy(), T_tcp_cam, machine.T_tcp_tool.copy(), T_base_ooi, 1.0, 0.0)
 
 
-def _believed(machine: Machine, start: JointState) -> JointState:
+def _prior_mean(machine: Machine, start: JointState) -> JointState:
     """The mean of the prior: the machine file's mount, not the look's, which is an observation and counts once."""
     return replace(start, T_tcp_cam=machine.T_tcp_cam_left.copy())
 
 
-def _inverse(matrix: Array) -> Array:
+def _inverse_matrix(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
-def _sigma(model: ErrorModel, prior: JointPrior) -> Array:
+def _prior_sigmas(model: ErrorModel, prior: JointPrior) -> Array:
     camera = [prior.sigma_mount_rad] * 3 + [prior.sigma_mount_m] * 3
     tool = [prior.sigma_tool_marker_rad] * 3 + [prior.sigma_tool_marker_m] * 3
     rest = [prior.sigma_scale_frac, prior.sigma_time_s]
     return np.concatenate([model.sigma, camera, tool, UNKNOWN_OOI, rest, prior.lens.sigma])
 
 
-def _residuals(problem: _Problem, state: JointState) -> tuple[list[tuple[Array, Array]], list[Array]]:
+def _run_and_look_residuals(problem: _Problem, state: JointState) -> tuple[list[tuple[Array, Array]], list[Array]]:
     runs = [run_residuals(problem.model, state, run, samples, problem.bending) for run, samples, _ in problem.runs]
     return runs, [look_residual(problem.model, state, look, S) for look, _, S in problem.looks]
 
 
-def _settled(problem: _Problem, start: JointState) -> tuple[JointState | None, Array]:
+def _fit_until_scatter_settles(problem: _Problem, start: JointState) -> tuple[JointState | None, Array]:
     """The fit with each run's scatter as the run itself shows it."""
-    state, information = _minimise(problem, start)
+    state, information = _gauss_newton_fit(problem, start)
     for _ in range(SCATTER_ROUNDS_MAX):
         if state is None or not _scatter_renewed(problem, state):
             break
-        state, information = _minimise(problem, state)
+        state, information = _gauss_newton_fit(problem, state)
     return state, information
 
 
@@ -243,12 +243,12 @@ def _scatter_renewed(problem: _Problem, state: JointState) -> bool:
         changed = abs(after.sigma_m / before.sigma_m - 1.0), abs(after.neighbours - before.neighbours)
         if max(changed) > SCATTER_SAME:
             problem.scatters[i] = after
-            problem.runs[i] = run, samples, _inverse(run_covariance(samples, problem.noise, after))
+            problem.runs[i] = run, samples, _inverse_matrix(run_covariance(samples, problem.noise, after))
             renewed = True
     return renewed
 
 
-def _minimise(problem: _Problem, start: JointState) -> tuple[JointState | None, Array]:
+def _gauss_newton_fit(problem: _Problem, start: JointState) -> tuple[JointState | None, Array]:
     state = start
     information = np.eye(len(problem.sigma))
     for _ in range(ROUNDS_MAX):
@@ -267,15 +267,15 @@ def _minimise(problem: _Problem, start: JointState) -> tuple[JointState | None, 
 
 def _normal_equations(problem: _Problem, state: JointState, gone: Array) -> tuple[Array, Array]:
     """J^T W J and J^T W r, the prior included; the samples' weights are renewed on the way."""
-    runs, looks = _residuals(problem, state)
+    runs, looks = _run_and_look_residuals(problem, state)
     steps = state_steps(problem.model)
-    shifted = [_residuals(problem, state.moved(step)) for step in np.diag(steps)]
+    shifted = [_run_and_look_residuals(problem, state.moved(step)) for step in np.diag(steps)]
     information, gradient = np.diag(problem.sigma**-2.0), gone / problem.sigma**2
     for i, (_, _, W) in enumerate(problem.runs):
         position, turn = runs[i]
         Jp = np.stack([(other[0][i][0] - position) / h for other, h in zip(shifted, steps, strict=True)], axis=-1)
         Jt = np.stack([(other[0][i][1] - turn) / h for other, h in zip(shifted, steps, strict=True)], axis=-1)
-        problem.weights[i] = _outweighing(position, turn, problem.noise)
+        problem.weights[i] = _robust_sample_weights(position, turn, problem.noise)
         root = np.sqrt(problem.weights[i])
         Wr = root[:, None] * W * root[None, :]
         information += np.einsum("iap,ij,jaq->pq", Jp, Wr, Jp, optimize=True)
@@ -292,7 +292,7 @@ def _normal_equations(problem: _Problem, state: JointState, gone: Array) -> tupl
     return information, gradient
 
 
-def _outweighing(position: Array, turn: Array, noise: NoiseModel) -> Array:
+def _robust_sample_weights(position: Array, turn: Array, noise: NoiseModel) -> Array:
     """Weight of each sample: 1 unless it lies off its neighbours by more than noise can put it.
 
     Model:   r^2 up to k, k^2 (1 + 2 log(r / k)) beyond, so the weight is (k / r)^2: a jump of centimetres, as odometry
@@ -311,10 +311,10 @@ def _running_median(values: Array) -> Array:
     return np.median(np.stack([padded[k : k + len(values)] for k in range(5)]), axis=0)
 
 
-def _judged(problem: _Problem, state: JointState, information: Array, length_m: float) -> JointEstimate:
-    covariance = _inverse(information)
-    fitted = _fitted(problem, state)
-    runs, _ = _residuals(problem, state)
+def _judge_estimate(problem: _Problem, state: JointState, information: Array, length_m: float) -> JointEstimate:
+    covariance = _inverse_matrix(information)
+    fitted = _fit_residuals(problem, state)
+    runs, _ = _run_and_look_residuals(problem, state)
     distances = np.concatenate([np.linalg.norm(position, axis=1) for position, _ in runs]) if runs else np.zeros(1)
     left = np.trace(covariance[problem.mount, problem.mount]) / float(np.sum(problem.sigma[problem.mount] ** 2))
     status, reason = fit_verdict(fitted)
@@ -336,8 +336,8 @@ def _judged(problem: _Problem, state: JointState, information: Array, length_m: 
     )
 
 
-def _fitted(problem: _Problem, state: JointState) -> FitResiduals:
-    runs, looks = _residuals(problem, state)
+def _fit_residuals(problem: _Problem, state: JointState) -> FitResiduals:
+    runs, looks = _run_and_look_residuals(problem, state)
     positions, turns, spreads = [], [], []
     largest = problem.noise.sigma_position_range_m[1] ** 2
     for (position, turn), (_, _, W), weights in zip(runs, problem.runs, problem.weights, strict=True):
@@ -359,6 +359,6 @@ def _fitted(problem: _Problem, state: JointState) -> FitResiduals:
     )
 
 
-def _refused(model: ErrorModel, status: CalibrationStatus, reason: str, length_m: float) -> JointEstimate:
+def _refused_estimate(model: ErrorModel, status: CalibrationStatus, reason: str, length_m: float) -> JointEstimate:
     nothing = float("nan")
     return JointEstimate(status, reason, model, None, None, nothing, nothing, nothing, 0, 0, length_m, 0.0)

@@ -70,10 +70,10 @@ def joints_for_goal(
     q = q_now
     T_nominal = tcp_pose(chain, q_now)
     for _ in range(ROUNDS_MAX):
-        shift, turn = _remaining(model, state, q, T_ooi_goal, side)
+        shift, turn = _goal_error_in_base(model, state, q, T_ooi_goal, side)
         if np.linalg.norm(shift) < CLOSE_M and np.linalg.norm(turn) < CLOSE_RAD:
             break
-        T_nominal = _corrected(T_nominal, shift, turn, state)
+        T_nominal = _corrected_tcp_pose(T_nominal, shift, turn, state)
         found = inverse_nearest(chain, T_nominal, q)
         if found.q is None:
             return JointGoal(None, found.reason, T_nominal, None)
@@ -84,7 +84,7 @@ def joints_for_goal(
     return JointGoal(q, "", tcp_pose(chain, q), covariance, found)
 
 
-def _remaining(
+def _goal_error_in_base(
     model: ErrorModel, state: JointState, q: Array, T_ooi_goal: Array, side: Array | None
 ) -> tuple[Array, Array]:
     """Goal minus tool in base axes: position of the tool marker [m], rotation vector [rad]."""
@@ -94,7 +94,7 @@ def _remaining(
     return R @ (T_ooi_goal[:3, 3] - T_ooi_tool[:3, 3]), R @ turn
 
 
-def _corrected(T_base_tcp: Array, shift: Array, turn: Array, state: JointState) -> Array:
+def _corrected_tcp_pose(T_base_tcp: Array, shift: Array, turn: Array, state: JointState) -> Array:
     """The nominal TCP pose, turned about the tool marker and shifted."""
     lever = T_base_tcp[:3, :3] @ state.T_tcp_tool[:3, 3]
     T = np.eye(4)
@@ -130,12 +130,12 @@ def goal_covariance(
     play = np.resize(np.array(noise.sigma_joint_rad), len(q))
     rest, layout = (Jq * play**2) @ Jq.T, _of_layout(estimate, here)
     C = J @ covariance @ J.T + rest + layout
-    found = contributions_by_group(J[3:], covariance, _groups(model.n))
+    found = contributions_by_group(J[3:], covariance, _unknowns_by_source(model.n))
     others = [Contribution(name, np.diag(part)[3:]) for name, part in ((REST, rest), (LAYOUT, layout))]
     return 0.5 * (C + C.T), (*found, *others)
 
 
-def _groups(p: int) -> dict[str, list[int]]:
+def _unknowns_by_source(p: int) -> dict[str, list[int]]:
     """Unknowns of the joint state by source, p of them kinematic; the OOI's place is what the looks make of these."""
     named = {MACHINE: range(p), MOUNT: range(p, p + 6), MARKER: range(p + 6, p + 12), SCALE: [p + 18], CLOCK: [p + 19]}
     return {**{name: list(indices) for name, indices in named.items() if len(indices)}, **lens_groups(p + 20)}

@@ -24,10 +24,10 @@ class JointTrack:
 
     def at(self, t_s: Array) -> tuple[Array, Array | None]:
         """Joints and their sides at these times (k, n), linear between samples."""
-        qs = self._between(t_s, self.qs)
-        return qs, None if self.sides is None else self._between(t_s, self.sides)
+        qs = self._interpolate_columns(t_s, self.qs)
+        return qs, None if self.sides is None else self._interpolate_columns(t_s, self.sides)
 
-    def _between(self, t_s: Array, values: Array) -> Array:
+    def _interpolate_columns(self, t_s: Array, values: Array) -> Array:
         return np.column_stack([np.interp(t_s, self.t_s, column) for column in values.T])
 
 

@@ -52,7 +52,12 @@ class FitResiduals:
 
 def fit_verdict(fitted: FitResiduals) -> tuple[CalibrationStatus, str]:
     """OK, or POOR_FIT with what contradicts what."""
-    reason = _looks(fitted.look_chi2) or _runs(fitted) or _mount(fitted) or _seeing(fitted)
+    reason = (
+        _look_misfit_reason(fitted.look_chi2)
+        or _run_misfit_reason(fitted)
+        or _mount_misfit_reason(fitted)
+        or _camera_misfit_reason(fitted)
+    )
     return (CalibrationStatus.POOR_FIT, reason) if reason else (CalibrationStatus.OK, "")
 
 
@@ -61,9 +66,11 @@ def covariance_widened_by_misfit(covariance: Array, misfit: float) -> Array:
     return 0.5 * max(1.0, misfit) * (covariance + covariance.T)
 
 
-def _looks(look_chi2: Sequence[float]) -> str:
-    together = _bound(LOOK_FREEDOMS * len(look_chi2) - OOI_FREEDOMS)
-    cases = [(f"look {i + 1} of {len(look_chi2)}", chi2, _bound(LOOK_FREEDOMS)) for i, chi2 in enumerate(look_chi2)]
+def _look_misfit_reason(look_chi2: Sequence[float]) -> str:
+    together = _chi2_bound(LOOK_FREEDOMS * len(look_chi2) - OOI_FREEDOMS)
+    cases = [
+        (f"look {i + 1} of {len(look_chi2)}", chi2, _chi2_bound(LOOK_FREEDOMS)) for i, chi2 in enumerate(look_chi2)
+    ]
     for what, value, limit in [*cases, ("all looks together", float(sum(look_chi2)), together)]:
         if not value <= limit:
             return (
@@ -73,7 +80,7 @@ def _looks(look_chi2: Sequence[float]) -> str:
     return ""
 
 
-def _runs(fitted: FitResiduals) -> str:
+def _run_misfit_reason(fitted: FitResiduals) -> str:
     for what, values in (("positions", fitted.run_position), ("turns", fitted.run_turn)):
         for i, value in enumerate(values):
             if not value <= RUN_MISFIT_MAX:
@@ -90,7 +97,7 @@ def _runs(fitted: FitResiduals) -> str:
     return ""
 
 
-def _mount(fitted: FitResiduals) -> str:
+def _mount_misfit_reason(fitted: FitResiduals) -> str:
     limit = float(chdtri(3, 1.0 - MOUNT_SURE))
     if fitted.mount_chi2 <= limit:
         return ""
@@ -100,7 +107,7 @@ def _mount(fitted: FitResiduals) -> str:
     )
 
 
-def _seeing(fitted: FitResiduals) -> str:
+def _camera_misfit_reason(fitted: FitResiduals) -> str:
     limit = float(chdtri(SEEING_FREEDOMS, 1.0 - MOUNT_SURE))
     if fitted.seeing_chi2 <= limit:
         return ""
@@ -110,5 +117,5 @@ def _seeing(fitted: FitResiduals) -> str:
     )
 
 
-def _bound(freedoms: int) -> float:
+def _chi2_bound(freedoms: int) -> float:
     return float(chdtri(freedoms, 1.0 - SURE))

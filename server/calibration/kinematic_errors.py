@@ -37,7 +37,7 @@ class ErrorPrior:
     Compliance [rad/(N m)] acts about the joint's axis, under the weight of all that hangs on it (masses of the machine
     file). It is given for the joints whose booms bend; those of the others stay zero. Play is its whole width [rad],
     between the encoder and what it turns (`play.py`). Lengths by joint, those beyond the list like its last.
-    Source:  tolerances of the class (docs/decisions/0008-constant-errors-are-unknowns.md): built lengths 3.5 mm, lengths inside the
+    Source:  tolerances of the class (decision 8, docs/decisions): built lengths 3.5 mm, lengths inside the
              machined wrist and between neighbouring bores 0.5 mm, bores parallel to 0.1 mm in 0.3 m, zeros 0.25 deg;
              compliance and play: mean and sd of the ranges stated for springs, slew and wrists.
     """
@@ -148,7 +148,7 @@ def _of_joint(values: tuple[float, ...], joint: int) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _links(a: Array, d: Array, alpha: Array, theta: Array, out: Array) -> None:
+def _compute_link_poses(a: Array, d: Array, alpha: Array, theta: Array, out: Array) -> None:
     """Poses of all links in base (n + 1, 4, 4), in place (eq. 23-24)."""
     out[0] = np.eye(4)
     T_i = np.zeros((4, 4))
@@ -168,7 +168,7 @@ def _links(a: Array, d: Array, alpha: Array, theta: Array, out: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _moment(links: Array, joint: int, mass: Array, com: Array, gravity: Array) -> float:
+def _gravity_moment(links: Array, joint: int, mass: Array, com: Array, gravity: Array) -> float:
     """Moment of gravity about a joint's axis, of all links behind it [N m]."""
     total = 0.0
     for i in range(joint, mass.shape[0]):
@@ -187,7 +187,7 @@ def _moment(links: Array, joint: int, mass: Array, com: Array, gravity: Array) -
 
 
 @njit(cache=True, nogil=True)
-def _poses(
+def _tcp_poses_with_errors(
     a: Array,
     d: Array,
     alpha: Array,
@@ -221,14 +221,14 @@ def _poses(
     for k in range(qs.shape[0]):
         for j in range(n):
             theta[j] = qs[k, j] + theta_offset[j] + zero[j]
-        _links(a, d, alpha, theta, links)
+        _compute_link_poses(a, d, alpha, theta, links)
         bent = False
         for j in range(n):
             if compliance[j] != 0.0:
-                theta[j] += compliance[j] * _moment(links, j, mass, com, gravity)
+                theta[j] += compliance[j] * _gravity_moment(links, j, mass, com, gravity)
                 bent = True
         if bent:
-            _links(a, d, alpha, theta, links)
+            _compute_link_poses(a, d, alpha, theta, links)
         for r in range(4):
             for c in range(4):
                 total = 0.0
@@ -257,7 +257,7 @@ def tcp_poses_with_errors(model: ErrorModel, qs: Array, values: Array, sides: Ar
     Source:  Makinen et al. 2023, eq. 23-24, for the nominal part.
     """
     turned = qs if sides is None else qs - 0.5 * sides * play_widths(model, values)
-    return _poses(
+    return _tcp_poses_with_errors(
         model.a,
         model.d,
         model.alpha,

@@ -69,9 +69,9 @@ def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
     Raises:  LensFitError: too few views, or all of them alike.
     Source:  Zhang 2000; OpenCV projectPoints and composeRT for the derivatives.
     """
-    usable = [view for view in views if _seen(view) and _is_whole(view)]
+    usable = [view for view in views if _has_visible_board(view) and _is_whole(view)]
     dropped = [(view.name, f"fewer than {CORNERS_MIN} corners in an eye") for view in views if view not in usable]
-    fitted = _fitted(usable, size_px)
+    fitted = _fit_lens(usable, size_px)
     outlying = fitted.view_rms_px > OUTLIER_RMS * np.median(fitted.view_rms_px)
     if outlying.any():
         limit = f"its rms is beyond {OUTLIER_RMS:g} times the median's"
@@ -80,11 +80,11 @@ def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
             for view, rms, off in zip(usable, fitted.view_rms_px, outlying, strict=True)
             if off
         ]
-        fitted = _fitted([view for view, off in zip(usable, outlying, strict=True) if not off], size_px)
+        fitted = _fit_lens([view for view, off in zip(usable, outlying, strict=True) if not off], size_px)
     return replace(fitted, dropped=tuple(dropped))
 
 
-def _seen(view: BoardView) -> bool:
+def _has_visible_board(view: BoardView) -> bool:
     return any(eye is not None for eye in view.eyes)
 
 
@@ -92,7 +92,7 @@ def _is_whole(view: BoardView) -> bool:
     return all(eye is not None and len(eye[0]) >= CORNERS_MIN for eye in view.eyes)
 
 
-def _fitted(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
+def _fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
     if len(views) < VIEWS_MIN:
         raise LensFitError(f"{len(views)} views show the board well, at least {VIEWS_MIN} are needed; photograph more")
     problem = _Problem(views)
@@ -146,7 +146,10 @@ class _Problem:
             poses.append(np.hstack([np.array(rvecs).reshape(-1, 3), np.array(tvecs).reshape(-1, 3)]))
         parts = [np.array(lenses).ravel()]
         if self._eyes == 2:
-            relative = [cv2.composeRT(*_inverse(left), *_split(right))[:2] for left, right in zip(*poses, strict=True)]
+            relative = [
+                cv2.composeRT(*_inverse_pose_vectors(left), *_rotvec_and_translation(right))[:2]
+                for left, right in zip(*poses, strict=True)
+            ]
             parts.append(np.median([np.concatenate([r.ravel(), t.ravel()]) for r, t in relative], axis=0))
         return np.concatenate([*parts, poses[0].ravel()])
 
@@ -160,10 +163,10 @@ class _Problem:
             for eye, (points, px) in enumerate(data):
                 lens = x[9 * eye : 9 * eye + 9]
                 K = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
-                r, t = _split(board)
+                r, t = _rotvec_and_translation(board)
                 chain = None
                 if eye == 1:
-                    r, t, *chain = cv2.composeRT(r, t, *_split(rig))
+                    r, t, *chain = cv2.composeRT(r, t, *_rotvec_and_translation(rig))
                 seen, J = cv2.projectPoints(points, r, t, K, lens[4:])
                 row = np.zeros((2 * len(px), len(x)))
                 row[:, 9 * eye : 9 * eye + 9] = J[:, 6:15]
@@ -198,11 +201,11 @@ class _Problem:
         )
 
 
-def _split(pose: Array) -> tuple[Array, Array]:
+def _rotvec_and_translation(pose: Array) -> tuple[Array, Array]:
     return np.ascontiguousarray(pose[:3]), np.ascontiguousarray(pose[3:6])
 
 
-def _inverse(pose: Array) -> tuple[Array, Array]:
+def _inverse_pose_vectors(pose: Array) -> tuple[Array, Array]:
     R, _ = cv2.Rodrigues(np.ascontiguousarray(pose[:3]))
     return np.ascontiguousarray(-pose[:3]), np.ascontiguousarray(-R.T @ pose[3:6])
 
@@ -235,14 +238,14 @@ def coverage_of(views: list[BoardView], fit: LensFit) -> Coverage:
                 u = np.clip((seen[1][:, 0] / width * COLUMNS).astype(int), 0, COLUMNS - 1)
                 v = np.clip((seen[1][:, 1] / height * ROWS).astype(int), 0, ROWS - 1)
                 np.add.at(counts[eye], (v, u), 1)
-    return Coverage(counts, tuple(_advice(counts, fit)))
+    return Coverage(counts, tuple(_view_coverage_advice(counts, fit)))
 
 
-def _advice(counts: NDArray[np.int64], fit: LensFit) -> list[str]:
+def _view_coverage_advice(counts: NDArray[np.int64], fit: LensFit) -> list[str]:
     out = []
     empty = (counts == 0).any(axis=0)
     if empty.any():
-        places = sorted({_place(row, column) for row, column in np.argwhere(empty)})
+        places = sorted({_image_region_name(row, column) for row, column in np.argwhere(empty)})
         out.append(f"hold the board into the {', '.join(places)} of the picture: no corner was seen there")
     tilts = np.array([_tilt_deg(board) for board in fit.boards])
     for axis, sides in ((0, ("its top", "its bottom")), (1, ("its left side", "its right side"))):
@@ -266,7 +269,7 @@ def _advice(counts: NDArray[np.int64], fit: LensFit) -> list[str]:
     return out
 
 
-def _place(row: int, column: int) -> str:
+def _image_region_name(row: int, column: int) -> str:
     across = CELLS[0][0 if column < 3 else 2 if column > 4 else 1]
     down = CELLS[1][0 if row < 2 else 2 if row > 3 else 1]
     return "middle" if across == down == "middle" else f"{down} {across}".replace("middle ", "").replace(" middle", "")

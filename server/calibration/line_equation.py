@@ -89,7 +89,7 @@ def line_reference(
     points, d = _require_distances(points_base, distances_m)
     on_rim = np.linalg.norm(points - T_init[:3, 3], axis=1) > _AWAY_FROM_CENTRE * radius_m
     seen = np.isfinite(d)
-    refusal = _refusal(d, on_rim & seen, ~on_rim & seen, radius_m)
+    refusal = _circle_refusal(d, on_rim & seen, ~on_rim & seen, radius_m)
     if refusal is not None:
         return LineReference(*refusal, None, None, float("nan"), -1, np.full(len(d), np.nan))
     nearest = int(np.flatnonzero(on_rim & seen)[np.argmin(d[on_rim & seen])])
@@ -97,7 +97,7 @@ def line_reference(
     p_init, p_eps = T_init[:3, 3], points[nearest]  # eq. 14
     p_u = (p_eps - p_init) / np.linalg.norm(p_eps - p_init)  # eq. 15
     p_ref = p_init + p_u * (radius_m + d_min)  # eq. 16
-    residuals = d - np.linalg.norm(_across(points - p_ref, T_init[:3, 2]), axis=1)
+    residuals = d - np.linalg.norm(_perpendicular_component(points - p_ref, T_init[:3, 2]), axis=1)
     return LineReference(CalibrationStatus.OK, "", pose(T_init[:3, :3], p_ref), p_u, d_min, nearest, residuals)
 
 
@@ -110,12 +110,12 @@ def _require_distances(points_base: Array, distances_m: Array) -> tuple[Array, A
     return points, d
 
 
-def _across(vectors: Array, axis: Array) -> Array:
+def _perpendicular_component(vectors: Array, axis: Array) -> Array:
     """The part of vectors (n, 3) across an axis (3,): what the plane of motion contains."""
     return vectors - np.outer(vectors @ axis, axis)
 
 
-def _refusal(d: Array, rim: Mask, centre: Mask, radius_m: float) -> tuple[CalibrationStatus, str] | None:
+def _circle_refusal(d: Array, rim: Mask, centre: Mask, radius_m: float) -> tuple[CalibrationStatus, str] | None:
     """Why there is no line: too few points, no minimum, or an OOI inside of the circle."""
     if rim.sum() < _POINTS_MIN:
         text = f"OOI and tool seen at {rim.sum()} points of the circle, at least {_POINTS_MIN} needed"
@@ -185,13 +185,13 @@ class LineServo:
         d = image_distance(p_cam_tool, p_cam_ooi)  # eq. 13
         if t_s - self._last_s < self._settings.wait_s:
             return LineStep(None, d, False, f"{t_s - self._last_s:.1f} s since the last step; wait")
-        ending = self._ending(d)
+        ending = self._stop_reason(d)
         if ending:
             return LineStep(None, d, True, ending)
         self._last_s, self._last_m, self._steps = t_s, d, self._steps + 1
         return LineStep(pose(T[:3, :3], T[:3, 3] + self._direction * d), d, False, "")  # eq. 16
 
-    def _ending(self, d: float) -> str:
+    def _stop_reason(self, d: float) -> str:
         limits = self._settings
         if not np.isfinite(d):
             return "tool or OOI not seen; look again"

@@ -102,13 +102,13 @@ def fit_line(
     samples = _Samples(vectors[usable], in_plane[usable] @ A.T)
     few = _too_little(samples, limits)
     if few is not None:
-        return _refused(*few, len(points))
+        return _refused_fit(*few, len(points))
     fit = _robust_fit(samples, limits.sigma_scale_frac)
-    poor = _misfit(fit, limits)
+    poor = _misfit_refusal(fit, limits)
     if poor is not None:
-        return _refused(*poor, len(points))
+        return _refused_fit(*poor, len(points))
     covariance, sigma_turn = _goal_covariance(samples, fit, limits)
-    goal_view = _turned(fit.m0[None], -fit.angle_rad)[0] / fit.scale
+    goal_view = _rotated_plane_vectors(fit.m0[None], -fit.angle_rad)[0] / fit.scale
     A_inverse = np.linalg.inv(A)
     goal = A_inverse @ goal_view
     residuals, weights = np.full((len(points), 2), np.nan), np.zeros(len(points))
@@ -182,17 +182,17 @@ def _weighted_fit(samples: _Samples, weights: Array, sigma_m: float, sigma_scale
     angle = float(np.arctan2(across, along))
     prior = sigma_m**2 / sigma_scale**2
     scale = (np.hypot(along, across) + prior) / (float(weights @ np.sum(b**2, axis=1)) + prior)
-    m0 = mean_seen + scale * _turned(mean_driven[None], angle)[0]
-    residuals = samples.seen - m0 + scale * _turned(samples.driven, angle)
+    m0 = mean_seen + scale * _rotated_plane_vectors(mean_driven[None], angle)[0]
+    residuals = samples.seen - m0 + scale * _rotated_plane_vectors(samples.driven, angle)
     return _Similarity(m0, angle, float(scale), weights, residuals, sigma_m)
 
 
-def _turned(vectors: Array, angle_rad: float) -> Array:
+def _rotated_plane_vectors(vectors: Array, angle_rad: float) -> Array:
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return vectors @ np.array([[c, s], [-s, c]])
 
 
-def _misfit(fit: _Similarity, limits: LineFitSettings) -> tuple[CalibrationStatus, str] | None:
+def _misfit_refusal(fit: _Similarity, limits: LineFitSettings) -> tuple[CalibrationStatus, str] | None:
     inliers = float(np.mean(np.linalg.norm(fit.residuals, axis=1) < 5.0 * fit.sigma_m))
     checks = (
         (1e3 * fit.sigma_m, 1e3 * limits.residual_max_m, "samples do not fit one motion: residual", "mm"),
@@ -218,7 +218,7 @@ def _goal_covariance(samples: _Samples, fit: _Similarity, limits: LineFitSetting
     Model:   normal equations of (m0, angle, scale) with the robust weights, carried to c = Rot(-angle) m0 / scale;
              plus the model's angle times the way, and a floor.
     """
-    turned = _turned(samples.driven, fit.angle_rad)
+    turned = _rotated_plane_vectors(samples.driven, fit.angle_rad)
     J = np.zeros((len(turned), 2, 4))
     J[:, :, :2] = np.eye(2)
     J[:, :, 2] = -fit.scale * np.column_stack((-turned[:, 1], turned[:, 0]))
@@ -226,15 +226,15 @@ def _goal_covariance(samples: _Samples, fit: _Similarity, limits: LineFitSetting
     information = np.einsum("k,kia,kib->ab", fit.weights, J, J) / fit.sigma_m**2
     information[3, 3] += 1.0 / limits.sigma_scale_frac**2
     P = np.linalg.inv(information)
-    goal = _turned(fit.m0[None], -fit.angle_rad)[0] / fit.scale
+    goal = _rotated_plane_vectors(fit.m0[None], -fit.angle_rad)[0] / fit.scale
     normal = np.array([-goal[1], goal[0]])
-    back = _turned(np.eye(2), -fit.angle_rad).T / fit.scale
+    back = _rotated_plane_vectors(np.eye(2), -fit.angle_rad).T / fit.scale
     G = np.column_stack((back, -normal, -goal / fit.scale))
     model = limits.sigma_model_rad**2 * float(goal @ goal) + limits.sigma_floor_m**2
     return G @ P @ G.T + model * np.eye(2), float(np.sqrt(P[2, 2] + limits.sigma_model_rad**2))
 
 
-def _refused(status: CalibrationStatus, reason: str, n: int) -> LineFit:
+def _refused_fit(status: CalibrationStatus, reason: str, n: int) -> LineFit:
     nan = float("nan")
     return LineFit(status, reason, None, None, nan, nan, nan, np.full((n, 2), nan), np.zeros(n), nan)
 
@@ -287,11 +287,11 @@ def fit_line_moving(
     if offset is None:
         return TimedLineFit(fit_at(0.0), 0.0, observable=False)
     if abs(offset) > bound_s + 0.5 * step_s:
-        return TimedLineFit(_beyond(fit_at(offset), bound_s), 0.0, observable=False)
+        return TimedLineFit(_refuse_clock_offset(fit_at(offset), bound_s), 0.0, observable=False)
     return TimedLineFit(fit_at(offset), offset, observable=True)
 
 
-def _beyond(fit: LineFit, bound_s: float) -> LineFit:
+def _refuse_clock_offset(fit: LineFit, bound_s: float) -> LineFit:
     reason = f"clock offset of camera and encoders is beyond +-{bound_s:g} s; check the clocks, then go round again"
     return replace(fit, status=CalibrationStatus.POOR_FIT, reason=reason, T_base_tcp_ref=None, covariance=None)
 
@@ -302,7 +302,7 @@ def _best_offset(grid: Array, fits: list[LineFit], contrast_min: float) -> float
     if ok.sum() < 3:
         return None
     sigma = max(min(fit.sigma_m for fit, good in zip(fits, ok, strict=True) if good), 1e-5)
-    cost = np.array([_cost(fit, sigma) for fit in fits])
+    cost = np.array([_robust_fit_cost(fit, sigma) for fit in fits])
     best = int(np.argmin(cost))
     reach = max(1, round(0.1 / float(grid[1] - grid[0])))
     sides = [cost[i] for i in (best - reach, best + reach) if 0 <= i < len(grid)]
@@ -316,7 +316,7 @@ def _best_offset(grid: Array, fits: list[LineFit], contrast_min: float) -> float
     return float(grid[best] + 0.5 * (before - after) / (before - 2.0 * here + after) * (grid[1] - grid[0]))
 
 
-def _cost(fit: LineFit, sigma_m: float) -> float:
+def _robust_fit_cost(fit: LineFit, sigma_m: float) -> float:
     if fit.status is not CalibrationStatus.OK:
         return np.inf
     sizes = np.linalg.norm(fit.residuals_m, axis=1)

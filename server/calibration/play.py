@@ -22,10 +22,10 @@ def play_sides(qs: Array, widths_rad: Array, start: Array) -> Array:
     Returns: (m, n), -1 to 1.
     """
     sides = np.empty_like(qs)
-    bounds, gain = _bounds(start, widths_rad), _side_change_per_rad(widths_rad)
+    bounds, gain = _play_side_bounds(start, widths_rad), _side_change_per_rad(widths_rad)
     before = qs[0] if len(qs) else start
     for i, q in enumerate(qs):
-        bounds = _pushed(bounds, q - before, gain)
+        bounds = _bounds_after_motion(bounds, q - before, gain)
         sides[i], before = bounds.mean(axis=0), q
     return sides
 
@@ -40,7 +40,7 @@ class PlayFollower:
     def __init__(self, widths_rad: Array, gap_max_s: float = 0.25) -> None:
         widths, self._gap_max_s = np.array(widths_rad, dtype=np.float64), gap_max_s
         self._nothing_known, self._per_rad = (
-            _bounds(np.full(len(widths), UNKNOWN), widths),
+            _play_side_bounds(np.full(len(widths), UNKNOWN), widths),
             _side_change_per_rad(widths),
         )
         self._bounds = self._nothing_known
@@ -56,11 +56,11 @@ class PlayFollower:
         if not 0.0 <= t_s - self._t_s <= self._gap_max_s:
             self._bounds = self._nothing_known
         else:
-            self._bounds = _pushed(self._bounds, q - self._q, self._per_rad)
+            self._bounds = _bounds_after_motion(self._bounds, q - self._q, self._per_rad)
         self._t_s, self._q = t_s, np.array(q, dtype=np.float64)
 
 
-def _bounds(side: Array, widths_rad: Array) -> Array:
+def _play_side_bounds(side: Array, widths_rad: Array) -> Array:
     """Least and greatest side (2, n) that a given side leaves open."""
     middle, left = np.where(widths_rad > 0.0, side, 0.0), np.where(widths_rad > 0.0, 1.0 - np.abs(side), 0.0)
     return np.array([middle - left, middle + left])
@@ -71,5 +71,5 @@ def _side_change_per_rad(widths_rad: Array) -> Array:
     return np.divide(2.0, widths_rad, out=np.zeros_like(widths_rad), where=widths_rad > 0.0)
 
 
-def _pushed(bounds: Array, dq: Array, gain: Array) -> Array:
+def _bounds_after_motion(bounds: Array, dq: Array, gain: Array) -> Array:
     return np.asarray(np.clip(bounds + gain * dq, -1.0, 1.0), dtype=np.float64)

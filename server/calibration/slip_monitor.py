@@ -66,10 +66,10 @@ def judge_slip(before: ToolSeen, now: ToolSeen, limits: SlipLimits | None = None
     if chi2 <= bounds.chi2_max:
         return SlipVerdict(False, False, "", chi2, shift_m, turn_rad)
     large = shift_m > bounds.shift_min_m or turn_rad > bounds.turn_min_rad
-    return SlipVerdict(large, not large, _reason(large, shift_m, turn_rad, chi2, bounds), chi2, shift_m, turn_rad)
+    return SlipVerdict(large, not large, _slip_reason(large, shift_m, turn_rad, chi2, bounds), chi2, shift_m, turn_rad)
 
 
-def _reason(large: bool, shift_m: float, turn_rad: float, chi2: float, bounds: SlipLimits) -> str:
+def _slip_reason(large: bool, shift_m: float, turn_rad: float, chi2: float, bounds: SlipLimits) -> str:
     found = (
         f"the tool marker moved by {1e3 * shift_m:.1f} mm and {np.rad2deg(turn_rad):.1f} deg in the camera since the "
         "calibration"

@@ -125,15 +125,15 @@ def estimate_camera_rotation(
     refusal = time_refusal(camera.t_s, "camera track") or time_refusal(encoder.t_s, "encoder track")
     if refusal is not None:
         return refusal.estimate(METHOD, 0.0)
-    tracks = _prepare(camera, encoder, T_tcp_cam)
+    tracks = _prepare_tracks(camera, encoder, T_tcp_cam)
     points = _points_at(tracks, 0.0) if len(tracks.t_enc_s) else np.zeros((0, 3))
     length = float(arc_lengths(points)[-1]) if len(points) else 0.0
     refusal = path_refusal(len(tracks.t_cam_s), len(tracks.t_enc_s), points, settings)
-    found = refusal or _match(tracks, T_tcp_cam[:3, :3], prior, settings)
+    found = refusal or _match_tracks(tracks, T_tcp_cam[:3, :3], prior, settings)
     return found.estimate(METHOD, length) if isinstance(found, Refusal) else found
 
 
-def _prepare(camera: CameraTrack, encoder: EncoderTrack, T_tcp_cam: Array) -> _Tracks:
+def _prepare_tracks(camera: CameraTrack, encoder: EncoderTrack, T_tcp_cam: Array) -> _Tracks:
     Ts_vo, Ts_enc = np.asarray(camera.Ts_vo_cam, dtype=float), np.asarray(encoder.Ts_base_tcp, dtype=float)
     t_cam, t_enc = np.asarray(camera.t_s, dtype=float), np.asarray(encoder.t_s, dtype=float)
     good_vo, good_enc = usable_poses(Ts_vo), usable_poses(Ts_enc)
@@ -149,21 +149,21 @@ def _points_at(tracks: _Tracks, offset_s: float) -> Array:
     return positions_at(tracks.t_cam_s + offset_s, tracks.t_enc_s, tracks.points_base)[0]
 
 
-def _match(
+def _match_tracks(
     tracks: _Tracks, R_nominal: Array, prior: MountRotation | None, settings: MatchingSettings
 ) -> CameraRotationEstimate | Refusal:
     pairs = chord_pairs(_points_at(tracks, 0.0), settings.chord_m)
     search = (settings.time_offset_bound_s, settings.time_offset_step_s, settings.time_offset_contrast_min)
     t_cam_s, t_enc_s = tracks.t_cam_s, tracks.t_enc_s
     coarse_offset_s = find_time_offset(t_cam_s, tracks.points_vo, t_enc_s, tracks.points_base, pairs, *search)
-    tracks, pairs = _overlapping(tracks, coarse_offset_s, pairs)
+    tracks, pairs = _overlapping_samples(tracks, coarse_offset_s, pairs)
     if len(pairs) < settings.chords_min:
         need = f"{len(pairs)} chords of {1e3 * settings.chord_m:.0f} mm, at least {settings.chords_min} are needed"
         return Refusal(CalibrationStatus.TOO_FEW, f"{need}; run a longer path or more frames", len(pairs))
     points = _points_at(tracks, coarse_offset_s)
     chords_base, chords_vo = chord_vectors(points, pairs), chord_vectors(tracks.points_vo, pairs)
     coarse = fit_rotation(chords_base, chords_vo)
-    seen = _observability(chords_base, chords_vo, coarse)
+    seen = _worst_observability(chords_base, chords_vo, coarse)
     refusal = coarse_refusal(coarse, chords_base, seen, settings)
     if refusal is not None:
         return refusal
@@ -177,7 +177,7 @@ def _match(
     )
     R_tcp_cam, R_base_tcp = _mount_from(tracks, fit.offset_s, fit.R_base_vo)
     covariance = R_base_tcp.T @ fit.covariance[:3, :3] @ R_base_tcp + settings.sigma_model_rad**2 * np.eye(3)
-    mount, notes = _fused(MountRotation(R_tcp_cam, covariance), prior)
+    mount, notes = _fuse_with_prior(MountRotation(R_tcp_cam, covariance), prior)
     sigma = float(np.sqrt(np.linalg.eigvalsh(mount.covariance)[-1]))
     refusal = fine_refusal(fit, geodesic_angle(R_nominal, R_tcp_cam), sigma, seen, settings)
     if refusal is not None:
@@ -185,10 +185,10 @@ def _match(
     if float(np.sqrt(fit.covariance[4, 4])) > settings.time_offset_sigma_max_s:
         notes = [*notes, "time offset not observable on this path"]
     method = METHOD if prior is None else f"{METHOD}+tool_marker"
-    return _estimate(tracks, fit, pairs, seen, mount, method, "; ".join(notes))
+    return _build_estimate(tracks, fit, pairs, seen, mount, method, "; ".join(notes))
 
 
-def _overlapping(tracks: _Tracks, offset_s: float, pairs: ChordPairs) -> tuple[_Tracks, ChordPairs]:
+def _overlapping_samples(tracks: _Tracks, offset_s: float, pairs: ChordPairs) -> tuple[_Tracks, ChordPairs]:
     """The samples whose shifted time still lies inside the encoder track, and the chords between them."""
     t = tracks.t_cam_s + offset_s
     inside = (t >= tracks.t_enc_s[0]) & (t <= tracks.t_enc_s[-1])
@@ -202,7 +202,7 @@ def _points_and_velocities(tracks: _Tracks, offset_s: float) -> tuple[Array, Arr
     return _points_at(tracks, offset_s), (after - before) / (2.0 * _VELOCITY_SPAN_S)
 
 
-def _estimate(
+def _build_estimate(
     tracks: _Tracks, fit: ChordRotation, pairs: ChordPairs, seen: float, mount: MountRotation, method: str, notes: str
 ) -> CameraRotationEstimate:
     points = _points_at(tracks, fit.offset_s)
@@ -224,7 +224,7 @@ def _estimate(
     )
 
 
-def _observability(chords_base: Array, chords_vo: Array, fit: RotationFit) -> float:
+def _worst_observability(chords_base: Array, chords_vo: Array, fit: RotationFit) -> float:
     return min(observability(rotation_information(chords, fit.weights)) for chords in (chords_base, chords_vo))
 
 
@@ -236,7 +236,7 @@ def _mount_from(tracks: _Tracks, offset_s: float, R_base_vo: Array) -> tuple[Arr
     return nearest_rotation(Rs_tcp_cam.mean(axis=0)), nearest_rotation(Rs_base_tcp.mean(axis=0))
 
 
-def _fused(data: MountRotation, prior: MountRotation | None) -> tuple[MountRotation, list[str]]:
+def _fuse_with_prior(data: MountRotation, prior: MountRotation | None) -> tuple[MountRotation, list[str]]:
     if prior is None:
         return data, []
     fused = fuse_rotations(data, prior)

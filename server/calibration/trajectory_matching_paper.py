@@ -55,7 +55,7 @@ def estimate_camera_rotation_paper(
     wrong_time = time_refusal(camera.t_s, "camera track") or time_refusal(encoder.t_s, "encoder track")
     if wrong_time is not None:
         return wrong_time.estimate(METHOD, 0.0)
-    Ts_vo, Ts_tcp = _thinned(camera.Ts_vo_cam), _thinned(encoder.Ts_base_tcp)
+    Ts_vo, Ts_tcp = _thin_poses(camera.Ts_vo_cam), _thin_poses(encoder.Ts_base_tcp)
     length = float(arc_lengths(Ts_tcp[:, :3, 3])[-1]) if len(Ts_tcp) > 1 else 0.0
     if min(len(Ts_vo), len(Ts_tcp)) < 12:
         counts = f"{len(Ts_vo)} camera and {len(Ts_tcp)} encoder poses, at least 12 of each are needed"
@@ -74,11 +74,11 @@ def estimate_camera_rotation_paper(
         Rs_y=R_cfa @ Ts_vo[:, :3, :3],
         settings=settings,
     )
-    found = _estimate(match, R_cfa, Ts_vo, Ts_tcp, length)
+    found = _estimate_from_match(match, R_cfa, Ts_vo, Ts_tcp, length)
     return found.estimate(METHOD, length) if isinstance(found, Refusal) else found
 
 
-def _thinned(Ts: Array) -> Array:
+def _thin_poses(Ts: Array) -> Array:
     """At most `_POSES_MAX` usable poses, evenly along the path: standing still must not weigh more than moving."""
     poses = np.asarray(Ts, dtype=float)
     poses = poses[usable_poses(poses)]
@@ -125,7 +125,7 @@ def _fit_refusal(match: MixtureMatch, points_tcp: Array, gaps: Array) -> Refusal
     return None
 
 
-def _estimate(
+def _estimate_from_match(
     match: MixtureMatch, R_cfa: Array, Ts_vo: Array, Ts_tcp: Array, length_m: float
 ) -> CameraRotationEstimate | Refusal:
     R_lc = match.R_x_y @ R_cfa  # eq. 20

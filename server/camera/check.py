@@ -55,7 +55,7 @@ def check_camera(
     findings += [check_sharpness(eyes), check_exposure(eyes)]
     on_step()
     spots = []
-    for left, right in _spread(eyes, MATCHED_PAIRS_MAX):
+    for left, right in _evenly_spaced_pairs(eyes, MATCHED_PAIRS_MAX):
         spots.append(match_eyes(left, right))
         on_step()
     rig = check_rig(machine.camera, spots, rng)
@@ -81,7 +81,7 @@ def progress_steps(gathered: CheckSample) -> int:
     return 1 + min(len(gathered.pairs), MATCHED_PAIRS_MAX) + len(gathered.pairs)
 
 
-def _spread(pairs: Sequence[tuple[Image, Image]], n: int) -> list[tuple[Image, Image]]:
+def _evenly_spaced_pairs(pairs: Sequence[tuple[Image, Image]], n: int) -> list[tuple[Image, Image]]:
     indices = np.unique(np.linspace(0, len(pairs) - 1, min(n, len(pairs))).astype(int))
     return [pairs[index] for index in indices]
 

@@ -78,8 +78,8 @@ def marker_figures(
     if not poses:
         return None
     tilt, distance = _tilt_and_distance(poses[0])
-    contrast, brighter = _light(image, own, marker.marker_id, machine.dictionary)
-    turn = _turn(camera, corners, distance)
+    contrast, brighter = _contrast_and_brighter_side(image, own, marker.marker_id, machine.dictionary)
+    turn = _aiming_angles_deg(camera, corners, distance)
     return MarkerFigures(
         view.marker_id, tuple(corners), float(sides.min()) / cells, contrast, tilt, distance, *turn, brighter
     )
@@ -92,7 +92,9 @@ def _tilt_and_distance(T_eye_marker: Array) -> tuple[float, float]:
     return float(np.rad2deg(np.arccos(np.clip(T_eye_marker[:3, 2] @ towards, -1.0, 1.0)))), distance
 
 
-def _light(image: Image, corners_px: Array, marker_id: int, dictionary_name: str) -> tuple[float, str]:
+def _contrast_and_brighter_side(
+    image: Image, corners_px: Array, marker_id: int, dictionary_name: str
+) -> tuple[float, str]:
     """White minus black of the printed cells [grey levels], and the side that is lit more."""
     white = marker_cells(dictionary_by_name(dictionary_name), marker_id)
     n = white.shape[0]
@@ -115,7 +117,7 @@ def _light(image: Image, corners_px: Array, marker_id: int, dictionary_name: str
     return contrast, "bottom" if in_picture[1] > 0 else "top"
 
 
-def _turn(camera: StereoCamera, corners: Mapping[str, Array], distance_m: float) -> tuple[float, float]:
+def _aiming_angles_deg(camera: StereoCamera, corners: Mapping[str, Array], distance_m: float) -> tuple[float, float]:
     """Angles [deg] to the right and down by which the camera must turn to have the marker in both eyes."""
     disparity = camera.fx_px * camera.baseline_m / max(distance_m, 0.05)
     both = dict(corners)
@@ -175,14 +177,14 @@ def check_markers(tallies: Mapping[ObjectName, CheckedObjectCounts], rig_is_soun
     """
     findings = []
     for name, counted in tallies.items():
-        seen = _seen(name, counted)
+        seen = _measurement_finding(name, counted)
         findings.append(seen if rig_is_sound or seen.level is Level.OK else replace(seen, remedy=RIG_FIRST))
         if counted.markers:
-            findings.append(_view(name, counted))
+            findings.append(_view_quality_finding(name, counted))
     return findings
 
 
-def _seen(name: ObjectName, one: CheckedObjectCounts) -> CheckFinding:
+def _measurement_finding(name: ObjectName, one: CheckedObjectCounts) -> CheckFinding:
     share = one.n_ok / max(one.n_pairs, 1)
     figures = {"ok_frac": share}
     reason = max(one.reasons, key=lambda text: one.reasons[text], default="")
@@ -194,13 +196,13 @@ def _seen(name: ObjectName, one: CheckedObjectCounts) -> CheckFinding:
     figures |= {"sigma_mm": sigma_mm, "tilt_sigma_deg": tilt_deg}
     level = level_by_limits(sigma_mm, SIGMA_WARN_MM, SIGMA_FAIL_MM)
     text = f"measured in {100 * share:.0f} % of the pairs, each to {sigma_mm:.2f} mm and {tilt_deg:.2f} deg"
-    remedy = "" if level is Level.OK else _closer(one, float(np.sqrt(SIGMA_WARN_MM / sigma_mm)))
+    remedy = "" if level is Level.OK else _move_closer_advice(one, float(np.sqrt(SIGMA_WARN_MM / sigma_mm)))
     return CheckFinding(name, level, text, remedy, figures)
 
 
 def _remedy_unseen(name: ObjectName, one: CheckedObjectCounts) -> str:
     """What to do about an object that is rarely measured: the reason's own remedy, unless the views show more."""
-    aim = _aim(one)
+    aim = _aiming_advice(one)
     if aim:
         return aim
     if any("covered" in reason for reason in one.reasons):
@@ -212,7 +214,7 @@ def _remedy_unseen(name: ObjectName, one: CheckedObjectCounts) -> str:
     return f"turn or move the camera until the {name}'s markers are in both pictures; light them; check their ids"
 
 
-def _view(name: ObjectName, one: CheckedObjectCounts) -> CheckFinding:
+def _view_quality_finding(name: ObjectName, one: CheckedObjectCounts) -> CheckFinding:
     """The worst of size, contrast, tilt and place over the object's markers."""
     cell = float(np.median([marker.cell_px for marker in one.markers]))
     contrast = float(np.median([marker.contrast_grey for marker in one.markers]))
@@ -232,27 +234,27 @@ def _view(name: ObjectName, one: CheckedObjectCounts) -> CheckFinding:
         "both_eyes_frac": both,
     }
     judged = (
-        (level_by_limits(-cell, -CELL_WARN_PX, -CELL_FAIL_PX), lambda: _closer(one, cell / CELL_WARN_PX)),
-        (level_by_limits(-contrast, -CONTRAST_WARN_GREY, -CONTRAST_FAIL_GREY), lambda: _lamp(one, contrast)),
+        (level_by_limits(-cell, -CELL_WARN_PX, -CELL_FAIL_PX), lambda: _move_closer_advice(one, cell / CELL_WARN_PX)),
+        (level_by_limits(-contrast, -CONTRAST_WARN_GREY, -CONTRAST_FAIL_GREY), lambda: _lighting_advice(one, contrast)),
         (
             level_by_limits(tilt, TILT_WARN_DEG, TILT_FAIL_DEG),
             lambda: f"go {tilt - 45.0:.0f} deg round the {name}, to its front",
         ),
-        (level_by_limits(-both, -SEEN_WARN_FRAC, 0.0), lambda: _aim(one) or "clear the view of both eyes"),
+        (level_by_limits(-both, -SEEN_WARN_FRAC, 0.0), lambda: _aiming_advice(one) or "clear the view of both eyes"),
     )
     worst = max((level for level, _ in judged), key=(Level.OK, Level.WARN, Level.FAIL).index)
     remedies = [remedy() for level, remedy in judged if level is not Level.OK]
     return CheckFinding(f"{name}_view", worst, text, "; ".join(remedies), figures)
 
 
-def _closer(one: CheckedObjectCounts, share: float) -> str:
+def _move_closer_advice(one: CheckedObjectCounts, share: float) -> str:
     """Of the present distance only this share may remain."""
     distance = float(np.median([marker.distance_m for marker in one.markers])) if one.markers else 0.0
     away = distance * (1.0 - share)
     return f"move {max(away, 0.1):.1f} m closer" if distance else "move closer"
 
 
-def _lamp(one: CheckedObjectCounts, contrast: float) -> str:
+def _lighting_advice(one: CheckedObjectCounts, contrast: float) -> str:
     """Light from the side that is darker now."""
     opposite = {"left": "the right", "right": "the left", "top": "below", "bottom": "above"}
     sides = [marker.brighter for marker in one.markers if marker.brighter]
@@ -260,7 +262,7 @@ def _lamp(one: CheckedObjectCounts, contrast: float) -> str:
     return f"light from {side}: contrast {contrast:.0f} of 255"
 
 
-def _aim(one: CheckedObjectCounts) -> str:
+def _aiming_advice(one: CheckedObjectCounts) -> str:
     """How to turn the camera, where markers stand at a border or beyond it; empty where they do not."""
     single = [marker for marker in one.markers if len(marker.eyes) == 1] or one.markers
     if not single:

@@ -28,21 +28,21 @@ def match_eyes(left: Image, right: Image) -> Array:
              refined by Lucas and Kanade's alignment of the patch at full size, once in each direction.
     """
     finder = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=0.02)
-    keys_left, words_left = finder.detectAndCompute(_half(left), None)
-    keys_right, words_right = finder.detectAndCompute(_half(right), None)
+    keys_left, words_left = finder.detectAndCompute(_half_size_image(left), None)
+    keys_right, words_right = finder.detectAndCompute(_half_size_image(right), None)
     if len(keys_left) < FEW or len(keys_right) < FEW:
         return np.zeros((0, 4))
-    there, back = _nearest(words_left, words_right), _nearest(words_right, words_left)
+    there, back = _descriptor_matches(words_left, words_right), _descriptor_matches(words_right, words_left)
     pairs = [(i, j) for i, j in there.items() if back.get(j) == i]
     if len(pairs) < FEW:
         return np.zeros((0, 4))
     from_px = _full_px([keys_left[i].pt for i, _ in pairs])
     to_px = _full_px([keys_right[j].pt for _, j in pairs])
     near = np.abs(from_px[:, 1] - to_px[:, 1]) < ROWS_MAX_FRAC * left.shape[0]
-    return _refined(left, right, from_px[near], to_px[near])
+    return _refined_matches(left, right, from_px[near], to_px[near])
 
 
-def _half(image: Image) -> Image:
+def _half_size_image(image: Image) -> Image:
     return np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
 
 
@@ -51,16 +51,16 @@ def _full_px(half_px: Sequence[Sequence[float]]) -> np.ndarray:
     return (2.0 * (np.array(half_px, np.float32) + 0.5) - 0.5).astype(np.float32)
 
 
-def _nearest(words: np.ndarray, others: np.ndarray) -> dict[int, int]:
+def _descriptor_matches(words: np.ndarray, others: np.ndarray) -> dict[int, int]:
     """Index of the clearly nearest other word."""
     return {match.queryIdx: match.trainIdx for match in clear_matches(words, others, cv2.NORM_L2, RATIO_MAX)}
 
 
-def _refined(left: Image, right: Image, from_px: np.ndarray, to_px: np.ndarray) -> Array:
+def _refined_matches(left: Image, right: Image, from_px: np.ndarray, to_px: np.ndarray) -> Array:
     if not len(from_px):
         return np.zeros((0, 4))
-    there, good = _align(left, right, from_px, to_px)
-    back, also = _align(right, left, there, from_px)
+    there, good = _track_points(left, right, from_px, to_px)
+    back, also = _track_points(right, left, there, from_px)
     kept = (
         good
         & also
@@ -70,7 +70,7 @@ def _refined(left: Image, right: Image, from_px: np.ndarray, to_px: np.ndarray) 
     return np.hstack([from_px[kept], there[kept]]).astype(float)
 
 
-def _align(one: Image, other: Image, at: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _track_points(one: Image, other: Image, at: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     found, good, _ = cv2.calcOpticalFlowPyrLK(
         np.ascontiguousarray(one),
         np.ascontiguousarray(other),
@@ -130,7 +130,7 @@ def rays_of(camera: StereoCamera, spots: Sequence[Array]) -> Array:
     return np.hstack([undistort_to_rays(camera, flat[:, :2]), undistort_to_rays(camera, flat[:, 2:])])
 
 
-def _design(camera: StereoCamera, rays: Array) -> Array:
+def _row_difference_jacobian(camera: StereoCamera, rays: Array) -> Array:
     """d(row difference) / d(term), (n, 7) [px]; first order.
 
     Model:   right eye turned by small w and moved by b (0, up, ahead), its focal length (1 + focal) times the left's:
@@ -147,7 +147,7 @@ def _row_px(camera: StereoCamera, rays: Array) -> Array:
     return camera.fy_px * (rays[:, 3] - rays[:, 1])
 
 
-def _consensus(rows: Array, design: Array, rng: np.random.Generator) -> np.ndarray:
+def _ransac_inliers(rows: Array, design: Array, rng: np.random.Generator) -> np.ndarray:
     """Spots that agree on pitch, roll and focal ratio (random samples of three)."""
     best = np.zeros(len(rows), bool)
     for _ in range(TRIALS):
@@ -170,8 +170,8 @@ def fit_rig(camera: StereoCamera, rays: Array, rng: np.random.Generator) -> RigF
              parts of the picture (slant, texture, compression), and the same in every pair of a still scene: taken as
              independent, a good rig's yaw came out 5 sigma off.
     """
-    rows, design = _row_px(camera, rays), _design(camera, rays)
-    kept = _consensus(rows, design, rng)
+    rows, design = _row_px(camera, rays), _row_difference_jacobian(camera, rays)
+    kept = _ransac_inliers(rows, design, rng)
     if kept.sum() < INLIER_SHARE_MIN * len(rows) or kept.sum() < SPOTS_MIN:
         return None
     A, r = design[kept], rows[kept]
@@ -205,7 +205,7 @@ def check_rig(camera: StereoCamera, spots: Sequence[Array], rng: np.random.Gener
     Args:    camera: what the pictures are said to be. spots: matched spots (n, 4) [raw px] of each pair.
     """
     rays = rays_of(camera, spots)
-    if len(rays) < SPOTS_MIN or _cover(camera, np.vstack([np.zeros((0, 4)), *spots])) < COVER_MIN:
+    if len(rays) < SPOTS_MIN or _covered_cell_count(camera, np.vstack([np.zeros((0, 4)), *spots])) < COVER_MIN:
         text = (
             f"{len(rays)} spots matched between the eyes, too few or too close together: the rig check is inconclusive"
         )
@@ -222,10 +222,10 @@ def check_rig(camera: StereoCamera, spots: Sequence[Array], rng: np.random.Gener
             "check that both pictures are of one moment, one camera and one size, and that this calibration is theirs"
         )
         return [eyes, CheckFinding("rows", Level.FAIL, text, remedy)]
-    return [eyes, _rows(fit), *_turns(camera, fit), _lens(fit)]
+    return [eyes, _row_difference_finding(fit), *_pitch_roll_focal_findings(camera, fit), _lens_distortion_finding(fit)]
 
 
-def _cover(camera: StereoCamera, spots: Array) -> int:
+def _covered_cell_count(camera: StereoCamera, spots: Array) -> int:
     columns = np.clip(spots[:, 0] * 4 / camera.width_px, 0, 3).astype(int)
     rows = np.clip(spots[:, 1] * 3 / camera.height_px, 0, 2).astype(int)
     return len(np.unique(4 * rows + columns))
@@ -245,7 +245,7 @@ def _swapped_eyes(disparity_px: Array) -> CheckFinding:
     )
 
 
-def _rows(fit: RigFit) -> CheckFinding:
+def _row_difference_finding(fit: RigFit) -> CheckFinding:
     level = level_by_limits(fit.spread_px, SPREAD_WARN_PX, SPREAD_FAIL_PX)
     text = f"differ by {fit.row_px:+.2f} px (median), spread {fit.spread_px:.2f} px after the fit, {fit.n_spots} spots"
     remedy = "" if level is Level.OK else "expose both eyes simultaneously; check that the calibration is this camera's"
@@ -253,7 +253,7 @@ def _rows(fit: RigFit) -> CheckFinding:
     return CheckFinding("rows", level, text, remedy, figures)
 
 
-def _turns(camera: StereoCamera, fit: RigFit) -> list[CheckFinding]:
+def _pitch_roll_focal_findings(camera: StereoCamera, fit: RigFit) -> list[CheckFinding]:
     """Each of the three as an angle or ratio, judged by what it moves in the picture, and only when it is certain."""
     off, deg = fit.focal_ratio - 1.0, float(np.rad2deg(1.0))
     half_width, half_height = 0.5 * camera.width_px, 0.5 * camera.height_px
@@ -275,7 +275,7 @@ def _turns(camera: StereoCamera, fit: RigFit) -> list[CheckFinding]:
     return findings
 
 
-def _lens(fit: RigFit) -> CheckFinding:
+def _lens_distortion_finding(fit: RigFit) -> CheckFinding:
     certain = abs(fit.lens) > SIGMAS * fit.lens_sigma
     level = level_by_limits(fit.lens_effect_px, OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
     text = f"k1 off by {fit.lens:+.3f} +- {fit.lens_sigma:.3f}: {fit.lens_effect_px:.1f} px"

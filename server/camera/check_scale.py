@@ -109,11 +109,13 @@ class Tape:
 def check_focal(machine: Machine, seen: Sequence[PairObservation], tape: Tape | None = None) -> CheckFinding:
     """Finding `focal`: focal length and prints by perspective, stereo and tape. What none of them shows to
     FOCAL_CHECKED_FRAC stays OK, called unchecked."""
-    looks = [(*poses, pair) for pair in seen if (poses := _poses(pair)) is not None]
+    looks = [(*poses, pair) for pair in seen if (poses := _tool_and_ooi_poses(pair)) is not None]
     if not looks:
         remedy = "show tool and OOI to both eyes, one marker tilted by 45 deg"
         return CheckFinding("focal", Level.WARN, "tool and OOI not seen together: not checked", remedy)
-    evidence = mean_evidence([lens_evidence(machine, tool, ooi, _corners(pair), UNKNOWN) for tool, ooi, pair in looks])
+    evidence = mean_evidence(
+        [lens_evidence(machine, tool, ooi, _used_marker_corners(pair), UNKNOWN) for tool, ooi, pair in looks]
+    )
     information = evidence.information + np.diag(UNKNOWN.sigma**-2.0)
     vector = evidence.vector
     if tape is not None:
@@ -136,12 +138,12 @@ def check_focal(machine: Machine, seen: Sequence[PairObservation], tape: Tape | 
     return CheckFinding("focal", level, text, "; ".join(doubts), figures)
 
 
-def _poses(observation: PairObservation) -> tuple[Array, Array] | None:
+def _tool_and_ooi_poses(observation: PairObservation) -> tuple[Array, Array] | None:
     tool, ooi = observation.tool.T_cam_object, observation.ooi.T_cam_object
     return None if tool is None or ooi is None else (tool, ooi)
 
 
-def _corners(observation: PairObservation) -> dict[int, tuple[Array | None, Array | None]]:
+def _used_marker_corners(observation: PairObservation) -> dict[int, tuple[Array | None, Array | None]]:
     return {view.marker_id: (view.corners_left_px, view.corners_right_px) for view in observation.views if view.used}
 
 

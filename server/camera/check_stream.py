@@ -47,11 +47,11 @@ def check_stream(times: StreamTimes) -> list[CheckFinding]:
             CheckFinding("stream", Level.FAIL, f"{n} pairs came (at least {PAIRS_MIN})", remedy, {"pairs": float(n)})
         ]
     if times.stored:
-        return [_loss(times), _stamps(times)]
-    return [_rate(times), _loss(times), _stamps(times), _latency(times)]
+        return [_pair_loss_finding(times), _timestamp_finding(times)]
+    return [_frame_rate_finding(times), _pair_loss_finding(times), _timestamp_finding(times), _latency_finding(times)]
 
 
-def _rate(times: StreamTimes) -> CheckFinding:
+def _frame_rate_finding(times: StreamTimes) -> CheckFinding:
     span_s = float(times.t_receive_ns[-1] - times.t_receive_ns[0]) * 1e-9
     rate_hz = (len(times.t_receive_ns) - 1) / span_s if span_s > 0.0 else 0.0
     level = level_by_limits(-rate_hz, -RATE_WARN_HZ, -RATE_FAIL_HZ)
@@ -64,7 +64,7 @@ def _rate(times: StreamTimes) -> CheckFinding:
     return CheckFinding("rate", level, text, remedy, {"rate_hz": rate_hz})
 
 
-def _loss(times: StreamTimes) -> CheckFinding:
+def _pair_loss_finding(times: StreamTimes) -> CheckFinding:
     """Missing pairs by sequence numbers and by holes in the stamps, without those that we passed over ourselves."""
     missing = max(_missing_by_sequence(times), _missing_by_stamp(times))
     lost = max(0, missing - times.skipped)
@@ -97,7 +97,7 @@ def _missing_by_stamp(times: StreamTimes) -> int:
     return int(np.maximum(np.rint(steps / np.median(steps)) - 1, 0).sum())
 
 
-def _stamps(times: StreamTimes) -> CheckFinding:
+def _timestamp_finding(times: StreamTimes) -> CheckFinding:
     steps = _within_connections(times, times.t_exposure_ns)
     backwards, standing = int((steps < 0).sum()), int((steps == 0).sum())
     figures = {"backwards": float(backwards), "standing": float(standing)}
@@ -111,7 +111,7 @@ def _stamps(times: StreamTimes) -> CheckFinding:
     return CheckFinding("stamps", Level.OK, text, "", {**figures, "period_ms": period_ms, "spread_ms": spread_ms})
 
 
-def _latency(times: StreamTimes) -> CheckFinding:
+def _latency_finding(times: StreamTimes) -> CheckFinding:
     """From stamp to arrival where one clock made both; otherwise how much it varies, the clocks' drift taken out."""
     late_s = (times.t_receive_ns - times.t_exposure_ns).astype(float) * 1e-9
     if not late_s.any():
@@ -129,11 +129,11 @@ def _latency(times: StreamTimes) -> CheckFinding:
         p50, p95 = (float(value) for value in np.percentile(late_s, (50, 95)))
         figures |= {"latency_p50_ms": 1e3 * p50, "latency_p95_ms": 1e3 * p95}
         text = f"latency {1e3 * p50:.1f} ms (95 %: {1e3 * p95:.1f} ms), {text}"
-        level = max(level, level_by_limits(p95, LATENCY_WARN_S, LATENCY_FAIL_S), key=_rank)
+        level = max(level, level_by_limits(p95, LATENCY_WARN_S, LATENCY_FAIL_S), key=_severity_rank)
     else:
         text += "; the camera has a clock of its own, so the absolute latency cannot be measured"
     if abs(drift_ppm) > DRIFT_WARN_PPM:
-        level = max(level, Level.WARN, key=_rank)
+        level = max(level, Level.WARN, key=_severity_rank)
         text += f"; the clocks drift by {drift_ppm:.0f} ppm"
     remedy = (
         ""
@@ -143,7 +143,7 @@ def _latency(times: StreamTimes) -> CheckFinding:
     return CheckFinding("latency", level, text, remedy, figures)
 
 
-def _rank(level: Level) -> int:
+def _severity_rank(level: Level) -> int:
     return (Level.OK, Level.WARN, Level.FAIL).index(level)
 
 

@@ -79,16 +79,16 @@ class LookCollector:
         if report.t_exposure_mapped_ns < self.t_from_ns or report.pose_source != self.pose_source:
             return None
         if not report.usable:
-            self._refuse(report)
+            self._reject_frame_report(report)
             return None
         self._pairs = [*self._pairs, report.observation][-self.n_pairs :]
         self._new += 1
         self._unsure = 0 if report.observation.searched else self._unsure + 1
         if len(self._pairs) < self.n_pairs or self._new < self._wanted_new() or self._unsure > 0:
             return None
-        return self._judge()
+        return self._try_finish_look()
 
-    def _refuse(self, report: FrameReport) -> None:
+    def _reject_frame_report(self, report: FrameReport) -> None:
         self.unusable += 1
         self.last_warning = report.warnings[0]
         self._pairs = self._pairs[: max(0, len(self._pairs) - self._unsure)]
@@ -99,7 +99,7 @@ class LookCollector:
         """After a first try, half a batch of new pairs before the next one."""
         return self.n_pairs if self.best is None else max(1, self.n_pairs // 2)
 
-    def _judge(self) -> Look | None:
+    def _try_finish_look(self) -> Look | None:
         self._new = 0
         self.best = look = self.average(tuple(self._pairs))
         if look.status is LookStatus.OK:

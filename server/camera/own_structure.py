@@ -38,7 +38,7 @@ def still_mask(images: Sequence[Image]) -> Image | None:
     if len(images) < PAIRS_MIN:
         return None
     stack = np.stack([image.astype(np.float64) for image in images])
-    over_time, over_block = _blocks(stack.var(axis=0)), _texture(stack)
+    over_time, over_block = _block_means(stack.var(axis=0)), _mean_block_variance(stack)
     noise = max(float(np.percentile(over_time, NOISE_PCT)), 0.25)  # grey^2; half a grey level is what 8 bits leave
     change, texture = np.maximum(over_time - noise, 0.0), np.maximum(over_block - noise, 1e-9)
     textured = texture > TEXTURE_MIN_NOISE**2 * noise
@@ -58,7 +58,7 @@ def still_mask(images: Sequence[Image]) -> Image | None:
     return np.asarray(255 * np.kron(wide, np.ones((BLOCK_PX, BLOCK_PX), np.uint8))[:height, :width], np.uint8)
 
 
-def _blocks(values: Array) -> Array:
+def _block_means(values: Array) -> Array:
     """Means over blocks; what is left over at the right and below counts with the last ones."""
     height, width = values.shape
     rows, columns = -(-height // BLOCK_PX), -(-width // BLOCK_PX)
@@ -66,9 +66,9 @@ def _blocks(values: Array) -> Array:
     return padded.reshape(rows, BLOCK_PX, columns, BLOCK_PX).mean(axis=(1, 3))
 
 
-def _texture(stack: Array) -> Array:
+def _mean_block_variance(stack: Array) -> Array:
     """Variance of grey over each block, mean over the pictures."""
-    return np.asarray(np.mean([_blocks(image**2) - _blocks(image) ** 2 for image in stack], axis=0))
+    return np.asarray(np.mean([_block_means(image**2) - _block_means(image) ** 2 for image in stack], axis=0))
 
 
 def check_own_structure(pairs: Sequence[tuple[Image, Image]], masks: Masks = ((), ())) -> CheckFinding:

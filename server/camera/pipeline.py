@@ -188,7 +188,7 @@ class VisionPipeline:
         else:
             odometry = following.result() if following is not None else None
         findings += self._health.after_markers(observation)
-        preview = self._preview(frame)
+        preview = self._encode_preview(frame)
         self._receive_ns.append(frame.t_receive_mono_ns)
         return FrameReport(
             observation=observation,
@@ -232,7 +232,7 @@ class VisionPipeline:
     def _preview_width_px(self, image: Image) -> int:
         return min(self._settings.preview_width_px, image.shape[1])
 
-    def _preview(self, frame: StereoFrame) -> bytes | None:
+    def _encode_preview(self, frame: StereoFrame) -> bytes | None:
         settings = self._settings
         if frame.t_receive_mono_ns - self._preview_ns < 1e9 / settings.preview_rate_hz:
             return None

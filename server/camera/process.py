@@ -155,10 +155,10 @@ class VisionLoop:
     def step(self, timeout_s: float) -> None:
         """One turn: all waiting commands, then at most one pair."""
         while self._pipe.poll(0.0):
-            self._obey(self._pipe.recv())
+            self._execute_command(self._pipe.recv())
         frame = None if self._quit else self._source.read(timeout_s)
         if self._source.ended and frame is None and not self._quit:
-            self._quit = self._pipe.poll(timeout_s) and self._obey(self._pipe.recv())
+            self._quit = self._pipe.poll(timeout_s) and self._execute_command(self._pipe.recv())
         if self._suspend.resumed():  # what is buffered is old, and the camera's clock went on or did not: begun again
             self._pipe.send(StreamNotice(mono_ns(), SUSPENDED))
             self._quit = True
@@ -178,7 +178,7 @@ class VisionLoop:
             self._state = state
             self._pipe.send(StreamNotice(mono_ns(), state))
 
-    def _obey(self, command: VisionCommand) -> bool:
+    def _execute_command(self, command: VisionCommand) -> bool:
         match command:
             case OdometryCommand():
                 ended = self._pipeline.switch_odometry(command.on, command.run, command.masks)

@@ -58,10 +58,10 @@ def parse_opencv(fields: Fields, size_px: tuple[int, int]) -> RigCalibration:
     Args:    fields: one file, or intrinsics and extrinsics merged. size_px: used where the file holds no size.
     Source:  OpenCV samples/cpp/stereo_calib.cpp (M1 D1 M2 D2 R T R1 R2 P1 P2 Q), OpenCV 5 calib module.
     """
-    model = _model(fields)
+    model = _read_lens_model(fields)
     left, right = (_opencv_eye(fields, index, model) for index in (0, 1))
-    R, t = _places(fields)
-    width, height = _size(fields, size_px)
+    R, t = _stereo_extrinsics(fields)
+    width, height = _image_size_px(fields, size_px)
     return checked_rig(RigCalibration(left, right, R, t, width, height), fields.file)
 
 
@@ -77,7 +77,7 @@ def rig_of_rectification(R1: Array, P1: Array, R2: Array, P2: Array, fields: Fie
     return R2.T @ R1, R2.T @ shift
 
 
-def _needed(fields: Fields, names: tuple[str, ...]) -> str:
+def _required_field_name(fields: Fields, names: tuple[str, ...]) -> str:
     name = fields.of_any(names)
     if name is None:
         raise fields.refused(f"field {names[0]} (or {', '.join(names[1:4])}) is missing")
@@ -95,8 +95,8 @@ def parse_eye(fields: Fields) -> tuple[EyeCalibration, tuple[int, int] | None]:
     else:
         _refuse_part_of_picture(fields)
         matrix, lens = fields.matrix("camera_matrix", (3, 3)), fields.numbers(EYE_LENS[0])
-        eye = eye_from_matrix(matrix, lens, _model(fields, (EYE_LENS,)), fields.file, "camera_matrix")
-    size = _size(fields, (0, 0))
+        eye = eye_from_matrix(matrix, lens, _read_lens_model(fields, (EYE_LENS,)), fields.file, "camera_matrix")
+    size = _image_size_px(fields, (0, 0))
     return eye, size if all(size) else None
 
 
@@ -109,7 +109,7 @@ def _refuse_omnidirectional(fields: Fields) -> None:
         )
 
 
-def _model(fields: Fields, lens_names: tuple[tuple[str, ...], ...] = LENS_NAMES) -> LensModel:
+def _read_lens_model(fields: Fields, lens_names: tuple[tuple[str, ...], ...] = LENS_NAMES) -> LensModel:
     """The lens model that a file states; one with four coefficients must state it, because both models have four."""
     _refuse_omnidirectional(fields)
     key = fields.of_any(("model", "camera_model", "distortion_model"))
@@ -131,16 +131,16 @@ def _model(fields: Fields, lens_names: tuple[tuple[str, ...], ...] = LENS_NAMES)
 
 
 def _opencv_eye(fields: Fields, index: int, model: LensModel) -> EyeCalibration:
-    name = _needed(fields, MATRIX_NAMES[index])
-    lens = fields.numbers(_needed(fields, LENS_NAMES[index]))
+    name = _required_field_name(fields, MATRIX_NAMES[index])
+    lens = fields.numbers(_required_field_name(fields, LENS_NAMES[index]))
     return eye_from_matrix(fields.matrix(name, (3, 3)), lens, model, fields.file, name)
 
 
-def _places(fields: Fields) -> tuple[Array, Array]:
+def _stereo_extrinsics(fields: Fields) -> tuple[Array, Array]:
     rotation, place = fields.of_any(ROTATION_NAMES), fields.of_any(PLACE_NAMES)
     if rotation is not None and place is not None:
         t = fields.matrix(place, (3, 1)).ravel()
-        return _rotation(fields, rotation), translation_in_metres(t, fields.file, place)
+        return _read_rotation_matrix(fields, rotation), translation_in_metres(t, fields.file, place)
     if all(name in fields for name in ("R1", "P1", "R2", "P2")):
         R1, R2 = (fields.matrix(name, (3, 3)) for name in ("R1", "R2"))
         P1, P2 = (fields.matrix(name, (3, 4)) for name in ("P1", "P2"))
@@ -149,14 +149,14 @@ def _places(fields: Fields) -> tuple[Array, Array]:
     raise fields.refused("R and T (or R1, P1, R2, P2) are missing; give the extrinsics file as well")
 
 
-def _rotation(fields: Fields, name: str) -> Array:
+def _read_rotation_matrix(fields: Fields, name: str) -> Array:
     values = fields.numbers(name)
     if len(values) == 3:  # a rotation vector
         return np.asarray(cv2.Rodrigues(values)[0], dtype=float)
     return fields.matrix(name, (3, 3))
 
 
-def _size(fields: Fields, size_px: tuple[int, int]) -> tuple[int, int]:
+def _image_size_px(fields: Fields, size_px: tuple[int, int]) -> tuple[int, int]:
     name = fields.of_any(SIZE_NAMES)
     if name is not None:
         width, height = fields.matrix(name, (1, 2)).ravel()
@@ -265,8 +265,8 @@ def parse_euroc(left: Fields, right: Fields) -> RigCalibration:
     Model:   T_BS takes sensor to body: T_right_left = inv(T_BS_right) T_BS_left.
     Source:  Burri et al. 2016, The EuRoC micro aerial vehicle datasets, section 3 and its sensor.yaml files.
     """
-    T_body_left, T_body_right = _pose(left, "T_BS"), _pose(right, "T_BS")
-    return _rig(left, right, inverse_pose(T_body_right) @ T_body_left, "distortion_coefficients")
+    T_body_left, T_body_right = _checked_pose_matrix(left, "T_BS"), _checked_pose_matrix(right, "T_BS")
+    return _rig_from_kalibr(left, right, inverse_pose(T_body_right) @ T_body_left, "distortion_coefficients")
 
 
 def parse_kalibr(fields: Fields) -> RigCalibration:
@@ -276,10 +276,10 @@ def parse_kalibr(fields: Fields) -> RigCalibration:
     Source:  ethz-asl/kalibr, wiki "yaml formats".
     """
     left, right = fields.part("cam0"), fields.part("cam1")
-    return _rig(left, right, _pose(right, "T_cn_cnm1"), "distortion_coeffs")
+    return _rig_from_kalibr(left, right, _checked_pose_matrix(right, "T_cn_cnm1"), "distortion_coeffs")
 
 
-def _rig(left: Fields, right: Fields, T_right_left: Array, lens: str) -> RigCalibration:
+def _rig_from_kalibr(left: Fields, right: Fields, T_right_left: Array, lens: str) -> RigCalibration:
     eyes = [_kalibr_eye(eye, lens) for eye in (left, right)]
     sizes = [eye.matrix("resolution", (1, 2)).ravel() for eye in (left, right)]
     if (sizes[0] != sizes[1]).any():
@@ -289,7 +289,7 @@ def _rig(left: Fields, right: Fields, T_right_left: Array, lens: str) -> RigCali
     return checked_rig(rig, f"{left.file} and {right.file}")
 
 
-def _pose(fields: Fields, key: str) -> Array:
+def _checked_pose_matrix(fields: Fields, key: str) -> Array:
     T = fields.matrix(key, (4, 4))
     if np.abs(T[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6 or np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-3:
         raise fields.refused(f"{key} is not a pose; give a 4 x 4 matrix with last row 0 0 0 1")

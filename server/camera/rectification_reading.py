@@ -59,7 +59,7 @@ def parse_kitti(text: str, file: str, size_px: tuple[int, int]) -> RigCalibratio
     Args:    size_px: of one eye; the file does not hold it.
     Source:  Geiger et al. 2013, Vision meets robotics: the KITTI dataset, section IV.
     """
-    left, right = _pair(text, file)
+    left, right = _parse_projection_matrices(text, file)
     if abs(left[0, 0] - right[0, 0]) > 1e-6 * abs(left[0, 0]) or left[0, 0] <= 0.0:
         raise CalibrationFileError(
             f"{file}: focal lengths {left[0, 0]:g} and {right[0, 0]:g} px differ; they must agree"
@@ -69,15 +69,15 @@ def parse_kitti(text: str, file: str, size_px: tuple[int, int]) -> RigCalibratio
     return checked_rig(RigCalibration(eyes[0], eyes[1], np.eye(3), t, *size_px), file)
 
 
-def _pair(text: str, file: str) -> tuple[Array, Array]:
+def _parse_projection_matrices(text: str, file: str) -> tuple[Array, Array]:
     found: dict[int, Array] = {}
     bare: list[Array] = []
     for number, line in enumerate(text.splitlines(), start=1):
         labelled = LABEL.match(line.strip())
         if labelled:
-            found[int(labelled[2])] = _matrix(labelled[3], f"{file}: {labelled[1]}{labelled[2]}")
+            found[int(labelled[2])] = _parse_3x4_matrix(labelled[3], f"{file}: {labelled[1]}{labelled[2]}")
         elif line.strip() and NUMBER.match(line.split()[0]):
-            bare.append(_matrix(line, f"{file}: line {number}"))
+            bare.append(_parse_3x4_matrix(line, f"{file}: line {number}"))
     for left, right in PAIRS:
         if left in found and right in found:
             return found[left], found[right]
@@ -86,7 +86,7 @@ def _pair(text: str, file: str) -> tuple[Array, Array]:
     raise CalibrationFileError(f"{file}: has {sorted(found)} of the projections P0 .. P3; give P0 and P1, or P2 and P3")
 
 
-def _matrix(text: str, subject: str) -> Array:
+def _parse_3x4_matrix(text: str, subject: str) -> Array:
     words = text.split()
     if len(words) != 12 or not all(NUMBER.match(word) for word in words):
         raise CalibrationFileError(f"{subject} has {len(words)} words; give 3 x 4 numbers")
@@ -115,7 +115,7 @@ def parse_calibration(
     if len(files) not in (1, 2):
         raise CalibrationFileError(f"calibration: {len(files)} files; give one or two: {KNOWN}")
     plain = [CalibrationText(file.name, file.text.removeprefix("\ufeff")) for file in files]
-    rig = _parsed(plain, size_px)
+    rig = _parse_rig_calibration(plain, size_px)
     for name, eye in (("left", rig.left), ("right", rig.right)):
         off_frac = principal_off_frac((eye.cx_px, eye.cy_px), (rig.width_px, rig.height_px))
         if off_frac > PRINCIPAL_OFF_MAX_FRAC and not off_centre:
@@ -128,7 +128,7 @@ def parse_calibration(
     return rig
 
 
-def _parsed(files: Sequence[CalibrationText], size_px: tuple[int, int]) -> RigCalibration:
+def _parse_rig_calibration(files: Sequence[CalibrationText], size_px: tuple[int, int]) -> RigCalibration:
     first = files[0]
     if first.text.lstrip().startswith("<"):
         raise CalibrationFileError(f"{first.name}: XML; save the calibration as YAML")
@@ -170,7 +170,9 @@ def read_calibration(paths: Sequence[str], size_px: tuple[int, int], off_centre:
     files = (
         _in_folder(Path(paths[0])) if len(paths) == 1 and Path(paths[0]).is_dir() else [Path(path) for path in paths]
     )
-    return parse_calibration([CalibrationText(str(file), _text(file)) for file in files], size_px, off_centre)
+    return parse_calibration(
+        [CalibrationText(str(file), _read_calibration_text(file)) for file in files], size_px, off_centre
+    )
 
 
 def _in_folder(folder: Path) -> list[Path]:
@@ -182,7 +184,7 @@ def _in_folder(folder: Path) -> list[Path]:
     raise CalibrationFileError(f"calibration folder {folder}: none of {looked}; give the files themselves")
 
 
-def _text(file: Path) -> str:
+def _read_calibration_text(file: Path) -> str:
     try:
         return read_text(file)
     except OSError as error:

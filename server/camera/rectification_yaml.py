@@ -51,7 +51,7 @@ class Fields:
             part = self.part(key)
             declared = part.whole("rows") * part.whole("cols") if "rows" in part and "cols" in part else None
             value = part.value("data")
-        found = np.array([self._number(leaf, key) for leaf in _leaves(value)], dtype=float)
+        found = np.array([self._finite_number(leaf, key) for leaf in _flatten_nested_list(value)], dtype=float)
         if declared is not None and declared != len(found):
             raise self.refused(f"{key} has {len(found)} numbers, its rows x cols say {declared}")
         return found
@@ -66,7 +66,7 @@ class Fields:
     def whole(self, key: str) -> int:
         """A whole number above 0 and below a million."""
         value = self.value(key)
-        number = self._number(value, key)
+        number = self._finite_number(value, key)
         if number != int(number) or not 0 < number < 1_000_000:
             raise self.refused(f"{key} = {str(value)[:40]!r} is not a whole number above 0")
         return int(number)
@@ -78,7 +78,7 @@ class Fields:
             raise self.refused(f"{key} is not a word")
         return value.strip().lower()
 
-    def _number(self, value: object, key: str) -> float:
+    def _finite_number(self, value: object, key: str) -> float:
         try:
             number = float(value) if isinstance(value, str) else float("nan")
         except ValueError:
@@ -88,10 +88,10 @@ class Fields:
         return number
 
 
-def _leaves(value: object) -> list[object]:
+def _flatten_nested_list(value: object) -> list[object]:
     if not isinstance(value, list):
         return [value]
-    return [leaf for part in cast("Sequence[object]", value) for leaf in _leaves(part)]
+    return [leaf for part in cast("Sequence[object]", value) for leaf in _flatten_nested_list(part)]
 
 
 def parse_yaml(text: str, file: str) -> Fields:

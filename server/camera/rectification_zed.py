@@ -52,8 +52,8 @@ def parse_zed(text: str, file: str, size_px: tuple[int, int]) -> RigCalibration:
     place_mm = [ini_reader.number("stereo", "baseline"), *(_of_any(ini_reader, axis, ending) for axis in ("TY", "TZ"))]
     R, _ = cv2.Rodrigues(np.array(turn))
     rig = RigCalibration(
-        left=_eye(ini_reader, f"left_cam_{ending}"),
-        right=_eye(ini_reader, f"right_cam_{ending}"),
+        left=_read_eye_calibration(ini_reader, f"left_cam_{ending}"),
+        right=_read_eye_calibration(ini_reader, f"right_cam_{ending}"),
         R_right_left=np.asarray(R, dtype=float),
         t_right_left_m=-1e-3 * np.array(place_mm),
         width_px=size_px[0],
@@ -94,7 +94,7 @@ def _of_any(fields: _Fields, axis: str, ending: str) -> float:
     return fields.number("stereo", own if fields.has("stereo", own) else axis)
 
 
-def _eye(fields: _Fields, section: str) -> EyeCalibration:
+def _read_eye_calibration(fields: _Fields, section: str) -> EyeCalibration:
     fx, fy, cx, cy = (fields.number(section, key) for key in ("fx", "fy", "cx", "cy"))
     needed = {"k1", "k2"}
     lens = tuple(

@@ -67,11 +67,11 @@ class TargetMeasuring:
             return self._source.use(command.target)
         kept = tuple(self._kept)
         if isinstance(command, FindMarksCommand):
-            self._running.append(self._thread.submit(self._marks, command, kept))
+            self._running.append(self._thread.submit(self._answer_find_marks, command, kept))
         elif isinstance(command, TeachViewCommand):
-            self._running.append(self._thread.submit(self._view, command, kept))
+            self._running.append(self._thread.submit(self._answer_teach_view, command, kept))
         else:
-            self._running.append(self._thread.submit(self._measured, command, kept))
+            self._running.append(self._thread.submit(self._answer_measure_target, command, kept))
         return None
 
     def finished(self) -> list[TargetAnswer]:
@@ -85,7 +85,7 @@ class TargetMeasuring:
         """End the thread."""
         self._thread.shutdown(cancel_futures=True)
 
-    def _view(self, command: TeachViewCommand, kept: tuple[KeptPair, ...]) -> ViewTaught:
+    def _answer_teach_view(self, command: TeachViewCommand, kept: tuple[KeptPair, ...]) -> ViewTaught:
         pair = next((held for held in reversed(kept) if held.sequence == command.sequence), None)
         if pair is None or pair.markers is None:
             reason = f"Image {command.sequence} is not kept any more; take the view in a newer image"
@@ -93,10 +93,10 @@ class TargetMeasuring:
         found = view_by_markers(pair, pair.markers, self._camera, command.box, self._settings)
         return ViewTaught(command.request, found)
 
-    def _measured(self, command: MeasureTargetCommand, kept: tuple[KeptPair, ...]) -> TargetMeasured:
-        return TargetMeasured(command.request, self._target(command, _pair_of(kept, command.sequence)))
+    def _answer_measure_target(self, command: MeasureTargetCommand, kept: tuple[KeptPair, ...]) -> TargetMeasured:
+        return TargetMeasured(command.request, self._measure_and_anchor(command, _pair_of(kept, command.sequence)))
 
-    def _target(self, command: MeasureTargetCommand, pair: KeptPair | str) -> AnchoredTarget | SurfacePatch:
+    def _measure_and_anchor(self, command: MeasureTargetCommand, pair: KeptPair | str) -> AnchoredTarget | SurfacePatch:
         if isinstance(pair, str):
             return refused_patch(PatchStatus.OUTSIDE_IMAGE, pair, command.pixel)
         if _is_masked(pair.masks_px[0], command.pixel):
@@ -109,7 +109,7 @@ class TargetMeasuring:
         patch = with_roll(patch, command.roll_rad)
         return anchor_target(command.request, patch, pair.left, pair.right, camera, settings, pair.masks_px)
 
-    def _marks(self, command: FindMarksCommand, kept: tuple[KeptPair, ...]) -> MarksFound:
+    def _answer_find_marks(self, command: FindMarksCommand, kept: tuple[KeptPair, ...]) -> MarksFound:
         """All marks of a pair, each anchored now: the pair will not be kept until one is chosen."""
         pair = _pair_of(kept, command.sequence)
         if isinstance(pair, str):
@@ -141,12 +141,12 @@ def view_by_markers(
     ooi = markers.ooi
     if ooi.T_cam_object is None or ooi.covariance is None:
         return f"the object's markers are not seen ({ooi.reason}); put them next to the object, into both eyes' view"
-    left = (*pair.masks_px[0], *_prints(view.corners_left_px for view in markers.views))
-    right = (*pair.masks_px[1], *_prints(view.corners_right_px for view in markers.views))
+    left = (*pair.masks_px[0], *_marker_print_polygons(view.corners_left_px for view in markers.views))
+    right = (*pair.masks_px[1], *_marker_print_polygons(view.corners_right_px for view in markers.views))
     return teach_view(pair.left, pair.right, camera, ooi.T_cam_object, ooi.covariance, box, (left, right), settings)
 
 
-def _prints(corners_px: Iterable[Array | None]) -> list[Array]:
+def _marker_print_polygons(corners_px: Iterable[Array | None]) -> list[Array]:
     """Polygons (4, 2) [px] over the whole prints of markers."""
     return [blown_up(corners, PRINT_SCALE) for corners in corners_px if corners is not None]
 

@@ -95,11 +95,11 @@ def wrong_mounting(seen: CameraDisplacements) -> str:
     best, fit = _best_permutation(seen.expected, seen.seen)
     if fit < _CLEARLY or best == ((0, 1), (1, 1), (2, 1)):
         return ""
-    exchanged = "; ".join(f"{_AXES[i]} shows as {_signed(best, i)}" for i in range(3) if best[i] != (i, 1))
+    exchanged = "; ".join(f"{_AXES[i]} shows as {_signed_axis_name(best, i)}" for i in range(3) if best[i] != (i, 1))
     return _KNOWN.get(best, f"the camera's axes are exchanged: {exchanged}")
 
 
-def _signed(best: _Rows, axis: int) -> str:
+def _signed_axis_name(best: _Rows, axis: int) -> str:
     """As what a nominal axis shows in the real camera."""
     for row, (source, sign) in enumerate(best):
         if source == axis:
@@ -152,7 +152,7 @@ async def propose_masks(site: Site, seen: Sequence[Still], masks: Masks) -> str:
     file = site.options.settings_file
     if file is None or not await site.operator.confirm(f"{found}: masks over it will be written into {file}"):
         return by_hand
-    if not _written(file, lines, site.settings.camera.kind):
+    if not _write_camera_lines(file, lines, site.settings.camera.kind):
         return by_hand
     return f"{found}; masks over it are in {file} now, for the next start of the server"
 
@@ -171,7 +171,7 @@ def masks_wanted(seen: Sequence[Still], masks: Masks) -> tuple[Image, Image] | N
     return found[0], found[1]
 
 
-def _written(file: Path, lines: dict[str, str], kind: str) -> bool:
+def _write_camera_lines(file: Path, lines: dict[str, str], kind: str) -> bool:
     """Whether the lines are in the file's [camera] now, and nothing else in it has changed."""
     try:
         before = read_text(file)
@@ -215,7 +215,7 @@ async def camera_axes(site: Site) -> StepResult:
     legs, unmeasured, still = [], [], []
     for name, axis in _LEGS:
         try:
-            leg, still_here = await _leg(site, name, np.array(axis))
+            leg, still_here = await _observe_axis_move(site, name, np.array(axis))
         except CameraError as error:
             unmeasured.append(f"{name}: {error}")
         else:
@@ -254,11 +254,11 @@ def judge_axes(legs: Sequence[CameraMove], unmeasured: Sequence[str], disparitie
     return replace(result, summary="; ".join([*mountings, result.summary])) if mountings else result
 
 
-async def _leg(site: Site, name: str, axis_cam: Array) -> tuple[CameraMove, Still]:
+async def _observe_axis_move(site: Site, name: str, axis_cam: Array) -> tuple[CameraMove, Still]:
     """There, look, back; what stood still in the pictures meanwhile."""
     vision = camera_of(site)
     start = await wait_for_rest(site)
-    trajectory = _trajectory(site, start, name, axis_cam)
+    trajectory = _camera_axis_trajectory(site, start, name, axis_cam)
     seen_before = mean_pose([report.observation.ooi for report in await fresh_pairs(site, PAIRS, f"{name}: before")])
     try:
         await vision.start_odometry(masks=True)
@@ -278,7 +278,7 @@ async def _leg(site: Site, name: str, axis_cam: Array) -> tuple[CameraMove, Stil
     return leg, (None, None) if odometry_map is None else odometry_map.still
 
 
-def _trajectory(site: Site, start: MachineReading, name: str, axis_cam: Array) -> JointTrajectory:
+def _camera_axis_trajectory(site: Site, start: MachineReading, name: str, axis_cam: Array) -> JointTrajectory:
     """A straight move along a nominal camera axis, to whichever side is possible."""
     T = tcp_pose(site.chain, start.q_ref)
     axis_base = T[:3, :3] @ site.machine.T_tcp_cam_left[:3, :3] @ axis_cam

@@ -49,12 +49,12 @@ async def encoder_zeros(site: Site) -> StepResult:
     for joint in site.machine.joints:
         bounds = f"{math.degrees(joint.q_min_rad):.0f} .. {math.degrees(joint.q_max_rad):.0f}"
         question = f"{joint.name}: angle read at the machine [deg, {bounds}; empty: not read]"
-        seen_deg.append(await _angle(site, f"encoder_zeros.{joint.name}", question))
+        seen_deg.append(await _ask_angle(site, f"encoder_zeros.{joint.name}", question))
     names = [joint.name for joint in site.machine.joints]
     return compare_zeros(names, await read_machine(site), seen_deg, site.options.zero_tolerance_deg)
 
 
-async def _angle(site: Site, key: str, question: str) -> float | None:
+async def _ask_angle(site: Site, key: str, question: str) -> float | None:
     """A number, requested again until it is one; None without an answer."""
     for _ in range(3):
         answer = await site.operator.ask(key, question)
@@ -180,7 +180,7 @@ async def go_through(
     for step in steps:
         site.operator.show(f"step {step.number}: {step.name}")
         started_s = mono_s()
-        result = await _one(site, step, results)
+        result = await _run_one_step(site, step, results)
         result = replace(result, duration_s=mono_s() - started_s)
         earlier_one = results.get(step.name)
         results[step.name] = earlier_one if earlier_one is not None and still_counts(earlier_one, result) else result
@@ -189,13 +189,13 @@ async def go_through(
     return fresh
 
 
-async def _one(site: Site, step: Step, results: dict[str, StepResult]) -> StepResult:
+async def _run_one_step(site: Site, step: Step, results: dict[str, StepResult]) -> StepResult:
     try:
-        refusal = await _refusal(site, step, results)
+        refusal = await _step_refusal(site, step, results)
         if refusal is not None:
             return refusal
         result = await step.run(site)
-        return replace(result, notes=(*result.notes, *_unproven(step, results)))
+        return replace(result, notes=(*result.notes, *_unproven_step_notes(step, results)))
     except NoLeaveError as error:
         return skipped_result(step.name, str(error), "give permission when the area is clear, and run this step again")
     except (LinkError, CameraError, NotReadyError, ValueError) as error:
@@ -212,7 +212,7 @@ async def _leave_at_rest(site: Site) -> None:
         site.operator.show(f"disarming failed: {error}")
 
 
-async def _refusal(site: Site, step: Step, results: dict[str, StepResult]) -> StepResult | None:
+async def _step_refusal(site: Site, step: Step, results: dict[str, StepResult]) -> StepResult | None:
     """Why a step cannot begin, or None."""
     failed = [s.name for s in STEPS if s.number in step.after and _has_failed(results.get(s.name))]
     if failed:
@@ -226,7 +226,7 @@ async def _refusal(site: Site, step: Step, results: dict[str, StepResult]) -> St
     return None
 
 
-def _unproven(step: Step, results: dict[str, StepResult]) -> list[str]:
+def _unproven_step_notes(step: Step, results: dict[str, StepResult]) -> list[str]:
     """What should have passed before, and was not even tried or stayed open."""
     notes = []
     for before in (each for each in STEPS if each.number in step.after):

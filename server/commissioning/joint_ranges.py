@@ -32,7 +32,7 @@ async def joint_ranges(site: Site) -> StepResult:
     if not site.options.ask_for_ends:
         note = "the mechanical end stops were not checked; --ends includes them"
         return result_of_figures(NAME, figures, "all joints quiet and inside their ranges", REMEDY, notes=(note,))
-    ends, not_driven, table = await _ends(site)
+    ends, not_driven, table = await _measure_range_ends(site)
     summary = "all joints quiet, inside their ranges, and the ranges inside the mechanical ends"
     return result_of_figures(NAME, [*figures, *ends], summary, REMEDY, not_driven, tables=(table,))
 
@@ -51,7 +51,7 @@ def range_figures(samples: Sequence[PlcSample], joints: Sequence[Joint]) -> list
     return [*figures, Figure("faults SENSOR or JOINT_RANGE", float(faults.bit_count()), "of 2", at_most=0.0)]
 
 
-async def _ends(site: Site) -> tuple[list[Figure], list[str], ReportTable]:
+async def _measure_range_ends(site: Site) -> tuple[list[Figure], list[str], ReportTable]:
     """Every joint by lever to both ends; the engineer says when it is there."""
     figures: list[Figure] = []
     not_driven: list[str] = []

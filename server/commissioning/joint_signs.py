@@ -78,7 +78,7 @@ def expected_motion(chain: Chain, q: Array, joint: int, step_rad: float) -> Expe
     T_before, T_after = tcp_pose(chain, q), tcp_pose(chain, after)
     seen = person_axes(T_before) @ (T_after[:3, 3] - T_before[:3, 3])
     if float(np.abs(seen).max()) < _VISIBLE_M:
-        return _turn(chain, q, joint, step_rad, T_before)
+        return _expected_tool_turn(chain, q, joint, step_rad, T_before)
     names = (("out", "in"), ("left", "right"), ("up", "down"))
     order = np.argsort(-np.abs(seen))
     large = [i for i in order if abs(seen[i]) >= _SIDE_SHARE * abs(seen[order[0]])]
@@ -87,7 +87,7 @@ def expected_motion(chain: Chain, q: Array, joint: int, step_rad: float) -> Expe
     return ExpectedDirection(words, f"tool tip goes {millimetres}")
 
 
-def _turn(chain: Chain, q: Array, joint: int, step_rad: float, T_base_tcp: Array) -> ExpectedDirection:
+def _expected_tool_turn(chain: Chain, q: Array, joint: int, step_rad: float, T_base_tcp: Array) -> ExpectedDirection:
     axis = link_poses(chain, q)[joint][:3, 2] * np.sign(step_rad)
     looking = -T_base_tcp[:3, 2]  # the tool looks along -z_tcp
     word = "clockwise" if float(axis @ looking) > 0.0 else "counter-clockwise"
@@ -192,12 +192,12 @@ async def _one_joint(site: Site, index: int) -> tuple[SignTestJog, ExpectedDirec
         f"{joint.name}: which way did the tool go, seen from behind the machine? "
         "[left, right, up, down, out, in, cw, ccw (looking the way the tool looks); empty: not seen]"
     )
-    answer = await _direction(site, f"joint_signs.{joint.name}", question)
+    answer = await _ask_direction(site, f"joint_signs.{joint.name}", question)
     await play_gently(site, start.q_ref, f"{joint.name} back")
     return jog, expected, answer
 
 
-async def _direction(site: Site, key: str, question: str) -> str | None:
+async def _ask_direction(site: Site, key: str, question: str) -> str | None:
     for _ in range(3):
         answer = await site.operator.ask(key, question)
         if answer is None or not answer.strip():

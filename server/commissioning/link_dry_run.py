@@ -60,9 +60,9 @@ def state_figures(samples: Sequence[PlcSample], period_s: float) -> tuple[Figure
     nan = float("nan")
     if len(samples) < 2:
         return (Figure("states", float(len(samples)), "in all", at_least=2.0),)
-    t_pc, t_plc = _seconds(samples)
+    t_pc, t_plc = _pc_and_plc_times(samples)
     span_s = float(t_plc[-1] - t_plc[0])
-    way_ms = 1e3 * _spread(t_pc - t_plc)
+    way_ms = 1e3 * _delay_above_minimum(t_pc - t_plc)
     return (
         Figure(
             "states on the PLC's clock",
@@ -101,7 +101,7 @@ def drift_ppm(t_pc: Array, t_plc: Array) -> float:
     return float(np.polyfit(t_plc[picked] - t_plc[0], delay[picked], 1)[0]) * 1e6
 
 
-def _seconds(samples: Sequence[PlcSample]) -> tuple[Array, Array]:
+def _pc_and_plc_times(samples: Sequence[PlcSample]) -> tuple[Array, Array]:
     """Receive and PLC times from the first sample on (n,) [s]."""
     first = samples[0]
     t_pc = np.array([sample.t_mono_ns - first.t_mono_ns for sample in samples]) * 1e-9
@@ -109,7 +109,7 @@ def _seconds(samples: Sequence[PlcSample]) -> tuple[Array, Array]:
     return t_pc, t_plc
 
 
-def _spread(delay: Array) -> Array:
+def _delay_above_minimum(delay: Array) -> Array:
     return delay - delay.min()
 
 
@@ -129,11 +129,11 @@ async def link_dry_run(site: Site) -> StepResult:
     if not await site.operator.confirm("a small trajectory is played with closed valves: the machine must not move"):
         return inconclusive_result(NAME, "the engineer did not confirm the dry run", "run step 1 again")
     await arm_if_needed(site)
-    played, wanted = await _play(site)
+    played, wanted = await _play_dry_run_motion(site)
     figures = [*listened, *playback_figures(played, wanted, site.machine)]
     if not all(figure.ok for figure in figures):
         return result_of_figures(NAME, figures, "", REMEDY, notes=notes)
-    figures += await _silence(site)
+    figures += await _test_silence_stop(site)
     summary = "states arrive in time, knots are played with closed valves, and the PLC stops by itself in silence"
     return result_of_figures(NAME, figures, summary, REMEDY, notes=notes)
 
@@ -173,16 +173,16 @@ def dry_run_goal(machine: Machine, q_ref: Array) -> Array:
     return q_ref + np.where(middle >= q_ref, STEP_RAD, -STEP_RAD)
 
 
-async def _trajectory(site: Site, q_goal: Array, duration_s: float) -> JointTrajectory:
+async def _plan_small_trajectory(site: Site, q_goal: Array, duration_s: float) -> JointTrajectory:
     plan = gentle_plan(site, (await read_machine(site)).q_ref, q_goal, duration_s)
     if plan.trajectory is None:
         raise NotReadyError(f"no small trajectory is possible from here: {plan.reason}")
     return plan.trajectory
 
 
-async def _play(site: Site) -> tuple[PlayedMotion, JointTrajectory]:
+async def _play_dry_run_motion(site: Site) -> tuple[PlayedMotion, JointTrajectory]:
     start = await wait_for_rest(site)
-    trajectory = await _trajectory(site, dry_run_goal(site.machine, start.q_ref), PLAY_S)
+    trajectory = await _plan_small_trajectory(site, dry_run_goal(site.machine, start.q_ref), PLAY_S)
     return await run_trajectory(site, trajectory, "playing in dry run", dry_guard(start.q)), trajectory
 
 
@@ -212,10 +212,10 @@ def playback_figures(played: PlayedMotion, wanted: JointTrajectory, machine: Mac
 # --- silence --------------------------------------------------------------------------------------------------------
 
 
-async def _silence(site: Site) -> list[Figure]:
+async def _test_silence_stop(site: Site) -> list[Figure]:
     """Fall silent in the middle of a trajectory and watch."""
     start = await wait_for_rest(site)
-    trajectory = await _trajectory(site, dry_run_goal(site.machine, start.q_ref), SILENT_PLAY_S)
+    trajectory = await _plan_small_trajectory(site, dry_run_goal(site.machine, start.q_ref), SILENT_PLAY_S)
     text = "playing in dry run, then silence"
     try:
         stopped = await run_and_stop(site, trajectory, StopKind.SILENCE, text, guard=dry_guard(start.q))

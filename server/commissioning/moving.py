@@ -121,7 +121,7 @@ async def run_trajectory(
     unsubscribe = site.link.on_sample(look)
     running = asyncio.ensure_future(site.link.run(trajectory))
     try:
-        await _shown(site, running, text, trajectory.duration_s)
+        await _show_progress(site, running, text, trajectory.duration_s)
     finally:
         unsubscribe()
         if not running.done():
@@ -150,7 +150,7 @@ async def _disarm(site: Site) -> None:
         site.operator.show(f"disarming failed: {error}")
 
 
-async def _shown(site: Site, running: "asyncio.Future[MotionEnded]", text: str, duration_s: float) -> None:
+async def _show_progress(site: Site, running: "asyncio.Future[MotionEnded]", text: str, duration_s: float) -> None:
     started_s = mono_s()
     while not running.done():
         site.operator.progress(text, min(mono_s() - started_s, duration_s), duration_s, "s")

@@ -88,9 +88,10 @@ def why_not_passed(report: Report, steps: Sequence[str], machine_sha256: str) ->
 def to_markdown(report: Report) -> str:
     """The report for people: verdicts first, then every step with its figures."""
     rows = "\n".join(
-        f"| {r.name} | {r.verdict.value} | {_cell(r.summary)} | {_cell(r.remedy)} |" for r in report.all_results
+        f"| {r.name} | {r.verdict.value} | {_escaped_cell(r.summary)} | {_escaped_cell(r.remedy)} |"
+        for r in report.all_results
     )
-    steps = "\n\n".join(_step(result, result not in report.results) for result in report.all_results)
+    steps = "\n\n".join(_step_markdown(result, result not in report.results) for result in report.all_results)
     simulation = "**A simulated machine**, not a real one.\n\n" if report.simulation else ""
     unfinished = "" if report.complete else "**Not finished**: interrupted, or still under way.\n\n"
     left = ", ".join(report.open_answers)
@@ -100,53 +101,54 @@ def to_markdown(report: Report) -> str:
         f"| begun | {report.started} |\n| longreach | {report.longreach} |\n| link | {report.link} |\n"
         f"| cfg_id of the PLC | {report.cfg_id:#010x} |\n| machine file, SHA-256 | {report.machine_sha256} |\n\n"
         f"| step | verdict | found | to do |\n|---|---|---|---|\n{rows}\n\n{unasked}{steps}\n\n"
-        f"## Settings\n\n{_settings(report.settings)}\n"
+        f"## Settings\n\n{_settings_markdown(report.settings)}\n"
     )
 
 
-def _step(result: StepResult, is_earlier: bool) -> str:
+def _step_markdown(result: StepResult, is_earlier: bool) -> str:
     head = f"## {result.name}: {result.verdict.value}" + (" (from the earlier report)" if is_earlier else "")
     parts = [head, result.summary, f"To do: {result.remedy}" if result.remedy else ""]
     if result.figures:
-        parts.append(_figures(result.figures))
-    parts += [_table(table) for table in result.tables]
+        parts.append(_figures_table(result.figures))
+    parts += [_table_markdown(table) for table in result.tables]
     parts.append("\n".join(f"- {note}" for note in result.notes))
     return "\n\n".join(part for part in parts if part) + f"\n\nTook {result.duration_s:.0f} s."
 
 
-def _figures(figures: Sequence[Figure]) -> str:
+def _figures_table(figures: Sequence[Figure]) -> str:
     rows = [
-        f"| {_cell(f.name)} | {_number(f.value)} | {_limit(f)} | {f.unit} | {'' if f.ok else '**no**'} |"
+        f"| {_escaped_cell(f.name)} | {_number_text(f.value)} | {_limit_text(f)} | {f.unit} |"
+        f" {'' if f.ok else '**no**'} |"
         for f in figures
     ]
     return "\n".join(["| figure | value | limit | unit | inside |", "|---|---|---|---|---|", *rows])
 
 
-def _limit(figure: Figure) -> str:
+def _limit_text(figure: Figure) -> str:
     low = "" if figure.at_least is None else f">= {figure.at_least:.4g}"
     high = "" if figure.at_most is None else f"<= {figure.at_most:.4g}"
     return ", ".join(part for part in (low, high) if part)
 
 
-def _number(value: float) -> str:
+def _number_text(value: float) -> str:
     return "none" if math.isnan(value) else f"{value:.4g}"
 
 
-def _table(table: ReportTable) -> str:
+def _table_markdown(table: ReportTable) -> str:
     head = "| " + " | ".join(table.headings) + " |"
-    rows = ["| " + " | ".join(_cell(text) for text in row) + " |" for row in table.rows]
+    rows = ["| " + " | ".join(_escaped_cell(text) for text in row) + " |" for row in table.rows]
     return "\n".join([f"{table.title}:\n", head, "|" + "---|" * len(table.headings), *rows])
 
 
-def _cell(text: str) -> str:
+def _escaped_cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", " ")
 
 
-def _settings(settings: dict[str, Any], prefix: str = "") -> str:
+def _settings_markdown(settings: dict[str, Any], prefix: str = "") -> str:
     lines = []
     for name, value in settings.items():
         if isinstance(value, dict):
-            lines.append(_settings(value, f"{prefix}{name}."))
+            lines.append(_settings_markdown(value, f"{prefix}{name}."))
         else:
             lines.append(f"- {prefix}{name} = {value!r}")
     return "\n".join(lines)

@@ -40,8 +40,8 @@ def stop_figures(samples: Sequence[PlcSample], t_trigger_plc_ns: int, machine: M
     at = next((i for i, sample in enumerate(samples) if sample.t_plc_ns >= t_trigger_plc_ns), len(samples))
     if at == 0 or samples[at - 1].plc_state != "RUN":
         raise ValueError("no motion when the stop was requested; make the move longer")
-    begin = _first(samples, at, lambda state: state != "RUN")
-    rest = None if begin is None else _first(samples, begin, lambda state: state not in _MOVING)
+    begin = _first_state_index(samples, at, lambda state: state != "RUN")
+    rest = None if begin is None else _first_state_index(samples, begin, lambda state: state not in _MOVING)
 
     def ms(index: int | None, since_ns: int = t_trigger_plc_ns) -> float:
         return float("nan") if index is None else (samples[index].t_plc_ns - since_ns) / 1e6
@@ -53,20 +53,20 @@ def stop_figures(samples: Sequence[PlcSample], t_trigger_plc_ns: int, machine: M
         reaction_ms=ms(begin),
         ramp_ms=ms(rest, t_trigger_plc_ns if begin is None else samples[begin].t_plc_ns),
         ramp_bound_ms=1e3 * float((np.abs(qd) / qdd_max).max()),
-        machine_still_ms=ms(_still(samples, at)),
+        machine_still_ms=ms(_standstill_index(samples, at)),
         tcp_speed_mm_s=_speed_mm_s(samples, at - 1, machine),
         tcp_travel_mm=_travel_mm([here.q_rad, last.q_rad], machine),
-        void_ms=ms(_first(samples, at, lambda state: state == "DISARMED")),
-        faulted=_first(samples, at, lambda state: state in _TAKEN_AWAY) is not None,
-        resumed=rest is not None and _first(samples, rest, lambda state: state == "RUN") is not None,
+        void_ms=ms(_first_state_index(samples, at, lambda state: state == "DISARMED")),
+        faulted=_first_state_index(samples, at, lambda state: state in _TAKEN_AWAY) is not None,
+        resumed=rest is not None and _first_state_index(samples, rest, lambda state: state == "RUN") is not None,
     )
 
 
-def _first(samples: Sequence[PlcSample], since: int, wanted: Callable[[str], bool]) -> int | None:
+def _first_state_index(samples: Sequence[PlcSample], since: int, wanted: Callable[[str], bool]) -> int | None:
     return next((i for i in range(since, len(samples)) if wanted(samples[i].plc_state)), None)
 
 
-def _still(samples: Sequence[PlcSample], since: int) -> int | None:
+def _standstill_index(samples: Sequence[PlcSample], since: int) -> int | None:
     """Index of the first state after which no joint moves any more."""
     moving = [i for i in range(since, len(samples)) if max(abs(v) for v in samples[i].qd_rad_s) > STILL_RAD_S]
     last = moving[-1] if moving else since

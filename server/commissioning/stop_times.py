@@ -72,16 +72,16 @@ async def stop_times(site: Site) -> StepResult:
     rows: list[tuple[str, ...]] = []
     not_measured: list[str] = []
     for case in stop_cases(site.chain.n, site.options.each_joint):
-        name = _name(site, case)
+        name = _case_name(site, case)
         try:
-            stop = await _one(site, case, name)
+            stop = await _measure_stop(site, case, name)
         except EndedByItselfError as error:
             figures.append(by_itself(name, error))
         except (NotReadyError, LinkError, ValueError) as error:  # what was measured so far is kept
             not_measured.append(f"{name}: {error}")
         else:
             figures += [*rest_figures(name, case.kind, stop), *travel_figures(name, stop)]
-            rows.append(_row(site, case, stop))
+            rows.append(_stop_table_row(site, case, stop))
         try:
             await _take_home(site, home)
         except (NotReadyError, LinkError) as error:
@@ -92,8 +92,8 @@ async def stop_times(site: Site) -> StepResult:
     return result_of_figures(NAME, figures, summary, REMEDY, not_measured, tables=(table,))
 
 
-async def _one(site: Site, case: StopCase, name: str) -> StopFigures:
-    trajectory = await _trajectory(site, case)
+async def _measure_stop(site: Site, case: StopCase, name: str) -> StopFigures:
+    trajectory = await _stop_test_trajectory(site, case)
     stopped = await run_and_stop(site, trajectory, case.kind, name)
     return stop_figures(stopped.samples, stopped.t_trigger_plc_ns, site.machine)
 
@@ -108,7 +108,7 @@ async def _take_home(site: Site, home: Array) -> None:
     await wait_for_rest(site)
 
 
-async def _trajectory(site: Site, case: StopCase) -> JointTrajectory:
+async def _stop_test_trajectory(site: Site, case: StopCase) -> JointTrajectory:
     q_ref = (await read_machine(site)).q_ref
     settings = replace(FAST, speed_scale=case.speed)
     plans = (
@@ -149,12 +149,12 @@ def travel_figures(name: str, stop: StopFigures) -> list[Figure]:
     return [Figure(f"{name}: TCP travel", stop.tcp_travel_mm, "mm", at_most=TRAVEL_MAX_MM)]
 
 
-def _name(site: Site, case: StopCase) -> str:
+def _case_name(site: Site, case: StopCase) -> str:
     what = "tool" if case.joint is None else site.machine.joints[case.joint].name
     return f"{what} at {100 * case.speed:.0f} %, {case.kind.value}"
 
 
-def _row(site: Site, case: StopCase, stop: StopFigures) -> tuple[str, ...]:
+def _stop_table_row(site: Site, case: StopCase, stop: StopFigures) -> tuple[str, ...]:
     what = "tool" if case.joint is None else site.machine.joints[case.joint].name
     numbers = (
         stop.tcp_speed_mm_s,

@@ -57,7 +57,7 @@ async def run_and_stop(
     Raises: EndedByItselfError: it never came to that share.
     """
     t_start_ns = mono_ns()
-    trigger = asyncio.ensure_future(_trigger(site, trajectory.duration_s * share, kind, text))
+    trigger = asyncio.ensure_future(_trigger_stop(site, trajectory.duration_s * share, kind, text))
     try:
         played = await run_trajectory(site, trajectory, text, guard)
         try:
@@ -73,7 +73,7 @@ async def run_and_stop(
     return StopRun(site.link.samples_since(t_start_ns), t_trigger_ns, played.objection)
 
 
-async def _trigger(site: Site, t_play_s: float, kind: StopKind, text: str) -> int:
+async def _trigger_stop(site: Site, t_play_s: float, kind: StopKind, text: str) -> int:
     """Wait for the moment and stop; the moment on the PLC's clock [ns]."""
 
     def there() -> bool:

@@ -43,8 +43,10 @@ def judge_marker(looks: Sequence[Sequence[FrameReport]], machine: Machine) -> St
     reports = [report for look in looks for report in look]
     seen = sum(any(view.marker_id in ids for view in report.observation.views) for report in reports)
     found = sorted({view.marker_id for report in reports for view in report.observation.views})
-    first = Figure(f"marker {_names(ids)} seen", seen / max(len(reports), 1), "of the pairs", at_least=SEEN_MIN_FRAC)
-    notes = [f"markers in view: {_names(found) or 'none'}"]
+    first = Figure(
+        f"marker {_marker_ids_text(ids)} seen", seen / max(len(reports), 1), "of the pairs", at_least=SEEN_MIN_FRAC
+    )
+    notes = [f"markers in view: {_marker_ids_text(found) or 'none'}"]
     poses = [pose for look in looks if (pose := mean_pose([report.observation.tool for report in look])) is not None]
     if not first.ok or len(poses) < 2:
         why = next((r.observation.tool.reason for r in reports if r.observation.tool.reason), "not in view")
@@ -58,11 +60,11 @@ def judge_marker(looks: Sequence[Sequence[FrameReport]], machine: Machine) -> St
         *place_figures(poses, machine),
     ]
     return result_of_figures(
-        NAME, figures, f"marker {_names(ids)} seen at its expected place, repeatably", REMEDY, notes=notes
+        NAME, figures, f"marker {_marker_ids_text(ids)} seen at its expected place, repeatably", REMEDY, notes=notes
     )
 
 
-def _names(ids: Sequence[int]) -> str:
+def _marker_ids_text(ids: Sequence[int]) -> str:
     return ", ".join(str(number) for number in ids)
 
 

@@ -138,8 +138,8 @@ class Compensation:
         """What the joint estimate believes of sag and play: the diagnosed sizes, where there are any."""
         P, plain = self.diagnosed.sets.joint[0], ErrorPrior()
         sag, play = P[:, SAG], P[:, BACKLASH]
-        mean_sag, sigma_sag = _believed(plain.mean_compliance, plain.sigma_compliance, sag)
-        mean_play, sigma_play = _believed(plain.mean_play_rad, plain.sigma_play_rad, play)
+        mean_sag, sigma_sag = _prior_with_diagnosed_sizes(plain.mean_compliance, plain.sigma_compliance, sag)
+        mean_play, sigma_play = _prior_with_diagnosed_sizes(plain.mean_play_rad, plain.sigma_play_rad, play)
         return replace(
             plain,
             mean_compliance=mean_sag,
@@ -153,7 +153,7 @@ class Compensation:
         return JointPrior(errors=self.believed_errors())
 
 
-def _believed(
+def _prior_with_diagnosed_sizes(
     mean: tuple[float, ...], sigma: tuple[float, ...], found: Array
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Means and standard deviations with the diagnosed sizes (n,) in place of the class's; 0 was not diagnosed.

@@ -28,21 +28,21 @@ class EffectsByUse:
 
     def lines(self) -> tuple[str, ...]:
         """One line an effect, for the state and the log."""
-        lines = [f"{_place(effect)}: {COMPENSATED[effect.name]}" for effect in self.used]
-        return tuple(lines + [f"{_place(effect)}: not compensated" for effect in self.left])
+        lines = [f"{_effect_label(effect)}: {COMPENSATED[effect.name]}" for effect in self.used]
+        return tuple(lines + [f"{_effect_label(effect)}: not compensated" for effect in self.left])
 
 
-def _place(one: EffectEntry) -> str:
+def _effect_label(one: EffectEntry) -> str:
     return one.name if one.joint is None else f"{one.name}, joint {one.joint}"
 
 
 def sort_effects(entries: tuple[EffectEntry, ...]) -> EffectsByUse:
     """Effects by whether the server can compensate them."""
-    used = tuple(entry for entry in entries if _compensable(entry))
-    return EffectsByUse(used, tuple(entry for entry in entries if not _compensable(entry)))
+    used = tuple(entry for entry in entries if _is_compensable(entry))
+    return EffectsByUse(used, tuple(entry for entry in entries if not _is_compensable(entry)))
 
 
-def _compensable(one: EffectEntry) -> bool:
+def _is_compensable(one: EffectEntry) -> bool:
     """A known width does not help where the joint's side in its play is not followed."""
     if one.name == "backlash" and one.joint is not None:
         return bool(usual_play(one.joint)[one.joint - 1] > 0.0)

@@ -25,12 +25,12 @@ def read_compensation(machine: Machine, machine_file: Path, diagnosis_file: Path
     Raises: CompensationError: a file that cannot be read, another machine, no effect, or a diagnosis that is undecided
             or outside the catalogue.
     """
-    text = _text(machine_file)
+    text = _read_file_text(machine_file)
     found = VERDICT_LINE.search(text)
     if found is not None:
         _require_usable(found.group(1), machine_file)
     if diagnosis_file is not None:
-        _require_usable(_verdict(diagnosis_file), diagnosis_file)
+        _require_usable(_diagnosis_verdict(diagnosis_file), diagnosis_file)
     try:
         diagnosed = parse_machine_toml(text)
     except MachineError as error:
@@ -94,16 +94,16 @@ def _require_usable(verdict: str, path: Path) -> None:
         )
 
 
-def _verdict(path: Path) -> str:
+def _diagnosis_verdict(path: Path) -> str:
     try:
-        return str(json.loads(_text(path))["verdict"])
+        return str(json.loads(_read_file_text(path))["verdict"])
     except (json.JSONDecodeError, KeyError, TypeError) as error:
         raise CompensationError(
             f"[compensation] diagnosis_file {path} is not a result of `longreach diagnose`"
         ) from error
 
 
-def _text(path: Path) -> str:
+def _read_file_text(path: Path) -> str:
     try:
         return read_text(path)
     except OSError as error:

@@ -84,7 +84,7 @@ class MachineVersions:
         """
         budget = answer.get("budget") or {}
         lines = budget.get("effects", [])
-        effects = tuple(_found(line, used) for line in lines if (used := _used(line)))
+        effects = tuple(_effect_from_budget_line(line, used) for line in lines if (used := _used_parameters(line)))
         if not any(line.get("status") == "confirmed" for line in lines):
             raise CompensationError(
                 f"diagnosis {diagnosis_id} confirms no effect: there is nothing to use; identify again, or do the "
@@ -101,7 +101,7 @@ class MachineVersions:
             sentence=str(budget.get("sentence", "")),
             miss_mm=budget.get("miss_mm"),
             left_mm=budget.get("left_mm"),
-            effects=_once(effects),
+            effects=_unique_effects(effects),
         )
         self._write(version)
         return version
@@ -203,12 +203,12 @@ def base_id_of(machine: Machine) -> str:
     return hashlib.sha256(json.dumps(parts, default=np.ndarray.tolist, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _used(line: dict[str, Any]) -> dict[str, Any] | None:
+def _used_parameters(line: dict[str, Any]) -> dict[str, Any] | None:
     """The numbers of a budget's line for a machine file; of an answer from before these: those of confirmed effects."""
     return line["used"] if "used" in line else line["parameters"] if line.get("status") == "confirmed" else None
 
 
-def _found(line: dict[str, Any], used: dict[str, Any]) -> FoundEffect:
+def _effect_from_budget_line(line: dict[str, Any], used: dict[str, Any]) -> FoundEffect:
     """A line of a budget as an effect. Raises: CompensationError: the catalogue does not know it."""
     effect = effect_named(str(line.get("name")))
     if effect is None:
@@ -223,7 +223,7 @@ def _found(line: dict[str, Any], used: dict[str, Any]) -> FoundEffect:
     return FoundEffect(entry, str(line.get("stage", "")), mm, probability, does, True)
 
 
-def _once(effects: tuple[FoundEffect, ...]) -> tuple[FoundEffect, ...]:
+def _unique_effects(effects: tuple[FoundEffect, ...]) -> tuple[FoundEffect, ...]:
     """An effect that stands in several columns of a budget, once: where it does most."""
     kept: dict[EffectEntry, FoundEffect] = {}
     for effect in effects:

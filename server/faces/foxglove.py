@@ -112,11 +112,11 @@ class FoxgloveFace:
             self._message(IMAGE_TOPIC, image_message(preview[0], t_ns), t_ns)
         if now_ns - self._repeat_ns >= REPEAT_S * 1e9:
             self._repeat_ns = now_ns
-            self._json(ROBOT_TOPIC, description_json(self._urdf), utc_ns)
+            self._log_json(ROBOT_TOPIC, description_json(self._urdf), utc_ns)
             look = cell.knowledge.last_look
             if look is not None and look.error is not None:
                 values = {name: value for name, value in asdict(look.error).items() if math.isfinite(value)}
-                self._json(ERROR_TOPIC, json.dumps(values), utc_ns)
+                self._log_json(ERROR_TOPIC, json.dumps(values), utc_ns)
 
     def note(self, job: Job, event: JobEvent) -> None:
         """A line of a job."""
@@ -129,17 +129,17 @@ class FoxgloveFace:
         channel = self._channels.get(topic)
         if channel is None:
             data = build_file_descriptor_set(type(message)).SerializeToString()
-            channel = self._made(topic, message.DESCRIPTOR.full_name, "protobuf", data, "protobuf")
+            channel = self._create_channel(topic, message.DESCRIPTOR.full_name, "protobuf", data, "protobuf")
         channel.log(message.SerializeToString(), log_time=t_utc_ns)
 
-    def _json(self, topic: str, text: str, t_utc_ns: int) -> None:
+    def _log_json(self, topic: str, text: str, t_utc_ns: int) -> None:
         channel = self._channels.get(topic)
         if channel is None:
             name, data = (STRING_NAME, STRING_SCHEMA) if topic == ROBOT_TOPIC else ("tool_error", b'{"type": "object"}')
-            channel = self._made(topic, name, "jsonschema", data, "json")
+            channel = self._create_channel(topic, name, "jsonschema", data, "json")
         channel.log(text.encode(), log_time=t_utc_ns)
 
-    def _made(self, topic: str, name: str, described: str, data: bytes, encoding: str) -> Any:
+    def _create_channel(self, topic: str, name: str, described: str, data: bytes, encoding: str) -> Any:
         schema = self._library.Schema(name=name, encoding=described, data=data)
         channel = self._library.Channel(topic, schema=schema, message_encoding=encoding, context=self._context)
         self._channels[topic] = channel

@@ -53,10 +53,15 @@ def opcua_values(service: JobService, now_ns: int | None = None) -> list[OpcUaVa
     latest = cell.link.latest
     now_ns = mono_ns() if now_ns is None else now_ns
     fresh = latest is not None and (now_ns - latest.t_mono_ns) * 1e-9 <= STALE_S
-    return [*_identity(cell), *_axes(cell, fresh), *_device(service, fresh), *_safety(cell, fresh)]
+    return [
+        *_identity_values(cell),
+        *_axis_values(cell, fresh),
+        *_device_values(service, fresh),
+        *_safety_values(cell, fresh),
+    ]
 
 
-def _identity(cell: Cell) -> list[OpcUaValue]:
+def _identity_values(cell: Cell) -> list[OpcUaValue]:
     device, controller = (SYSTEM, "MotionDevices", DEVICE), (SYSTEM, "Controllers", CONTROLLER)
     return [
         OpcUaValue((*device, "Manufacturer"), "longreach"),
@@ -66,7 +71,7 @@ def _identity(cell: Cell) -> list[OpcUaValue]:
     ]
 
 
-def _axes(cell: Cell, fresh: bool) -> list[OpcUaValue]:
+def _axis_values(cell: Cell, fresh: bool) -> list[OpcUaValue]:
     latest, found = cell.link.latest, []
     for i, joint in enumerate(cell.machine.joints):
         axis = (SYSTEM, "MotionDevices", DEVICE, "Axes", f"Axis_{i + 1}")
@@ -74,13 +79,13 @@ def _axes(cell: Cell, fresh: bool) -> list[OpcUaValue]:
         found += [
             OpcUaValue((*axis, "AssetId"), joint.name),
             OpcUaValue((*axis, "MotionProfile"), 1),  # ROTARY
-            OpcUaValue((*axis, "ParameterSet", "ActualPosition"), _degrees(position), "DD", fresh),
-            OpcUaValue((*axis, "ParameterSet", "ActualSpeed"), _degrees(speed), "E96", fresh),
+            OpcUaValue((*axis, "ParameterSet", "ActualPosition"), _rounded_degrees(position), "DD", fresh),
+            OpcUaValue((*axis, "ParameterSet", "ActualSpeed"), _rounded_degrees(speed), "E96", fresh),
         ]
     return found
 
 
-def _device(service: JobService, fresh: bool) -> list[OpcUaValue]:
+def _device_values(service: JobService, fresh: bool) -> list[OpcUaValue]:
     latest, job = service.cell.link.latest, service.engine.current
     running = job is not None and not job.ended
     parameters = (SYSTEM, "MotionDevices", DEVICE, "ParameterSet")
@@ -93,7 +98,7 @@ def _device(service: JobService, fresh: bool) -> list[OpcUaValue]:
     ]
 
 
-def _safety(cell: Cell, fresh: bool) -> list[OpcUaValue]:
+def _safety_values(cell: Cell, fresh: bool) -> list[OpcUaValue]:
     """Shown for information: no safety function reads it (the emergency stop is hardware)."""
     latest, phase = cell.link.latest, cell.link.health.phase.value
     bits = FaultBit(latest.fault_bits) if latest is not None else FaultBit(0)
@@ -106,7 +111,7 @@ def _safety(cell: Cell, fresh: bool) -> list[OpcUaValue]:
     ]
 
 
-def _degrees(radians: float) -> float:
+def _rounded_degrees(radians: float) -> float:
     return round(float(np.rad2deg(radians)), 4)
 
 
@@ -146,7 +151,7 @@ class OpcUaFace:
         """Write values until cancelled."""
         while True:
             for variable in opcua_values(self._service):
-                await self._nodes[variable.path].write_value(self._data(variable))
+                await self._nodes[variable.path].write_value(self._data_value(variable))
             await asyncio.sleep(PERIOD_S)
 
     async def stop(self) -> None:
@@ -163,20 +168,20 @@ class OpcUaFace:
                 known = await parent.add_object(index, one.path[depth - 1])
                 self._nodes[one.path[:depth]] = known
             parent = known
-        node = await parent.add_variable(index, one.path[-1], one.value, varianttype=self._kind(one))
+        node = await parent.add_variable(index, one.path[-1], one.value, varianttype=self._variant_type(one))
         if one.unit:
             await node.add_property(index, "EngineeringUnits", one.unit)
         self._nodes[one.path] = node
 
-    def _kind(self, one: OpcUaValue) -> Any:
+    def _variant_type(self, one: OpcUaValue) -> Any:
         kinds = self._ua.VariantType
         by_type = {str: kinds.String, bool: kinds.Boolean, int: kinds.Int32, float: kinds.Double}
         return by_type[type(one.value)]
 
-    def _data(self, one: OpcUaValue) -> Any:
+    def _data_value(self, one: OpcUaValue) -> Any:
         """With the status that says whether it is to be believed."""
         status = self._ua.StatusCodes.Good if one.fresh else self._ua.StatusCodes.BadNoCommunication
-        variant = self._ua.Variant(one.value, self._kind(one))
+        variant = self._ua.Variant(one.value, self._variant_type(one))
         now = datetime.now(UTC)
         return self._ua.DataValue(variant, self._ua.StatusCode(status), SourceTimestamp=now, ServerTimestamp=now)
 

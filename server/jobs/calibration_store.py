@@ -86,11 +86,11 @@ class CalibrationStore:
         if not found.ok:
             raise CalibrationFileError(found.reason)
         knowledge.life = self._kept = one
-        knowledge.mount, knowledge.calibration = _estimate(one), _record(one)
+        knowledge.mount, knowledge.calibration = _rotation_estimate(one), _calibration_record(one)
         knowledge.runs[:] = saved.runs
 
 
-def _estimate(one: LocalCalibration) -> CameraRotationEstimate:
+def _rotation_estimate(one: LocalCalibration) -> CameraRotationEstimate:
     return CameraRotationEstimate(
         status=CalibrationStatus.OK,
         reason="",
@@ -106,7 +106,7 @@ def _estimate(one: LocalCalibration) -> CameraRotationEstimate:
     )
 
 
-def _record(one: LocalCalibration) -> CalibrationRecord:
+def _calibration_record(one: LocalCalibration) -> CalibrationRecord:
     return CalibrationRecord(
         method=one.method,
         status="ok",

@@ -77,12 +77,12 @@ class Diagnoses:
                 "for its end or end it",
                 {"diagnosis_id": running.diagnosis_id},
             )
-        return self._begun(Diagnosis(uuid4().hex[:12], recordings))
+        return self._start_diagnosis(Diagnosis(uuid4().hex[:12], recordings))
 
     def queue(self, recordings: tuple[Path, ...], job_id: str) -> Diagnosis:
         """Begin as soon as no other one runs: what an identification's job asks for."""
         busy = any(diagnosis.state in UNDER_WAY for diagnosis in self.all)
-        return self._begun(Diagnosis(uuid4().hex[:12], recordings, job_id, "waiting" if busy else "running"))
+        return self._start_diagnosis(Diagnosis(uuid4().hex[:12], recordings, job_id, "waiting" if busy else "running"))
 
     async def stop(self, one: Diagnosis) -> None:
         """End it, if it runs or waits."""
@@ -100,20 +100,20 @@ class Diagnoses:
     def result(self, one: Diagnosis) -> dict[str, Any]:
         """The whole answer. Raises: ServerError: the file is gone or no JSON."""
         try:
-            return json.loads(self._file(one, "json").read_text(encoding="utf-8"))
+            return json.loads(self._result_path(one, "json").read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise ServerError(f"result of diagnosis {one.diagnosis_id}: {error}") from error
 
     def page(self, one: Diagnosis) -> Path:
         """The report for people."""
-        return self._file(one, "html")
+        return self._result_path(one, "html")
 
-    def _begun(self, one: Diagnosis) -> Diagnosis:
+    def _start_diagnosis(self, one: Diagnosis) -> Diagnosis:
         self.all.append(one)
         one.task = asyncio.create_task(self._in_turn(one), name=f"diagnosis-{one.diagnosis_id}")
         return one
 
-    def _file(self, one: Diagnosis, ending: str) -> Path:
+    def _result_path(self, one: Diagnosis, ending: str) -> Path:
         return self._folder / f"{one.diagnosis_id}.{ending}"
 
     async def _in_turn(self, one: Diagnosis) -> None:
@@ -131,13 +131,13 @@ class Diagnoses:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             async with asyncio.timeout(TIMEOUT_S):
-                code = await self._process(one)
+                code = await self._run_diagnosis_process(one)
             one.state, one.reason = ("done", "") if code == 0 else ("failed", one.last_line or f"exit code {code}")
         except (OSError, TimeoutError) as error:
             one.state, one.reason = "failed", str(error) or f"not done within {TIMEOUT_S:.0f} s"
 
-    async def _process(self, one: Diagnosis) -> int:
-        outputs = ("--json", str(self._file(one, "json")), "--html", str(self._file(one, "html")))
+    async def _run_diagnosis_process(self, one: Diagnosis) -> int:
+        outputs = ("--json", str(self._result_path(one, "json")), "--html", str(self._result_path(one, "html")))
         process = await asyncio.create_subprocess_exec(
             *("nice", "-n", NICE, *self._command, *(str(path) for path in one.recordings), *outputs),
             env={**os.environ, **ONE_THREAD},
@@ -146,7 +146,7 @@ class Diagnoses:
             stderr=asyncio.subprocess.PIPE,
         )
         try:
-            await _followed(process, one)
+            await _track_last_line(process, one)
             return await process.wait()
         finally:
             if process.returncode is None:
@@ -155,7 +155,7 @@ class Diagnoses:
                 await process.wait()
 
 
-async def _followed(process: asyncio.subprocess.Process, one: Diagnosis) -> None:
+async def _track_last_line(process: asyncio.subprocess.Process, one: Diagnosis) -> None:
     """Keep the last line that it says."""
     if process.stderr is None:
         return

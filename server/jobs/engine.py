@@ -122,8 +122,8 @@ class JobEngine:
 
         Raises: BusyError naming the running job and its owner; JobFailedError: the server is shutting down.
         """
-        job = self._reserved(kind, plan, owner, lease)
-        self._begin(job, plan)
+        job = self._reserve_job(kind, plan, owner, lease)
+        self._start_job_task(job, plan)
         return job
 
     async def submit_kept(
@@ -133,7 +133,7 @@ class JobEngine:
 
         Raises: BusyError; whatever `keep` raises, the job has failed then.
         """
-        job = self._reserved(kind, plan, owner, lease)
+        job = self._reserve_job(kind, plan, owner, lease)
         try:
             await keep(job)
         except BaseException as error:
@@ -146,10 +146,10 @@ class JobEngine:
             plan.close()
             self._end(job, JobState.STOPPED, job.reason or lost)
         else:
-            self._begin(job, plan)
+            self._start_job_task(job, plan)
         return job
 
-    def _reserved(self, kind: str, plan: Plan, owner: str, lease: Lease | None) -> Job:
+    def _reserve_job(self, kind: str, plan: Plan, owner: str, lease: Lease | None) -> Job:
         if self._closing:
             plan.close()
             raise JobFailedError("the server is shutting down; try again when it is back", "closing")
@@ -166,7 +166,7 @@ class JobEngine:
         self.jobs.append(job)
         return job
 
-    def _begin(self, job: Job, plan: Plan) -> None:
+    def _start_job_task(self, job: Job, plan: Plan) -> None:
         self._task = asyncio.create_task(self._run(job, plan), name=f"job-{job.kind}-{job.job_id}")
         self._task.add_done_callback(lambda _: self._ended_before_its_first_step(job, plan))
 
@@ -198,7 +198,7 @@ class JobEngine:
             task.cancel()
         await asyncio.sleep(0.0)
         if reason is not None and not job.ended:  # one that did not move has reported its end already
-            self._report(job, "stopping", 0.0, 1.0, "", reason)
+            self._report_event(job, "stopping", 0.0, 1.0, "", reason)
         if task is not None:
             await asyncio.wait({task}, timeout=STOP_BOUND_S)
 
@@ -216,8 +216,8 @@ class JobEngine:
 
     async def _run(self, job: Job, plan: Plan) -> None:
         try:
-            self._report(job, "started", 0.0, 1.0, "", f"{job.kind} started for {job.owner}")
-            job.result = await self._drive(job, plan)
+            self._report_event(job, "started", 0.0, 1.0, "", f"{job.kind} started for {job.owner}")
+            job.result = await self._execute_plan(job, plan)
             self._end(job, JobState.DONE, "")
         except asyncio.CancelledError:
             await self._stop_safely(job.reason or "job cancelled")
@@ -245,21 +245,21 @@ class JobEngine:
             plan.close()
             self._end(job, JobState.STOPPED, job.reason or "cancelled")
 
-    async def _drive(self, job: Job, plan: Plan) -> object:
+    async def _execute_plan(self, job: Job, plan: Plan) -> object:
         reply: object = None
         while True:
-            request, result = await self._advanced(plan, reply)
+            request, result = await self._advance_plan_in_thread(plan, reply)
             if job.state is JobState.STOPPING:  # whatever became of the cancellation: nothing follows a stop
                 raise asyncio.CancelledError
             if request is None:
                 return result
             if isinstance(request, Progress):
-                self._report(job, request.name, request.current, request.target, request.unit, request.text)
+                self._report_event(job, request.name, request.current, request.target, request.unit, request.text)
                 reply = None
             elif isinstance(request, Record):
                 self._performer.record(request)
                 if request.text:
-                    self._report(job, "record", 0.0, 0.0, "", request.text)
+                    self._report_event(job, "record", 0.0, 0.0, "", request.text)
                 reply = None
             else:
                 reply = await self._performer.perform(request)
@@ -277,13 +277,13 @@ class JobEngine:
         if error is not None:
             log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
 
-    async def _advanced(self, plan: Plan, reply: object) -> tuple[Request | None, object]:
+    async def _advance_plan_in_thread(self, plan: Plan, reply: object) -> tuple[Request | None, object]:
         """The plan's next request, or (None, its result). Planning is heavy, so it runs outside the event loop.
 
         A cancelled job waits for the step to finish, however often it is cancelled: a generator cannot be closed while
         it runs.
         """
-        step = asyncio.get_running_loop().run_in_executor(self._planner, _advance, plan, reply)
+        step = asyncio.get_running_loop().run_in_executor(self._planner, _advance_plan, plan, reply)
         try:
             return await asyncio.shield(step)
         except asyncio.CancelledError:
@@ -294,9 +294,9 @@ class JobEngine:
 
     def _end(self, job: Job, state: JobState, reason: str) -> None:
         job.state, job.reason, job.ended_mono_s = state, reason, mono_s()
-        self._report(job, "ended", 1.0, 1.0, "", f"{state.value}{': ' + reason if reason else ''}")
+        self._report_event(job, "ended", 1.0, 1.0, "", f"{state.value}{': ' + reason if reason else ''}")
 
-    def _report(self, job: Job, name: str, current: float, target: float, unit: str, text: str) -> None:
+    def _report_event(self, job: Job, name: str, current: float, target: float, unit: str, text: str) -> None:
         event = JobEvent(len(job.events) + 1, round(job.elapsed_s, 3), name, current, target, unit, text)
         job.events.append(event)
         problem = self._listeners.call(job, event)  # the machine comes to its end whatever fails there
@@ -304,7 +304,7 @@ class JobEngine:
             self.not_noted = f"job {job.job_id}: {problem}; report it, see the server's log"
 
 
-def _advance(plan: Plan, reply: object) -> tuple[Request | None, object]:
+def _advance_plan(plan: Plan, reply: object) -> tuple[Request | None, object]:
     try:
         return plan.send(reply), None
     except StopIteration as end:

@@ -125,10 +125,10 @@ def end_interrupted(db: sqlite3.Connection) -> list[str]:
 def read_jobs(db: sqlite3.Connection, limit: int = SHOWN) -> list[Job]:
     """The last jobs, oldest first."""
     rows = db.execute("SELECT * FROM jobs ORDER BY number DESC LIMIT ?", (limit,)).fetchall()
-    return [_job(row) for row in reversed(rows)]
+    return [_job_from_row(row) for row in reversed(rows)]
 
 
-def _job(row: sqlite3.Row) -> Job:
+def _job_from_row(row: sqlite3.Row) -> Job:
     now = mono_s()
     job = Job(row["job_id"], row["kind"], row["owner"], JobState(row["state"]), row["reason"], row["code"])
     job.result = json.loads(row["result"]) if row["result"] else None
@@ -169,18 +169,18 @@ class Keeper:
     def restore(self) -> None:
         """Read what the last life left; if that fails, `watch` tries again and nothing moves until then."""
         try:
-            self._take(*self._left())
+            self._apply_stored_state(*self._read_stored_state())
         except StoreError as error:
             log.error("earlier jobs are not known yet: %s", error)
 
-    def _left(self) -> tuple[list[Job], int]:
+    def _read_stored_state(self) -> tuple[list[Job], int]:
         for job_id in self.database.write(end_interrupted):
             log.warning("job %s was interrupted: the server ended while it ran", job_id)
         self.database.write(forget_old_audit)
         self._zero_s = self._clock() - self.database.read(read_operating_time)
         return self.database.read(read_jobs), self.database.read(read_fencing)
 
-    def _take(self, jobs: list[Job], fencing: int) -> None:
+    def _apply_stored_state(self, jobs: list[Job], fencing: int) -> None:
         self._taken_up(jobs, fencing)
         self._restored = True
 
@@ -231,7 +231,7 @@ class Keeper:
     def later(self, work: Work[Any]) -> None:
         """Queue a write whose failure is only logged."""
         try:
-            self.database.submit(work, SPARE).add_done_callback(_logged)
+            self.database.submit(work, SPARE).add_done_callback(_log_write_error)
         except StoreError as error:
             log.error("not written: %s", error)
 
@@ -248,9 +248,9 @@ class Keeper:
                 done = self.database.submit(lambda db, job=job, result=result: end_job(db, job, result))
             except StoreError:
                 return
-            done.add_done_callback(lambda done, job=job: self._saved(done, job))
+            done.add_done_callback(lambda done, job=job: self._mark_job_saved(done, job))
 
-    def _saved(self, done: "Future[None]", job: Job) -> None:
+    def _mark_job_saved(self, done: "Future[None]", job: Job) -> None:
         if not done.cancelled() and done.exception() is None:
             self._unsaved.pop(job.job_id, None)
 
@@ -261,14 +261,14 @@ class Keeper:
             self._save_ends()
             try:
                 if not self._restored:
-                    self._take(*await asyncio.to_thread(self._left))
+                    self._apply_stored_state(*await asyncio.to_thread(self._read_stored_state))
                 operating_s = self._clock() - self._zero_s
                 await self.database.written(lambda db, now_s=operating_s: save_operating_time(db, now_s))
             except StoreError:
                 continue  # logged by the database, once
 
 
-def _logged(done: "Future[Any]") -> None:
+def _log_write_error(done: "Future[Any]") -> None:
     if not done.cancelled() and (error := done.exception()) is not None:
         log.error("not written: %s", error)
 
@@ -289,7 +289,7 @@ class FindingLog:
         life = self._cell.knowledge.life
         if life is not None and life is not self._known:
             self._known = life
-            self._calibration(job.job_id)
+            self._store_calibration(job.job_id)
 
     def _plan(self, job_id: str, previewed: PreviewedPlan) -> None:
         made_unix_s, now_ns = time.time(), mono_ns()
@@ -308,7 +308,7 @@ class FindingLog:
         self._keeper.plan_expiries_ns = kept | {plan_hash: previewed.expires_ns}
         self._keeper.later(lambda db: add_plan(db, plan_hash, job_id, made_unix_s, expires_unix_s, view))
 
-    def _calibration(self, job_id: str) -> None:
+    def _store_calibration(self, job_id: str) -> None:
         record = self._cell.knowledge.calibration
         if record is None:
             return

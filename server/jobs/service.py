@@ -99,11 +99,11 @@ class JobService:
         self.diagnoses = Diagnoses(Path(cell.settings.recording.folder))
         self.identification = Identification(self.diagnoses)
         self._suspend, self._resumed, self._resumed_mono_s = SuspendWatch(), False, float("-inf")
-        engine.interruption = self._interruption
+        engine.interruption = self._suspension_text
         cell.knowledge.unix_minus_mono_s = time.time() - mono_s()
         expiry = cell.settings.calibration.expiry()
         self._store.restore(cell.knowledge, self.context.machine_id, cell.chain.n, time.time(), expiry)
-        engine.on_event(self._record)
+        engine.on_event(self._record_job_event)
         if keeper is not None:
             engine.on_event(keeper.note)
             engine.on_event(FindingLog(cell, keeper).note)
@@ -201,7 +201,7 @@ class JobService:
             self.identification.forget()
             self.engine.leases.expel(SUSPENDED)
 
-    def _interruption(self, job: Job) -> str:
+    def _suspension_text(self, job: Job) -> str:
         """That the PC was suspended while the job ran, whether the silent PLC was noticed before or after it."""
         self._note_resume()
         return SUSPENDED if self._resumed_mono_s >= job.started_mono_s else ""
@@ -216,7 +216,7 @@ class JobService:
             case CalibrateRequest():
                 return calibrate(ctx, self._last_look())
             case PreviewRequest():
-                return _previewing(ctx, self._last_look())
+                return _preview_motion(ctx, self._last_look())
             case ExecuteRequest():
                 previewed = check_executable(ctx.knowledge.previewed, body.plan_hash, mono_ns())
                 return execute(ctx, previewed, 1 + sum(move.kind == "move" for move in ctx.knowledge.moves))
@@ -264,7 +264,7 @@ class JobService:
             raise JobFailedError(moved, "stale_look")
         return taken
 
-    def _record(self, job: Job, event: JobEvent) -> None:
+    def _record_job_event(self, job: Job, event: JobEvent) -> None:
         recorder = self.cell.recorder
         if event.name == "started":
             recorder.start(f"{job.kind}-{job.job_id}", self._settings_json, self.cell.machine_text)
@@ -276,7 +276,7 @@ class JobService:
             self.identification.after_drive(job, recording)
 
 
-def _previewing(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, PreviewedPlan]:
+def _preview_motion(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, PreviewedPlan]:
     previewed = preview(ctx, taken, mono_ns())
     text = f"{previewed.plan.length_m * 1e3:.0f} mm in {previewed.plan.duration_s:.1f} s, plan {previewed.plan_hash}"
     yield Progress("preview", 1.0, 1.0, "", text)

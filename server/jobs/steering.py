@@ -56,25 +56,25 @@ class Steering:
         A pair without a fault lets the motion go on; without one the link ends it, whatever this process does.
         """
         self._listen()
-        seen = await self._awaited(request)
+        seen = await self._wait_for_pair(request)
         if not seen.fault and not seen.ended:
             await self._let_go_on(request.silence_max_s + GRACE_S)
         return seen
 
-    async def _awaited(self, request: NextPair) -> PairSeen:
+    async def _wait_for_pair(self, request: NextPair) -> PairSeen:
         deadline_s = max(self._t_arrival_s, mono_s() - request.silence_max_s) + request.silence_max_s
         while self._number <= request.after:
             left_s = deadline_s - mono_s()
             if left_s <= 0.0:
                 silent = f"no pair for {1e3 * request.silence_max_s:.0f} ms; check the camera, its cable and its rate"
-                return self._seen(request.after, silent, None, request)
+                return self._make_pair_seen(request.after, silent, None, request)
             try:
                 async with asyncio.timeout(left_s):
                     await self._arrived.wait()
             except TimeoutError:
                 continue
         await self._encoders_come(request)
-        return self._seen(self._number, "", self._report, request)
+        return self._make_pair_seen(self._number, "", self._report, request)
 
     async def _encoders_come(self, request: NextPair) -> None:
         """Encoders come by another process: a pair that arrives before them must not end a motion."""
@@ -131,7 +131,7 @@ class Steering:
         self._arrived.set()
         self._arrived = asyncio.Event()
 
-    def _seen(self, number: int, fault: str, report: FrameReport | None, request: NextPair) -> PairSeen:
+    def _make_pair_seen(self, number: int, fault: str, report: FrameReport | None, request: NextPair) -> PairSeen:
         tail, tail_text = self._tail_state()
         q = None
         if report is not None:

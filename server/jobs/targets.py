@@ -72,7 +72,7 @@ class TargetChoice:
         """Use a taught object as the object of interest. Raises: BusyError: a job is running."""
         self._require_idle()
         self.candidate = None
-        self._use(taught)
+        self._set_active_target(taught)
 
     async def measure(self, image: int, pixel: tuple[float, float], roll_deg: float) -> AnchoredTarget | SurfacePatch:
         """Measure a candidate and preview its reach; nothing else changes.
@@ -110,7 +110,7 @@ class TargetChoice:
                 "found last; measure it again",
                 "no_such_target",
             )
-        self._use(found)
+        self._set_active_target(found)
         self.candidate = None
         return found
 
@@ -118,9 +118,9 @@ class TargetChoice:
         """Use the markers again. Raises: BusyError: a job is running."""
         self._require_idle()
         self.candidate = None
-        self._use(None)
+        self._set_active_target(None)
 
-    def _use(self, target: AnchoredTarget | TaughtObject | None) -> None:
+    def _set_active_target(self, target: AnchoredTarget | TaughtObject | None) -> None:
         self._vision.use_target(target)
         self._knowledge.use_target(target)
 
@@ -160,7 +160,9 @@ class Teaching:
         """
         if self._choice.taught is not None or self._choice.target is not None:
             raise JobFailedError("a target is in use; go back to markers, which give the object's frame", "not_markers")
-        if self.box is None or not (_equal(self.box.centre_m, box.centre_m) and _equal(self.box.size_m, box.size_m)):
+        if self.box is None or not (
+            _has_equal_values(self.box.centre_m, box.centre_m) and _has_equal_values(self.box.size_m, box.size_m)
+        ):
             self.forget()
         if len(self.views) >= VIEWS_MAX:
             raise JobFailedError(
@@ -218,5 +220,5 @@ class Teaching:
         (self._folder / f"{name}{SUFFIX}").unlink(missing_ok=True)
 
 
-def _equal(first: np.ndarray, second: np.ndarray) -> bool:
+def _has_equal_values(first: np.ndarray, second: np.ndarray) -> bool:
     return bool(np.allclose(first, second))

@@ -165,7 +165,7 @@ class LinkClient:
         if self.health.phase is not LinkPhase.ARMED:
             raise LinkRefusedError(f"PLC link is {self.health.phase.value}, must be armed and at rest; arm first")
         knots, stops = knots_of(trajectory, len(self._table.axes)), self._stops
-        await self._judge(knots)
+        await self._check_motion_gate(knots)
         if stops != self._stops:  # a STOP in the meantime must not be followed by the motion it was meant for
             raise LinkRefusedError("the machine was stopped before the trajectory was sent; plan again")
         self._traj_id += 1
@@ -220,7 +220,7 @@ class LinkClient:
         """Every joint to rest as fast as it may; like `stop` otherwise."""
         await self.stop(reason, quick=True)
 
-    async def _judge(self, knots: Sequence[KnotTuple]) -> None:
+    async def _check_motion_gate(self, knots: Sequence[KnotTuple]) -> None:
         """The motion gate on the whole trajectory, here in a thread: the link process has no time for it.
 
         There every knot is judged again when it is sent.

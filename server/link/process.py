@@ -205,7 +205,7 @@ class LinkProcess:
                 self._link.cancel_request()  # a disarm goes on: it stops, too
                 self._link.request_stop(reason, quick)
             case CorrectRequest():
-                self._correct(request)
+                self._correct_trajectory(request)
             case HoldRequest(until_ns=until_ns):
                 self._hold.set(until_ns)
             case SteerRequest(until_ns=until_ns):
@@ -242,7 +242,7 @@ class LinkProcess:
             return
         self._buffer_min_us, self._last_knot = 0, len(knots) - 1
 
-    def _correct(self, request: CorrectRequest) -> None:
+    def _correct_trajectory(self, request: CorrectRequest) -> None:
         try:
             knots = knots_from(request.knots)
             refusals = self._link.request_tail(request.traj_id, request.first, knots, mono_ns())

@@ -69,13 +69,15 @@ def plan_approach(
         return plan_approach(machine, q_start, T_base_tcp_goal, settings, wall, approach)
     if isinstance(first, Refusal):
         return refused_plan(first, q, np.array([tcp_pose(chain, q), goal]))
-    last = joint_leg(machine, chain, path_end(first), q_end, _creeping(settings, approach.last_leg_s), wall)
+    last = joint_leg(
+        machine, chain, path_end(first), q_end, _slow_approach_settings(settings, approach.last_leg_s), wall
+    )
     if isinstance(last, Refusal):
         return refused_plan(last, q, np.array([tcp_pose(chain, q), goal]))
     return plan_of([first, last])
 
 
-def _creeping(settings: PlanSettings, duration_s: float) -> PlanSettings:
+def _slow_approach_settings(settings: PlanSettings, duration_s: float) -> PlanSettings:
     """Slow and never leading: a shaped reference overshoots its end, which would turn a flank back."""
     return replace(settings, duration_min_s=max(duration_s, settings.duration_min_s), shape_reference=False)
 

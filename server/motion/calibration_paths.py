@@ -127,7 +127,7 @@ def plan_calibration_path(
     refusal: Refusal | None = None
     tried = np.array([T_start])
     for scale, up, left in product(path.scales, (1.0, -1.0), (1.0, -1.0)):
-        Ts = _poses(T_start, scale * corners * np.array([up, left, 1.0]))
+        Ts = _offset_poses(T_start, scale * corners * np.array([up, left, 1.0]))
         refusal = _place_refusal(machine, T_start, Ts, wall, T_base_ooi_estimate, R_tcp_cam, path, settings)
         if refusal is None:
             plan = plan_through(machine, q, Ts, settings, wall)
@@ -139,7 +139,7 @@ def plan_calibration_path(
     return refused_plan(Refusal(status, smallest + reason), q, tried)
 
 
-def _poses(T_start: Array, offsets_tcp: Array) -> list[Array]:
+def _offset_poses(T_start: Array, offsets_tcp: Array) -> list[Array]:
     R = T_start[:3, :3]
     return [pose(R, T_start[:3, 3] + R @ offset) for offset in offsets_tcp]
 

@@ -69,10 +69,10 @@ def path_to_rest(
     worst = "speed of the TCP"
     for _ in range(ROUNDS):
         n = int(np.ceil(duration_s / KNOT_S - 1e-9))
-        whole = _quintic(start, q_goal, KNOT_S * np.arange(n + 1, dtype=np.float64))
+        whole = _quintic_to_rest(start, q_goal, KNOT_S * np.arange(n + 1, dtype=np.float64))
         found = limit_excess(machine, chain, whole, DEFAULT_PLAN_SETTINGS, tcp_share)
         if found.factor <= 1.0:
-            return _checked(machine, chain, whole, start, wall)
+            return _checked_tail(machine, chain, whole, start, wall)
         worst, duration_s = found.worst, KNOT_S * n * min(1.02 * found.factor, 2.0)
         if duration_s > DURATION_MAX_S:
             break
@@ -80,7 +80,7 @@ def path_to_rest(
     return Refusal(PlanStatus.TOO_FAST, text)
 
 
-def _checked(
+def _checked_tail(
     machine: Machine, chain: Chain, whole: JointTrajectory, start: TailStart, wall: Wall | None
 ) -> JointTrajectory | Refusal:
     _, motion = sample_trajectory(whole, 0.02)
@@ -96,7 +96,7 @@ def _checked(
     return JointTrajectory(whole.t_s[1:] + start.t_s, whole.q[1:], whole.qd[1:], whole.qdd[1:])
 
 
-def _quintic(start: TailStart, q_goal: Array, t_s: Array) -> JointTrajectory:
+def _quintic_to_rest(start: TailStart, q_goal: Array, t_s: Array) -> JointTrajectory:
     """Knots of the quintic from the start's motion to rest at the goal, the start included, times from 0."""
     T, t = float(t_s[-1]), t_s[:, None]
     u = t / T

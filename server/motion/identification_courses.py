@@ -103,56 +103,56 @@ def fitted_course(machine: Machine, chain: Chain, course: Course, settings: Plan
 
 def multisine_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """Six sines of 0.07 to 0.8 Hz in every joint, the faster the smaller."""
-    t = _times(seconds)
+    t = _knot_times(seconds)
     out = np.zeros((len(t), n))
     for j in range(n):
         f = np.exp(rng.uniform(np.log(0.07), np.log(0.8), 6))
         share = rng.uniform(0.3, 1.0, 6) / f**0.7
         out[:, j] = np.sin(2.0 * np.pi * f * t[:, None] + rng.uniform(0.0, 2.0 * np.pi, 6)) @ share
-    return out * _fade(t, seconds)
+    return out * _fade_window(t, seconds)
 
 
 def slow_passes_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """One slow sine in every joint, each with a period of its own: the speed passes zero both ways again and again."""
-    t = _times(seconds)
+    t = _knot_times(seconds)
     period = seconds / rng.permutation(np.linspace(1.6, 3.6, n))
-    return np.sin(2.0 * np.pi * t[:, None] / period) * rng.choice((-1.0, 1.0), n) * _fade(t, seconds)
+    return np.sin(2.0 * np.pi * t[:, None] / period) * rng.choice((-1.0, 1.0), n) * _fade_window(t, seconds)
 
 
 def steps_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """Quick moves of 0.8 s to other places and a rest at each, every joint by its own clock."""
-    t = _times(seconds)
+    t = _knot_times(seconds)
     out = np.zeros((len(t), n))
     for j in range(n):
         at_s, here = float(rng.uniform(0.0, 1.0)), 0.0
         while at_s < seconds - 2.0:
             goal = 0.0 if at_s > seconds - 4.5 else float(rng.uniform(0.4, 1.0) * rng.choice((-1.0, 1.0)))
-            out[:, j] += (goal - here) * _smooth((t - at_s) / 0.8)
+            out[:, j] += (goal - here) * _quintic_smoothstep((t - at_s) / 0.8)
             here, at_s = goal, at_s + float(rng.uniform(1.6, 2.8))
-        out[:, j] -= here * _smooth((t - seconds + 1.6) / 0.8)
+        out[:, j] -= here * _quintic_smoothstep((t - seconds + 1.6) / 0.8)
     return out
 
 
 def staircase_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """Small stairs up and down again with rests: what a command must be before anything moves."""
-    t = _times(seconds)
+    t = _knot_times(seconds)
     stairs = max(2, int(seconds / 1.6 / 2.0))
     each_s = seconds / (2.0 * stairs)
-    rise = sum(_smooth((t - (k + 0.2) * each_s) / 0.5) for k in range(stairs))
-    fall = sum(_smooth((t - (stairs + k + 0.2) * each_s) / 0.5) for k in range(stairs))
+    rise = sum(_quintic_smoothstep((t - (k + 0.2) * each_s) / 0.5) for k in range(stairs))
+    fall = sum(_quintic_smoothstep((t - (stairs + k + 0.2) * each_s) / 0.5) for k in range(stairs))
     height = np.asarray(rise - fall, dtype=float) / stairs
     return height[:, None] * rng.uniform(0.15, 0.35, n) * rng.choice((-1.0, 1.0), n)
 
 
 def work_cycle_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """All joints together from place to place, and a rest at each."""
-    t = _times(seconds)
+    t = _knot_times(seconds)
     count = max(2, round(seconds / 5.0))
     each_s = seconds / count
     out, here = np.zeros((len(t), n)), np.zeros(n)
     for k in range(count):
         goal = np.zeros(n) if k == count - 1 else rng.uniform(0.3, 1.0, n) * rng.choice((-1.0, 1.0), n)
-        out += _smooth((t - k * each_s) / (0.7 * each_s))[:, None] * (goal - here)
+        out += _quintic_smoothstep((t - k * each_s) / (0.7 * each_s))[:, None] * (goal - here)
         here = goal
     return out
 
@@ -160,7 +160,7 @@ def work_cycle_course(rng: np.random.Generator, seconds: float, n: int) -> Array
 def hold_still_course(rng: np.random.Generator, seconds: float, n: int) -> Array:
     """Standing still: what creeps under load, and the noise of encoders and camera."""
     del rng
-    return np.zeros((len(_times(seconds)), n))
+    return np.zeros((len(_knot_times(seconds)), n))
 
 
 PARTS: tuple[MotionPart, ...] = (
@@ -190,7 +190,7 @@ def part_course(machine: Machine, chain: Chain, part: MotionPart, q_home: Array,
     rng = np.random.default_rng([len(part.name), sum(part.name.encode())])  # the same plan for the same machine
     unit = part.shape(rng, part.seconds, chain.n)
     largest = np.abs(unit).max(axis=0)
-    size = np.where(largest > 0.0, _sizes(machine, chain, unit, q_home, settings), 0.0)
+    size = np.where(largest > 0.0, _allowed_amplitudes(machine, chain, unit, q_home, settings), 0.0)
     still = np.zeros((round(REST_S / KNOT_S), chain.n))
     once = np.concatenate([still, unit * size, still])
     return Course(q_home + np.concatenate([once, *([once[1:]] * (part.repeats - 1))]), KNOT_S)
@@ -207,7 +207,7 @@ def part_marks(part: MotionPart) -> tuple[SegmentMark, ...]:
     )
 
 
-def _sizes(machine: Machine, chain: Chain, unit: Array, q_home: Array, settings: PlanSettings) -> Array:
+def _allowed_amplitudes(machine: Machine, chain: Chain, unit: Array, q_home: Array, settings: PlanSettings) -> Array:
     lever = tcp_lever_arms(chain, q_home)
     rate = np.abs(np.gradient(unit, KNOT_S, axis=0)).max(axis=0)
     bend = np.abs(np.gradient(np.gradient(unit, KNOT_S, axis=0), KNOT_S, axis=0)).max(axis=0)
@@ -220,14 +220,14 @@ def _sizes(machine: Machine, chain: Chain, unit: Array, q_home: Array, settings:
         return np.minimum.reduce([span / np.abs(unit).max(axis=0), v_max / rate, a_max / bend])
 
 
-def _times(seconds: float) -> Array:
+def _knot_times(seconds: float) -> Array:
     return KNOT_S * np.arange(round(seconds / KNOT_S), dtype=np.float64)
 
 
-def _smooth(s: Array) -> Array:
+def _quintic_smoothstep(s: Array) -> Array:
     s = np.clip(s, 0.0, 1.0)
     return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
 
 
-def _fade(t: Array, seconds: float) -> Array:
-    return _smooth(np.minimum(t, seconds - KNOT_S - t) / FADE_S)[:, None]
+def _fade_window(t: Array, seconds: float) -> Array:
+    return _quintic_smoothstep(np.minimum(t, seconds - KNOT_S - t) / FADE_S)[:, None]

@@ -60,7 +60,7 @@ def choose_postures(
     machine: Machine, chain: Chain, q_now: Array, seen: SeenObject, wall: Wall | None, count: int, margin_rad: float
 ) -> Postures:
     """Up to `count` postures around q_now (n,) in which a marker is seen and the wall is far enough."""
-    pool = _pool(chain, q_now, margin_rad)
+    pool = _candidate_postures(chain, q_now, margin_rad)
     pool = pool[_in_view(machine, pool, seen)]
     if wall is not None and len(pool):
         tool = tcp_poses(arm_of(machine), pack_effects((), chain.n), pool)
@@ -68,15 +68,15 @@ def choose_postures(
     if not len(pool):
         return Postures(np.zeros((0, chain.n)), (), 0)
     pool = pool[:CANDIDATES]
-    names, J = _information(machine, pool, seen)
+    names, J = _whitened_jacobians(machine, pool, seen)
     places = tcp_poses(arm_of(machine), pack_effects((), chain.n), pool)[:, :3, 3] / (0.8 * machine.tcp_speed_max_m_s)
-    chosen = _greedy(J, places, min(count, len(pool)))
+    chosen = _select_postures_greedily(J, places, min(count, len(pool)))
     left = np.sqrt(np.diag(np.linalg.inv(np.eye(len(names)) + sum(J[k].T @ J[k] for k in chosen))))
     known = tuple((*name, float(ratio)) for name, ratio in zip(names, left, strict=True) if name[0] != "object")
     return Postures(_in_order(places[[0, *chosen]], pool[chosen]), known, len(pool))
 
 
-def _pool(chain: Chain, q_now: Array, margin_rad: float) -> Array:
+def _candidate_postures(chain: Chain, q_now: Array, margin_rad: float) -> Array:
     """Half of them near, half all over; the present one first."""
     rng = np.random.default_rng(57)
     low, high = chain.q_min + margin_rad, chain.q_max - margin_rad
@@ -91,7 +91,7 @@ def _object_poses(machine: Machine, qs: Array, seen: SeenObject, entries: tuple[
     return np.linalg.inv(Ts) @ seen.T_base_ooi
 
 
-def _corners(machine: Machine, Ts_cam_ooi: Array, seen: SeenObject, n: int) -> Array:
+def _projected_corners(machine: Machine, Ts_cam_ooi: Array, seen: SeenObject, n: int) -> Array:
     """Both eyes' corners (m, 2, markers, 4, 2) [px]."""
     found = seen_corners(pack_effects((), n), machine.camera, seen.markers, Ts_cam_ooi)
     return np.stack([found.left, found.right], axis=1)
@@ -100,11 +100,11 @@ def _corners(machine: Machine, Ts_cam_ooi: Array, seen: SeenObject, n: int) -> A
 def _in_view(machine: Machine, qs: Array, seen: SeenObject) -> NDArray[np.bool_]:
     """Where a marker is whole in both eyes, large enough and not too flat (m,)."""
     Ts = _object_poses(machine, qs, seen)
-    good = _whole(machine, Ts, _corners(machine, Ts, seen, qs.shape[1]))
+    good = _readable_markers(machine, Ts, _projected_corners(machine, Ts, seen, qs.shape[1]))
     return np.asarray(good.any(axis=1))
 
 
-def _whole(machine: Machine, Ts_cam_ooi: Array, px: Array) -> NDArray[np.bool_]:
+def _readable_markers(machine: Machine, Ts_cam_ooi: Array, px: Array) -> NDArray[np.bool_]:
     """Which markers can be read in both eyes (m, markers)."""
     size = np.array([machine.camera.width_px, machine.camera.height_px])
     with np.errstate(invalid="ignore"):
@@ -116,55 +116,65 @@ def _whole(machine: Machine, Ts_cam_ooi: Array, px: Array) -> NDArray[np.bool_]:
     return np.asarray(inside & (sides > SIDE_MIN_PX) & near[:, None])
 
 
-def _information(machine: Machine, qs: Array, seen: SeenObject) -> tuple[list[tuple[str, int | None]], Array]:
+def _whitened_jacobians(machine: Machine, qs: Array, seen: SeenObject) -> tuple[list[tuple[str, int | None]], Array]:
     """Numbers that the looks bear upon, and whitened derivatives (m, rows, numbers), in units of the priors."""
     n = qs.shape[1]
     Ts = _object_poses(machine, qs, seen)
-    base = _corners(machine, Ts, seen, n)
-    read = _whole(machine, Ts, base)
+    base = _projected_corners(machine, Ts, seen, n)
+    read = _readable_markers(machine, Ts, base)
     names, columns = [], []
-    for name, joint, moved in _moved(machine, qs, seen, Ts):
-        change = (_corners(machine, moved, seen, n) - base) / (STEP * CORNER_SIGMA_PX)
+    for name, joint, moved in _perturbed_object_poses(machine, qs, seen, Ts):
+        change = (_projected_corners(machine, moved, seen, n) - base) / (STEP * CORNER_SIGMA_PX)
         change = np.where(read[:, None, :, None, None], np.nan_to_num(change), 0.0)
         names.append((name, joint))
         columns.append(change.reshape(len(qs), -1))
     return names, np.stack(columns, axis=2)
 
 
-def _moved(machine: Machine, qs: Array, seen: SeenObject, Ts: Array) -> list[tuple[str, int | None, Array]]:
+def _perturbed_object_poses(
+    machine: Machine, qs: Array, seen: SeenObject, Ts: Array
+) -> list[tuple[str, int | None, Array]]:
     """The object's poses in the camera with each number a small step off its nominal value."""
     out: list[tuple[str, int | None, Array]] = []
-    for entry in _entries(machine, qs):
+    for entry in _effects_to_perturb(machine, qs):
         out.append((entry.name, entry.joint, _object_poses(machine, qs, seen, (entry,))))
     for k, size in enumerate((*[MOUNT_RAD] * 3, *[MOUNT_M] * 3)):
         out.append(
-            ("hand_eye_rotation" if k < 3 else "hand_eye_translation", None, inverse_pose(_turned(k, size)) @ Ts)
+            (
+                "hand_eye_rotation" if k < 3 else "hand_eye_translation",
+                None,
+                inverse_pose(_small_pose_step(k, size)) @ Ts,
+            )
         )
-    out += [("object", None, Ts @ _turned(k, size)) for k, size in enumerate((*[OBJECT_RAD] * 3, *[OBJECT_M] * 3))]
+    out += [
+        ("object", None, Ts @ _small_pose_step(k, size)) for k, size in enumerate((*[OBJECT_RAD] * 3, *[OBJECT_M] * 3))
+    ]
     return out
 
 
-def _turned(k: int, size: float) -> Array:
+def _small_pose_step(k: int, size: float) -> Array:
     step = np.zeros(6)
     step[k] = STEP * size
     return pose(rotation_from_rotvec(step[:3]), step[3:])
 
 
-def _entries(machine: Machine, qs: Array) -> list[EffectEntry]:
+def _effects_to_perturb(machine: Machine, qs: Array) -> list[EffectEntry]:
     loads = np.abs(gravity_torques(arm_of(machine), pack_effects((), qs.shape[1]), qs)).max(axis=0)
     out = []
     for joint, (row, load) in enumerate(zip(machine.joints, loads, strict=True), start=1):
-        out.append(_entry("encoder_bias", joint))
-        out += [_entry("link_length_error", joint, of) for of in ("a", "d") if getattr(row, f"{of}_m") != 0.0]
-        out += [_entry("gravity_sag", joint)] if load > 0.1 * float(loads.max()) else []
+        out.append(_perturbed_effect("encoder_bias", joint))
+        out += [
+            _perturbed_effect("link_length_error", joint, of) for of in ("a", "d") if getattr(row, f"{of}_m") != 0.0
+        ]
+        out += [_perturbed_effect("gravity_sag", joint)] if load > 0.1 * float(loads.max()) else []
     return out
 
 
-def _entry(name: str, joint: int, option: str = "") -> EffectEntry:
+def _perturbed_effect(name: str, joint: int, option: str = "") -> EffectEntry:
     return EffectEntry(name, joint, ((effect_of(name).size.name, STEP * PRIORS[name]),), option)
 
 
-def _greedy(J: Array, places_s: Array, count: int) -> list[int]:
+def _select_postures_greedily(J: Array, places_s: Array, count: int) -> list[int]:
     """The candidates that add most to log det(I + sum J'J) a second, one after the other.
 
     Args: places_s: (m, 3) of the TCP, as seconds at its speed; the first candidate is where the machine stands.

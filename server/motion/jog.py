@@ -71,15 +71,17 @@ def plan_jog(
     if axis not in jog_axes(chain.n):
         text = f"machine '{machine.name}' has no jog axis '{axis}'; choose from {', '.join(jog_axes(chain.n))}"
         return JogPlan(refused_plan(Refusal(PlanStatus.INVALID, text), q, tcp_pose(chain, q)[None]), text)
-    slow, slowly = _slow(machine, speed, settings)
-    travel, resolution = _travel(chain, q, axis, speed)
+    slow, slowly = _limit_to_jog_speed(machine, speed, settings)
+    travel, resolution = _travel_and_resolution(chain, q, axis, speed)
 
     def leg(length: float) -> PathLeg | Refusal:
         if axis.startswith("joint_"):
             q_end = q.copy()
-            q_end[_joint(axis)] += direction * length
+            q_end[_joint_index(axis)] += direction * length
             return joint_leg(slow, chain, q, q_end, slowly, wall)
-        return cartesian_leg(slow, chain, q, tcp_pose(chain, q) @ _along(axis, direction * length), slowly, wall)
+        return cartesian_leg(
+            slow, chain, q, tcp_pose(chain, q) @ _displaced_tcp_pose(axis, direction * length), slowly, wall
+        )
 
     longest = leg(travel)
     if not isinstance(longest, Refusal):
@@ -98,27 +100,29 @@ def plan_jog(
     return JogPlan(plan_of([found]), refusal.reason)
 
 
-def _joint(axis: JogAxis) -> int:
+def _joint_index(axis: JogAxis) -> int:
     return int(axis.removeprefix("joint_")) - 1
 
 
-def _along(axis: JogAxis, amount: float) -> Array:
+def _displaced_tcp_pose(axis: JogAxis, amount: float) -> Array:
     """T_tcp_moved (4, 4): the tool moved along [m] or turned about [rad] an axis of its own frame."""
     vector = amount * np.eye(3)["xyz".index(axis[-1])]
     return pose(rotation_from_rotvec(vector), np.zeros(3)) if axis.startswith("r") else pose(np.eye(3), vector)
 
 
-def _travel(chain: Chain, q: Array, axis: JogAxis, speed: JogSpeed) -> tuple[float, float]:
+def _travel_and_resolution(chain: Chain, q: Array, axis: JogAxis, speed: JogSpeed) -> tuple[float, float]:
     """Length of one press at even speed, and the resolution of its end, [rad] or [m]."""
     if axis in ("x", "y", "z"):
         return speed.tcp_m_s * PRESS_S, RESOLUTION_M
     if axis.startswith("r"):
         return speed.turn_rad_s * PRESS_S, RESOLUTION_RAD
-    lever_m = float(np.linalg.norm(tcp_jacobian(chain, q)[:3, _joint(axis)]))  # constant while this joint moves alone
+    lever_m = float(
+        np.linalg.norm(tcp_jacobian(chain, q)[:3, _joint_index(axis)])
+    )  # constant while this joint moves alone
     return min(speed.turn_rad_s, speed.tcp_m_s / max(lever_m, 1e-9)) * PRESS_S, RESOLUTION_RAD
 
 
-def _slow(machine: Machine, speed: JogSpeed, settings: PlanSettings) -> tuple[Machine, PlanSettings]:
+def _limit_to_jog_speed(machine: Machine, speed: JogSpeed, settings: PlanSettings) -> tuple[Machine, PlanSettings]:
     """The machine with the jog's speeds as its limits, where its own are not lower, and settings that use all of them.
 
     A plan uses a share of the machine's limits; here the share times the limit is the jog's speed.

@@ -53,7 +53,7 @@ def onto_reference(trajectory: JointTrajectory, q_ref_now: Array, stall_rad: Arr
         wanted = np.where(np.abs(travel) > TRAVEL_RAD, np.sign(travel) * stall_rad, offset)
         span_s = trajectory.t_s[last] - trajectory.t_s[first]
         u = (trajectory.t_s[first : last + 1] - trajectory.t_s[first]) / span_s
-        s, sd, sdd = _quintic(u)
+        s, sd, sdd = _quintic_time_law(u)
         rows = slice(first if first == 0 else first + 1, last + 1)
         skip = 0 if first == 0 else 1
         step = wanted - offset
@@ -65,7 +65,7 @@ def onto_reference(trajectory: JointTrajectory, q_ref_now: Array, stall_rad: Arr
     return JointTrajectory(trajectory.t_s, q, qd, qdd)
 
 
-def _quintic(u: Array) -> tuple[Array, Array, Array]:
+def _quintic_time_law(u: Array) -> tuple[Array, Array, Array]:
     return 10 * u**3 - 15 * u**4 + 6 * u**5, 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
 
 
@@ -120,7 +120,7 @@ def plan_trim(
     """
     short = worth_trimming(machine, q, require_joints(q_goal - q, len(machine.joints), "residual"))
     below = np.where(short, q_goal - play_rad - stall_rad, q_ref)
-    plan = _through(machine, q_ref, [below, np.where(short, q_goal + stall_rad, q_ref)], settings)
+    plan = _plan_through_targets(machine, q_ref, [below, np.where(short, q_goal + stall_rad, q_ref)], settings)
     way = [q, np.where(short, q_goal - play_rad, q), np.where(short, q_goal, q)]
     return off_the_wall(machine, plan, way, wall)
 
@@ -139,7 +139,7 @@ def off_the_wall(machine: Machine, plan: PathPlan, way: list[Array], wall: Wall 
     return replace(plan, clearance_m=clearance_m) if hit is None else refused_plan(hit, way[0], Ts)
 
 
-def _through(machine: Machine, q_ref: Array, targets: list[Array], settings: PlanSettings) -> PathPlan:
+def _plan_through_targets(machine: Machine, q_ref: Array, targets: list[Array], settings: PlanSettings) -> PathPlan:
     plans, here = [], q_ref
     for target in targets:
         plan = plan_joint_move(machine, here, target, settings)

@@ -99,14 +99,14 @@ def cartesian_leg(
         text = f"the goal is {far_m:.3g} m away (limit {FAR_M:g} m): no arm of this kind reaches so far; look again"
         return Refusal(PlanStatus.OUT_OF_REACH, text)
     path = joint_path_along(machine, chain, q_start, straight_poses(T_start, T_end, settings), settings)
-    return path if isinstance(path, Refusal) else _leg(machine, chain, path, settings, wall)
+    return path if isinstance(path, Refusal) else _plan_path_leg(machine, chain, path, settings, wall)
 
 
 def joint_leg(
     machine: Machine, chain: Chain, q_start: Array, q_end: Array, settings: PlanSettings, wall: Wall | None
 ) -> PathLeg | Refusal:
     """One leg in joint space, which may pass through the wrist singularity."""
-    return _leg(machine, chain, joint_line(chain, q_start, q_end), settings, wall, singular_ok=True)
+    return _plan_path_leg(machine, chain, joint_line(chain, q_start, q_end), settings, wall, singular_ok=True)
 
 
 def path_end(leg: PathLeg) -> Array:
@@ -114,7 +114,7 @@ def path_end(leg: PathLeg) -> Array:
     return leg.path.qs[-1]
 
 
-def _leg(
+def _plan_path_leg(
     machine: Machine,
     chain: Chain,
     path: JointPath,

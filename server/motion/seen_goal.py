@@ -29,13 +29,13 @@ class SeenGoal:
     def jump(self, T_base_goal: Array, sigma_m: float, way_m: float) -> tuple[float, float]:
         """How far a look's goal is off the present one, and how far it may be [m]; beyond it must not be used."""
         apart_m = float(np.linalg.norm(T_base_goal[:3, 3] - self.pose[:3, 3]))
-        return apart_m, max(JUMP_FLOOR_M, JUMP_SIGMAS * _sigma(sigma_m, way_m))
+        return apart_m, max(JUMP_FLOOR_M, JUMP_SIGMAS * _sigma_with_map_error(sigma_m, way_m))
 
     def add(self, T_base_goal: Array, sigma_m: float, way_m: float) -> None:
         """Take in a look's goal (4, 4): its own sigma [m] and the way that was left then [m]."""
         turn = rotvec_from_rotation(T_base_goal[:3, :3] @ self.T_first[:3, :3].T)
         shift = T_base_goal[:3, 3] - self.T_first[:3, 3]
-        self._seen.append((np.concatenate([turn, shift]), _sigma(sigma_m, way_m)))
+        self._seen.append((np.concatenate([turn, shift]), _sigma_with_map_error(sigma_m, way_m)))
 
     @property
     def pose(self) -> Array:
@@ -47,5 +47,5 @@ class SeenGoal:
         return pose(rotation_from_rotvec(mean[:3]) @ self.T_first[:3, :3], self.T_first[:3, 3] + mean[3:])
 
 
-def _sigma(sigma_m: float, way_m: float) -> float:
+def _sigma_with_map_error(sigma_m: float, way_m: float) -> float:
     return float(np.hypot(sigma_m, MAP_FRAC * way_m))

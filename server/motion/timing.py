@@ -152,7 +152,7 @@ class Pace:
         return replace(self, even_s=self.even_s * max(planned, 1.0), ramp_s=self.ramp_s * max(reference, 1.0))
 
 
-def _knots(
+def _motion_and_reference_knots(
     machine: Machine, path: JointPath, law: TimeLaw, duration_s: float, settings: PlanSettings
 ) -> tuple[JointTrajectory, JointTrajectory]:
     """Knots of the planned motion, and of the reference that asks for it."""
@@ -231,7 +231,7 @@ def time_path(machine: Machine, chain: Chain, path: JointPath, settings: PlanSet
         duration = settings.knot_s * float(np.ceil(duration / settings.knot_s - 1e-9))
         if duration > settings.duration_max_s:
             break
-        motion, reference = _knots(machine, path, pace.law(duration), duration, settings)
+        motion, reference = _motion_and_reference_knots(machine, path, pace.law(duration), duration, settings)
         planned = limit_excess(machine, chain, motion, settings, settings.limit_share)
         sent = limit_excess(machine, chain, reference, settings, settings.reference_tcp_share)
         if max(planned.factor, sent.factor) <= 1.0:

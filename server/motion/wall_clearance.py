@@ -14,7 +14,7 @@ def clearances(Ts_base_tcp: Array, T_tcp_tool: Array, wall: Wall) -> Array:
     Args:    Ts_base_tcp: (m, 4, 4); T_tcp_tool: (4, 4); wall: plane with its normal towards the machine.
     Returns: (m,) [m], negative behind the wall.
     """
-    normal = _normal(wall)
+    normal = _wall_unit_normal(wall)
     tips = Ts_base_tcp[:, :3, 3]
     markers = tips + Ts_base_tcp[:, :3, :3] @ T_tcp_tool[:3, 3]
     return np.minimum((tips - wall.point_base) @ normal, (markers - wall.point_base) @ normal)
@@ -22,7 +22,7 @@ def clearances(Ts_base_tcp: Array, T_tcp_tool: Array, wall: Wall) -> Array:
 
 def stall_reach(chain: Chain, qs: Array, stall_rad: Array, wall: Wall) -> Array:
     """How much nearer to the wall the tool may be (m,) [m] where joints rest up to a stall (n,) away from qs (m, n)."""
-    normal = _normal(wall)
+    normal = _wall_unit_normal(wall)
     return np.array([np.abs(normal @ tcp_jacobian(chain, q)[:3]) @ np.abs(stall_rad) for q in qs])
 
 
@@ -47,6 +47,6 @@ def wall_refusal(
     return smallest, Refusal(PlanStatus.WALL, reason)
 
 
-def _normal(wall: Wall) -> Array:
+def _wall_unit_normal(wall: Wall) -> Array:
     """Of length one (3,)."""
     return np.asarray(wall.normal_base) / np.linalg.norm(wall.normal_base)

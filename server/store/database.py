@@ -156,7 +156,7 @@ class Database:
         self._thread = threading.Thread(target=self._write_all, name="store", daemon=True)
         self._thread.start()
         with contextlib.suppress(StoreError):
-            self.write(_nothing)
+            self.write(_probe_write)
 
     def close(self) -> None:
         """Write what is waiting, then close."""
@@ -207,11 +207,11 @@ class Database:
 
     def _write_one(self, work: Work[T], done: Future[T]) -> None:
         try:
-            db = self._opened()
+            db = self._open_if_needed()
             result = _in_transaction(db, work)
             self._require_in_place()
         except (sqlite3.OperationalError, sqlite3.DatabaseError, OSError, StoreError) as error:
-            done.set_exception(self._failed(error))
+            done.set_exception(self._record_store_error(error))
         except Exception as error:  # the work's own refusal: the transaction is rolled back, the store is well
             done.set_exception(error)
         else:
@@ -220,7 +220,7 @@ class Database:
             self.problem = ""
             done.set_result(result)
 
-    def _failed(self, error: Exception) -> StoreError:
+    def _record_store_error(self, error: Exception) -> StoreError:
         if isinstance(error, sqlite3.IntegrityError):
             return StoreError(f"database {self.path}: {error}")  # a defect of the work, not of the disk
         text = str(error) if isinstance(error, StoreError) else f"database {self.path}: {error}"
@@ -229,16 +229,16 @@ class Database:
         self.problem = text
         return error if isinstance(error, StoreError) else StoreError(text)
 
-    def _opened(self) -> sqlite3.Connection:
+    def _open_if_needed(self) -> sqlite3.Connection:
         if self._db is None:
-            self._db, self._inodes = _connected(self.path), []
+            self._db, self._inodes = _open_connection(self.path), []
         return self._db
 
     def _require_in_place(self) -> None:
         """Raises: StoreError: what was written now is not where the next life of the server will look for it."""
         if self.path is None:
             return
-        inodes = [_inode(f"{self.path}{ending}") for ending in FILES]
+        inodes = [_device_and_inode(f"{self.path}{ending}") for ending in FILES]
         self._inodes = self._inodes or inodes
         if inodes[0] is None or inodes != self._inodes:
             raise StoreError(
@@ -264,7 +264,7 @@ class Database:
         return await asyncio.to_thread(self.read, work)
 
 
-def _inode(name: str) -> tuple[int, int] | None:
+def _device_and_inode(name: str) -> tuple[int, int] | None:
     try:
         found = os.stat(name)
     except OSError:
@@ -272,7 +272,7 @@ def _inode(name: str) -> tuple[int, int] | None:
     return found.st_dev, found.st_ino
 
 
-def _connected(path: Path | None) -> sqlite3.Connection:
+def _open_connection(path: Path | None) -> sqlite3.Connection:
     """Open, check and migrate.
 
     Raises: StoreError: damaged, or from a newer program. sqlite3.Error, OSError: cannot be opened.
@@ -311,9 +311,9 @@ def _in_transaction(db: sqlite3.Connection, work: Work[T]) -> T:
     return result
 
 
-def _nothing(db: sqlite3.Connection) -> None:
+def _probe_write(db: sqlite3.Connection) -> None:
     """A write that changes nothing that matters: says whether writing is possible."""
     db.execute("UPDATE meta SET value = value + 1 WHERE name = 'probe'")
 
 
-PROBE: Work[None] = _nothing
+PROBE: Work[None] = _probe_write

@@ -37,7 +37,7 @@ def anchor_target(
     if patch.T_cam_target is None or patch.covariance is None:
         return patch
     T_ref_target = patch.T_cam_target
-    found = _around(patch, left, right, camera, settings, masks_px)
+    found = _match_surroundings(patch, left, right, camera, settings, masks_px)
     points, covariances = triangulated(camera, found, settings.sigma_px)
     near = np.linalg.norm(points - T_ref_target[:3, 3], axis=1) < settings.surroundings_m
     if near.sum() < LANDMARKS_MIN:
@@ -63,7 +63,7 @@ def anchor_target(
     )
 
 
-def _around(
+def _match_surroundings(
     patch: SurfacePatch,
     left: Image,
     right: Image,

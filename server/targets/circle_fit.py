@@ -98,13 +98,16 @@ def fit_circle(
     weights, J, residual = np.zeros(0), np.zeros((0, N)), np.zeros(0)
     step, harmonics, scale = np.zeros(N), np.zeros(N - 7), sigma_px
     for reach in REACHES_PX:
-        eyes = [_edges(image, camera, circle, harmonics, k, sign, reach, noise_grey) for k, image in enumerate(images)]
+        eyes = [
+            _find_rim_edges(image, camera, circle, harmonics, k, sign, reach, noise_grey)
+            for k, image in enumerate(images)
+        ]
         if min(eye.found.sum() for eye in eyes) < 12:
             return None
         J = np.vstack([eye.J[eye.found] for eye in eyes])
         residual = np.concatenate([eye.distance_px[eye.found] for eye in eyes])
         scale = max(1.4826 * float(np.median(np.abs(residual))), sigma_px)
-        prior, towards = _prior(circle, sigma_edge_m), np.concatenate([np.zeros(7), harmonics])
+        prior, towards = _prior_information(circle, sigma_edge_m), np.concatenate([np.zeros(7), harmonics])
         step = np.zeros(N)
         for _ in range(3):
             weights = np.clip(1.0 - ((residual - J @ step) / (TUKEY * scale)) ** 2, 0.0, None) ** 2
@@ -112,7 +115,7 @@ def fit_circle(
             information = A.T @ J / scale**2 + prior
             gradient = A.T @ residual / scale**2 - prior @ towards
             step = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
-        circle, harmonics = _moved(circle, step), harmonics + step[7:]
+        circle, harmonics = _stepped_circle(circle, step), harmonics + step[7:]
         if not 0.5 < circle.radius_m / start.radius_m < 2.0 or circle.centre[2] < 0.1:
             return None
     on = weights > 0.05
@@ -121,7 +124,7 @@ def fit_circle(
     longer = _correlation_factor([residual[:n_left][on[:n_left]], residual[n_left:][on[n_left:]]])
     dof = max(int(on.sum() / longer) - 6, 1)
     variance = fitted_variance(float(np.sum(residual[on] ** 2)) / longer, dof, sigma_px) * longer
-    covariance = np.linalg.inv(J[on].T @ J[on] / variance + _prior(circle, sigma_edge_m))[:7, :7]
+    covariance = np.linalg.inv(J[on].T @ J[on] / variance + _prior_information(circle, sigma_edge_m))[:7, :7]
     covariance[6, 6] += sigma_edge_m**2  # all around: a smaller hole
     return CircleFit(
         circle,
@@ -135,7 +138,7 @@ def fit_circle(
 TURN_SIGMA_RAD = 1e-4  # the turn about the axis is a convention; no covariance may be singular
 
 
-def _prior(circle: Circle, sigma_edge_m: float) -> Array:
+def _prior_information(circle: Circle, sigma_edge_m: float) -> Array:
     """Information (19, 19) on the turn about the axis, which nothing else determines, and on the rim's harmonics."""
     out = np.zeros((N, N))
     out[3:6, 3:6] = np.outer(circle.axis, circle.axis) / TURN_SIGMA_RAD**2
@@ -144,12 +147,12 @@ def _prior(circle: Circle, sigma_edge_m: float) -> Array:
     return out
 
 
-def _moved(circle: Circle, step: Array) -> Circle:
+def _stepped_circle(circle: Circle, step: Array) -> Circle:
     axis = rotation_from_rotvec(step[3:6]) @ circle.axis
     return Circle(circle.centre + step[:3], axis / np.linalg.norm(axis), circle.radius_m + float(step[6]))
 
 
-def _edges(
+def _find_rim_edges(
     image: NDArray[np.float32],
     camera: StereoCamera,
     circle: Circle,
@@ -181,7 +184,7 @@ def _edges(
     border = reach + 4.0
     inside &= (pixels > border).all(axis=1) & (pixels < [image.shape[1] - border, image.shape[0] - border]).all(axis=1)
     where = np.where(inside[:, None], pixels, border)
-    profile = _sampled(image, where[:, None, :] + offsets[None, :, None] * normal[:, None, :])
+    profile = _sample_bilinear(image, where[:, None, :] + offsets[None, :, None] * normal[:, None, :])
     slope = cv2.GaussianBlur(profile, (0, 0), sigmaX=SMOOTH_PX / PROFILE_STEP_PX, sigmaY=1e-3)
     slope = sign * np.gradient(np.asarray(slope, dtype=np.float64), PROFILE_STEP_PX, axis=1)
     searched = slope.copy()
@@ -200,20 +203,20 @@ def _edges(
     J = np.asarray(
         np.hstack([np.einsum("ni,nij->nj", normal, J_point), lever, growth, growth * waves]), dtype=np.float64
     )
-    return _Edges(distance, J, found, inside & _aligned(image, where, normal, sign))
+    return _Edges(distance, J, found, inside & _is_gradient_along_normal(image, where, normal, sign))
 
 
-def _sampled(image: NDArray[np.float32], places: Array) -> np.ndarray:
+def _sample_bilinear(image: NDArray[np.float32], places: Array) -> np.ndarray:
     maps = places.astype(np.float32)
     return np.asarray(cv2.remap(image, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR))
 
 
-def _aligned(image: NDArray[np.float32], pixels: Array, normal: Array, sign: float) -> BoolArray:
+def _is_gradient_along_normal(image: NDArray[np.float32], pixels: Array, normal: Array, sign: float) -> BoolArray:
     """Whether the image's gradient at the rim (Gaussian of 1 px) points along the normal."""
     across = np.column_stack([-normal[:, 1], normal[:, 0]])
     steps = np.array([1.0, -1.0])
-    radial = _sampled(image, pixels[:, None] + steps[None, :, None] * normal[:, None])
-    sideways = _sampled(image, pixels[:, None] + steps[None, :, None] * across[:, None])
+    radial = _sample_bilinear(image, pixels[:, None] + steps[None, :, None] * normal[:, None])
+    sideways = _sample_bilinear(image, pixels[:, None] + steps[None, :, None] * across[:, None])
     g_n = sign * (radial[:, 0] - radial[:, 1])
     g_t = sideways[:, 0] - sideways[:, 1]
     return np.asarray(np.abs(np.arctan2(g_t, g_n)) < ALIGNED_RAD)

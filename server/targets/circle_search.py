@@ -74,8 +74,8 @@ def find_places(
             "nearer or face the wall"
         )
     view = square_view(left, camera, T, masks[0], 0.5 * min(diameters_m))
-    radii_m = _radii(diameters_m, 1.0 / view.px_m)
-    places = [place for dark_inside in (True, False) for place in _voted(view, radii_m, dark_inside)]
+    radii_m = _candidate_radii(diameters_m, 1.0 / view.px_m)
+    places = [place for dark_inside in (True, False) for place in _vote_circle_centres(view, radii_m, dark_inside)]
     return [
         CirclePlace(_at_its_depth(left, right, camera, place.circle), place.dark_inside, place.cover_frac)
         for place in sorted(places, key=lambda place: -place.cover_frac)
@@ -136,7 +136,7 @@ def square_view(left: Image, camera: StereoCamera, T_cam_plane: Array, mask: Ima
     return SquareView(np.asarray(grey, np.uint8), np.asarray(known, np.uint8), T_cam_plane, origin, px_m)
 
 
-def _radii(diameters_m: Sequence[float], px: float) -> Array:
+def _candidate_radii(diameters_m: Sequence[float], px: float) -> Array:
     """Radii [m] within the spread of any diameter, a pixel apart."""
     low, high = 0.5 * (1.0 - SPREAD_FRAC) * min(diameters_m), 0.5 * (1.0 + SPREAD_FRAC) * max(diameters_m)
     all_m = np.arange(low, high + px, px)
@@ -144,7 +144,7 @@ def _radii(diameters_m: Sequence[float], px: float) -> Array:
     return np.asarray(all_m[np.any(near, axis=0)])
 
 
-def _voted(view: SquareView, radii_m: Array, dark_inside: bool) -> list[CirclePlace]:
+def _vote_circle_centres(view: SquareView, radii_m: Array, dark_inside: bool) -> list[CirclePlace]:
     """Centres by the share of the rim that votes for them."""
     smooth = cv2.GaussianBlur(view.grey.astype(np.float32), (0, 0), BLUR_PX)
     gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
@@ -152,7 +152,7 @@ def _voted(view: SquareView, radii_m: Array, dark_inside: bool) -> list[CirclePl
     inner = cv2.erode(view.known, np.ones((7, 7), np.uint8)) > 0
     if not inner.any():
         return []
-    strong = inner & (size > np.median(size[inner])) & _thin(size, gx, gy)
+    strong = inner & (size > np.median(size[inner])) & _non_maximum_suppression(size, gx, gy)
     v, u = np.nonzero(strong)
     towards = -np.column_stack([gx[v, u], gy[v, u]]) / size[v, u][:, None] * (1.0 if dark_inside else -1.0)
     height, width = view.grey.shape
@@ -166,10 +166,10 @@ def _voted(view: SquareView, radii_m: Array, dark_inside: bool) -> list[CirclePl
         cover /= np.float32(2.0 * np.pi * r)
         best_radius[cover > best] = r
         np.maximum(best, cover, out=best)
-    return _peaks(view, best, best_radius, float(radii_m.min()) * view.px_m, dark_inside)
+    return _vote_peaks(view, best, best_radius, float(radii_m.min()) * view.px_m, dark_inside)
 
 
-def _thin(size: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
+def _non_maximum_suppression(size: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
     """Pixels that are the largest along their gradient's main axis: one vote per length of edge."""
     left, right = np.roll(size, 1, 1), np.roll(size, -1, 1)
     up, down = np.roll(size, 1, 0), np.roll(size, -1, 0)
@@ -177,7 +177,7 @@ def _thin(size: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
     return np.where(across, (size > left) & (size >= right), (size > up) & (size >= down))
 
 
-def _peaks(
+def _vote_peaks(
     view: SquareView, cover: np.ndarray, radii: np.ndarray, radius: float, dark_inside: bool
 ) -> list[CirclePlace]:
     kernel = 2 * int(radius) + 1

@@ -67,11 +67,11 @@ def find_round_marks(
     places = find_places(left, right, camera, diameters_m, settings, masks)
     if isinstance(places, str):
         return RoundMarks((), places)
-    fits = _one_of_each(_accepted(left, right, camera, places, diameters_m))
+    fits = _one_of_each(_fit_accepted_circles(left, right, camera, places, diameters_m))
     avoid = [_disc_px(camera, fit) for fit, _, _ in fits]
     marks = []
     for number, (fit, nominal_m, dark_inside) in enumerate(fits, 1):
-        patch = _patch(left, right, camera, fit, avoid, settings)
+        patch = _mark_surface_patch(left, right, camera, fit, avoid, settings)
         sigma_m = 2.0 * float(np.sqrt(fit.covariance[6, 6]))
         marks.append(RoundMark(number, patch, 2.0 * fit.circle.radius_m, sigma_m, nominal_m, dark_inside))
     return RoundMarks(tuple(marks), "")
@@ -80,13 +80,13 @@ def find_round_marks(
 Fitted = tuple[CircleFit, float, bool]  # with the nominal diameter, and whether it is dark inside
 
 
-def _accepted(
+def _fit_accepted_circles(
     left: Image, right: Image, camera: StereoCamera, places: Sequence[CirclePlace], diameters_m: Sequence[float]
 ) -> list[Fitted]:
     noise = max(noise_grey(left), noise_grey(right))
     kept: list[Fitted] = []
     for place in places:
-        if any(place.dark_inside == dark and _concentric(place.circle, fit.circle) for fit, _, dark in kept):
+        if any(place.dark_inside == dark and _is_concentric(place.circle, fit.circle) for fit, _, dark in kept):
             continue  # the better voted one has the same rim
         fit = fit_circle(left, right, camera, place.circle, place.dark_inside, EDGE_FLOOR_PX, noise)
         if fit is None or fit.log10_nfa > LOG10_NFA_MAX or fit.rim_frac < RIM_MIN_FRAC:
@@ -102,7 +102,7 @@ def _one_of_each(fits: Sequence[Fitted]) -> list[Fitted]:
     """Of concentric circles one: the outer where they differ in size (a ring's two edges), else the better aligned."""
     kept: list[Fitted] = []
     for fit in sorted(fits, key=lambda one: one[0].log10_nfa):
-        rivals = [rival for rival in kept if _concentric(fit[0].circle, rival[0].circle)]
+        rivals = [rival for rival in kept if _is_concentric(fit[0].circle, rival[0].circle)]
         if not rivals:
             kept.append(fit)
         elif all(fit[2] != dark and fit[0].circle.radius_m > 1.05 * rival.circle.radius_m for rival, _, dark in rivals):
@@ -110,7 +110,7 @@ def _one_of_each(fits: Sequence[Fitted]) -> list[Fitted]:
     return sorted(kept, key=lambda one: float(one[0].circle.centre[0] / one[0].circle.centre[2]))
 
 
-def _concentric(first: Circle, second: Circle) -> bool:
+def _is_concentric(first: Circle, second: Circle) -> bool:
     larger = max(first.radius_m, second.radius_m)
     return float(np.linalg.norm(first.centre - second.centre)) < CONCENTRIC_FRAC * larger
 
@@ -120,7 +120,7 @@ def _disc_px(camera: StereoCamera, fit: CircleFit) -> tuple[float, float, float]
     return float(u), float(v), RIM_FRAC * fit.circle.radius_m * camera.fx_px / float(fit.circle.centre[2])
 
 
-def _patch(
+def _mark_surface_patch(
     left: Image,
     right: Image,
     camera: StereoCamera,

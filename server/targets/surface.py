@@ -83,7 +83,7 @@ def measure_patch(
         return place.refused(PatchStatus.NO_TEXTURE, " has no texture; choose a rougher place or add light")
     found = place.refused(PatchStatus.NO_TEXTURE, "")
     for radius_m in settings.radii_m:
-        larger = _measured(place, coarse.disparity_px, radius_m)
+        larger = _measure_at_disparity(place, coarse.disparity_px, radius_m)
         if found.ok and not larger.ok:
             break  # the smaller patch lies on one surface, the larger one reaches beyond it
         found = larger
@@ -123,7 +123,7 @@ def measure_around(
         radius_px = radius_m * camera.fx_px / depth_m
         if len(sample_places(left.shape, pixel, radius_px, avoid)[0]) < AROUND_MIN and radius_m < settings.radii_m[-1]:
             continue
-        found = _measured(place, camera.fx_px * camera.baseline_m / depth_m, radius_m, avoid)
+        found = _measure_at_disparity(place, camera.fx_px * camera.baseline_m / depth_m, radius_m, avoid)
         if found.covariance is not None and uncertainty_95(found.covariance)[0] <= settings.normal_wanted_deg:
             break
     return found
@@ -147,7 +147,7 @@ def _image_problem(place: _Place) -> SurfacePatch | None:
     return None
 
 
-def _measured(
+def _measure_at_disparity(
     place: _Place, disparity_px: float, radius_m: float, avoid: Sequence[tuple[float, float, float]] = ()
 ) -> SurfacePatch:
     camera, settings, ray = place.camera, place.settings, place.ray
@@ -173,7 +173,7 @@ def _measured(
         )
     per_sample_px = sigma_texture * np.sqrt(np.pi) * radius_px / SIZE_PX  # the bound of one sample's smaller patch
     sampled = replace(settings, sigma_px=float(np.hypot(per_sample_px, settings.sigma_floor_px)))
-    fit, good = _fitted(replace(place, settings=sampled), samples, uv, guess, radius_px)
+    fit, good = _match_and_fit_surface(replace(place, settings=sampled), samples, uv, guess, radius_px)
     if fit is None or good.mean() < ON_SURFACE_MIN_FRAC:
         return place.refused(
             PatchStatus.NOT_IN_BOTH_EYES,
@@ -189,16 +189,18 @@ def _measured(
         )
     coherent = settings.sigma_floor_px * np.array([1.0, 1.0 / radius_px, 1.0 / radius_px])
     fit.covariance[:3, :3] += np.diag(coherent**2)  # interpolation errs alike where the sub-pixel phase is alike
-    return _judged(place, fit, samples, uv, radius_m)
+    return _judge_patch(place, fit, samples, uv, radius_m)
 
 
-def _fitted(place: _Place, samples: Array, uv: Array, guess: Array, radius_px: float) -> tuple[_Fit | None, BoolArray]:
+def _match_and_fit_surface(
+    place: _Place, samples: Array, uv: Array, guess: Array, radius_px: float
+) -> tuple[_Fit | None, BoolArray]:
     """Fine disparities by the plane of the coarse ones, then the surface through them."""
     start = _robust_plane(uv, guess)
     good = np.zeros(len(samples), dtype=bool)
     fit: _Fit | None = None
     for _ in range(2):  # the second time with the slopes of the first
-        expected = _terms(uv, "plane") @ start
+        expected = _polynomial_terms(uv, "plane") @ start
         near = np.abs(guess - expected) < 2.0  # a coarse match is good to a pixel; else the neighbours' surface
         slopes = np.tile(start[1:3], (len(uv), 1))
         found = fine_disparities(
@@ -207,12 +209,12 @@ def _fitted(place: _Place, samples: Array, uv: Array, guess: Array, radius_px: f
         good = found.good
         if good.sum() < 12:
             return None, good
-        fit = _surface(uv, found.disparity_px, good, radius_px, place.settings)
+        fit = _fit_surface(uv, found.disparity_px, good, radius_px, place.settings)
         start = fit.coefficients[:3]
     return fit, good
 
 
-def _terms(uv: Array, shape: Shape) -> Array:
+def _polynomial_terms(uv: Array, shape: Shape) -> Array:
     u, v = uv[:, 0], uv[:, 1]
     columns = [np.ones(len(uv)), u, v]
     return np.column_stack(columns if shape == "plane" else [*columns, u * u, u * v, v * v])
@@ -221,7 +223,7 @@ def _terms(uv: Array, shape: Shape) -> Array:
 def _robust_plane(uv: Array, disparity: Array) -> Array:
     """Least median of squares over random triples, then least squares on what lies within a pixel (3,)."""
     known = np.flatnonzero(np.isfinite(disparity))
-    A, d = _terms(uv[known], "plane"), disparity[known]
+    A, d = _polynomial_terms(uv[known], "plane"), disparity[known]
     rng = np.random.default_rng(0)
     best, best_median = np.array([float(np.median(d)), 0.0, 0.0]), np.inf
     for _ in range(RANSAC_DRAWS):
@@ -238,7 +240,7 @@ def _robust_plane(uv: Array, disparity: Array) -> Array:
     return np.asarray(best, dtype=np.float64)
 
 
-def _surface(uv: Array, disparity: Array, good: BoolArray, radius_px: float, settings: TargetSettings) -> _Fit:
+def _fit_surface(uv: Array, disparity: Array, good: BoolArray, radius_px: float, settings: TargetSettings) -> _Fit:
     """Plane, or curved patch where the F test asks for it; samples off the surface are left out.
 
     The samples' patches overlap: n of them hold only the patch area's worth of independent ones, and the covariance is
@@ -248,9 +250,11 @@ def _surface(uv: Array, disparity: Array, good: BoolArray, radius_px: float, set
     overlap = max(1.0, float(good.sum()) * SIZE_PX**2 / area)
     on = good.copy()
     plane = _least_squares(uv, disparity, on, "plane", settings, overlap)
-    on = good & (np.abs(_terms(uv, "plane") @ plane.coefficients - disparity) < _limit_px(plane, settings))
+    on = good & (np.abs(_polynomial_terms(uv, "plane") @ plane.coefficients - disparity) < _limit_px(plane, settings))
     plane = _least_squares(uv, disparity, on, "plane", settings, overlap)
-    curved_on = good & (np.abs(_terms(uv, "plane") @ plane.coefficients - disparity) < 2.0 * _limit_px(plane, settings))
+    curved_on = good & (
+        np.abs(_polynomial_terms(uv, "plane") @ plane.coefficients - disparity) < 2.0 * _limit_px(plane, settings)
+    )
     if curved_on.sum() < 20:
         return plane
     curved = _least_squares(uv, disparity, curved_on, "curved", settings, overlap)
@@ -269,7 +273,7 @@ def _limit_px(fit: _Fit, settings: TargetSettings) -> float:
 def _least_squares(
     uv: Array, disparity: Array, on: BoolArray, shape: Shape, settings: TargetSettings, overlap: float
 ) -> _Fit:
-    A, d = _terms(uv[on], shape), disparity[on]
+    A, d = _polynomial_terms(uv[on], shape), disparity[on]
     scale = np.abs(A).max(axis=0)  # columns of one magnitude: the normal equations stay well conditioned
     for _ in range(3):
         found = np.linalg.lstsq(A / scale, d, rcond=None)[0]
@@ -310,7 +314,7 @@ def _frame_of(camera: StereoCamera, ray: Array, abc: Array) -> Array:
     return target_frame(-np.array([beta, gamma, alpha]), origin)
 
 
-def _judged(place: _Place, fit: _Fit, samples: Array, uv: Array, radius_m: float) -> SurfacePatch:
+def _judge_patch(place: _Place, fit: _Fit, samples: Array, uv: Array, radius_m: float) -> SurfacePatch:
     camera, settings, abc = place.camera, place.settings, fit.coefficients[:3]
     T = _frame_of(camera, place.ray, abc)
     covariance = _pose_covariance(place, abc, fit.covariance[:3, :3], T)
@@ -330,7 +334,7 @@ def _judged(place: _Place, fit: _Fit, samples: Array, uv: Array, radius_m: float
             f"{1e3 * depth_m:.1f} mm (limit {1e3 * settings.position_max_m:.1f} mm) only; come nearer",
         )
     on = fit.on_surface
-    disparity = _terms(uv[on], fit.shape) @ fit.coefficients
+    disparity = _polynomial_terms(uv[on], fit.shape) @ fit.coefficients
     rays = undistort_to_rays(camera, samples[on])
     points = np.column_stack([rays, np.ones(len(rays))]) * (camera.fx_px * camera.baseline_m / disparity)[:, None]
     n_used, residual_px = int(on.sum()), fit.residual_px

@@ -203,8 +203,10 @@ def teach_object(
                 f"view {number + 1} of '{name}' does not show the landmarks of view {first + 1}; the object or the "
                 "marker has moved between them, or they are too far apart: take them again"
             )
-        placed.append(view if number == first else replace(view, marks=_moved(view, found.T), T_cam_object=found.T))
-    confirmed, shares = _confirmed(placed, camera, settings)
+        placed.append(
+            view if number == first else replace(view, marks=_landmarks_at_pose(view, found.T), T_cam_object=found.T)
+        )
+    confirmed, shares = _confirm_landmarks(placed, camera, settings)
     some = [view for view in confirmed if len(view.marks) >= FIX_MIN]
     total = sum(len(view.marks) for view in some)
     if total < LANDMARKS_MIN:
@@ -214,7 +216,7 @@ def teach_object(
         )
     shift, covariance = _frame_shift(views, placed)
     covariance[3:, 3:] += _lever_covariance(box, settings)
-    final = tuple(_reframed(view, shift) for view in some)
+    final = tuple(_view_in_new_frame(view, shift) for view in some)
     depth = float(np.mean([view.T_cam_object[2, 3] for view in final]))
     scale = depth * settings.sigma_disparity_px / (camera.fx_px * camera.baseline_m)
     return TaughtObject(name, box.size_m.copy(), final, covariance, scale, min(shares))
@@ -235,7 +237,7 @@ def _as_pair(view: TaughtView, camera: StereoCamera, settings: TargetSettings) -
     return SearchedPair(view.references, masks, camera, settings)
 
 
-def _moved(view: TaughtView, T_cam_object: Array) -> Landmarks:
+def _landmarks_at_pose(view: TaughtView, T_cam_object: Array) -> Landmarks:
     """The view's landmarks in the object axes that stand at T_cam_object in its camera."""
     return _in_axes(view.marks, inverse_pose(T_cam_object) @ view.T_cam_object)
 
@@ -251,7 +253,7 @@ def _in_axes(marks: Landmarks, T_new_old: Array) -> Landmarks:
     )
 
 
-def _confirmed(
+def _confirm_landmarks(
     views: Sequence[TaughtView], camera: StereoCamera, settings: TargetSettings
 ) -> tuple[list[TaughtView], list[float]]:
     """The views with those landmarks that another one confirms, and the best share of each view that one confirmed."""
@@ -298,7 +300,7 @@ def _lever_covariance(box: ObjectBox, settings: TargetSettings) -> Array:
     return settings.sigma_frame_rad**2 * (lever @ lever.T)
 
 
-def _reframed(view: TaughtView, T_frame_mean: Array) -> TaughtView:
+def _view_in_new_frame(view: TaughtView, T_frame_mean: Array) -> TaughtView:
     return replace(
         view,
         T_cam_object=view.T_cam_object @ T_frame_mean,

@@ -33,8 +33,8 @@ def save_taught(folder: Path, taught: TaughtObject) -> Path:
     }
     for k, view in enumerate(taught.views):
         arrays |= {
-            f"left_{k}": _png(view.reference_left),
-            f"right_{k}": _png(view.reference_right),
+            f"left_{k}": _encode_png(view.reference_left),
+            f"right_{k}": _encode_png(view.reference_right),
             f"T_cam_object_{k}": view.T_cam_object,
             f"covariance_{k}": view.covariance,
             f"descriptors_{k}": view.descriptors,
@@ -58,21 +58,21 @@ def load_taught(path: Path) -> TaughtObject:
             if int(data["version"]) != VERSION:
                 raise TaughtFileError(f"{path.name} has version {int(data['version'])} (known: {VERSION}); teach again")
             scale, agree = (float(value) for value in data["figures"])
-            views = tuple(_view(data, k) for k in range(int(data["views"])))
+            views = tuple(_read_taught_view(data, k) for k in range(int(data["views"])))
             return TaughtObject(path.stem, data["size_m"], views, data["covariance_target"], scale, agree)
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, cv2.error) as error:
         raise TaughtFileError(f"{path.name} cannot be read as a taught object: {error}; teach it again") from error
 
 
-def _view(data: "np.lib.npyio.NpzFile", k: int) -> TaughtView:
+def _read_taught_view(data: "np.lib.npyio.NpzFile", k: int) -> TaughtView:
     marks = Landmarks(**{name: data[f"{name}_{k}"] for name in _MARKS})
     if not all(len(getattr(marks, name)) == len(marks) for name in _MARKS) or len(data[f"descriptors_{k}"]) != len(
         marks
     ):
         raise ValueError(f"view {k + 1} has landmarks of unequal number")
     return TaughtView(
-        _image(data[f"left_{k}"]),
-        _image(data[f"right_{k}"]),
+        _decode_image(data[f"left_{k}"]),
+        _decode_image(data[f"right_{k}"]),
         data[f"T_cam_object_{k}"],
         data[f"covariance_{k}"],
         marks,
@@ -81,14 +81,14 @@ def _view(data: "np.lib.npyio.NpzFile", k: int) -> TaughtView:
     )
 
 
-def _png(image: Image) -> NDArray[np.uint8]:
+def _encode_png(image: Image) -> NDArray[np.uint8]:
     good, code = cv2.imencode(".png", image)
     if not good:
         raise TaughtFileError("an image could not be packed")
     return np.asarray(code, dtype=np.uint8).ravel()
 
 
-def _image(code: NDArray[np.uint8]) -> Image:
+def _decode_image(code: NDArray[np.uint8]) -> Image:
     image = cv2.imdecode(code, cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise ValueError("an image cannot be unpacked")

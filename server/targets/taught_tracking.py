@@ -61,9 +61,9 @@ class TaughtTracker:
         guess = self._by_flow(left, masks[0])
         fix = self._not_seen(0)
         if guess is not None:
-            fix = self._fixed(pair, guess)
+            fix = self._fix_from_guess(pair, guess)
         if not fix.ok and self._lost % RECOGNISE_EVERY == 0:
-            fix = self._recognised(pair)
+            fix = self._recognise_object(pair)
         self._lost = 0 if fix.ok else self._lost + 1
         self._last = None if fix.T_cam_target is None else (left.copy(), fix.T_cam_target)
         return fix
@@ -73,7 +73,9 @@ class TaughtTracker:
         if self._last is None:
             return None
         view = self._nearest_view(self._last[1])
-        solved = _pnp(self._camera, *moved_on(self._camera, self._last, view.marks.points_target, left, mask))
+        solved = _pose_by_ransac(
+            self._camera, *moved_on(self._camera, self._last, view.marks.points_target, left, mask)
+        )
         return None if solved is None else solved[0]
 
     def _nearest_view(self, T_cam_object: Array) -> TaughtView:
@@ -87,15 +89,15 @@ class TaughtTracker:
 
         return min(self._taught.views, key=unlike)
 
-    def _recognised(self, pair: SearchedPair) -> TargetFix:
+    def _recognise_object(self, pair: SearchedPair) -> TargetFix:
         """The fix from features alone, wherever the camera is."""
         places, descriptors = image_features(pair.images[0], pair.masks[0])
-        found = [self._candidate(view, places, descriptors) for view in self._taught.views]
+        found = [self._candidate_from_view(view, places, descriptors) for view in self._taught.views]
         known = [candidate for candidate in found if candidate is not None]
         if not known:
             return self._not_seen(0)
         best = max(known, key=lambda one: one.inliers)
-        rival = self._rival(best, places, descriptors)
+        rival = self._rival_feature_count(best, places, descriptors)
         if rival:
             reason = (
                 f"object '{self._taught.name}': {best.inliers} of its features fit one place and {rival} fit another; "
@@ -103,28 +105,28 @@ class TaughtTracker:
                 "Cover the other one, or teach this object"
             )
             return no_fix(reason, best.inliers)
-        return self._fixed(pair, best.T)
+        return self._fix_from_guess(pair, best.T)
 
-    def _candidate(self, view: TaughtView, places: Array, descriptors: Descriptors) -> _Candidate | None:
-        pairs = _matched(descriptors, view.descriptors)
+    def _candidate_from_view(self, view: TaughtView, places: Array, descriptors: Descriptors) -> _Candidate | None:
+        pairs = _match_features(descriptors, view.descriptors)
         if len(pairs) < FIX_MIN:
             return None
         points, pixels = view.marks.points_target[pairs[:, 1]], places[pairs[:, 0]]
-        solved = _pnp(self._camera, points, pixels)
+        solved = _pose_by_ransac(self._camera, points, pixels)
         if solved is None:
             return None
         T, inliers = solved
         return _Candidate(view, T, len(inliers), pairs[inliers, 0])
 
-    def _rival(self, best: _Candidate, places: Array, descriptors: Descriptors) -> int:
+    def _rival_feature_count(self, best: _Candidate, places: Array, descriptors: Descriptors) -> int:
         """How many of the features that the pose leaves unexplained another pose explains, or a part that has moved."""
         rest = np.ones(len(places), dtype=bool)
         rest[best.explained] = False
         places, T = places[rest], best.T
-        pairs = _matched(descriptors[rest], best.view.descriptors)
+        pairs = _match_features(descriptors[rest], best.view.descriptors)
         points, pixels = best.view.marks.points_target[pairs[:, 1]], places[pairs[:, 0]]
         moved = _moved_alike(project_stereo(self._camera, transform_points(T, points))[0], pixels)
-        second = _pnp(self._camera, points, pixels, RIVAL_MIN)
+        second = _pose_by_ransac(self._camera, points, pixels, RIVAL_MIN)
         if second is None:
             return moved
         own, other = (project_stereo(self._camera, transform_points(at, points[second[1]]))[0] for at in (T, second[0]))
@@ -132,16 +134,18 @@ class TaughtTracker:
         number = int((apart > RIVAL_PX).sum())
         return max(moved, number if number >= RIVAL_MIN else 0)
 
-    def _fixed(self, pair: SearchedPair, guess: Array) -> TargetFix:
+    def _fix_from_guess(self, pair: SearchedPair, guess: Array) -> TargetFix:
         """The fix from a guess by the landmarks of the view nearest to it, verified."""
         view = self._nearest_view(guess)
         seen, _, fit = fitted_marks(view.references, view.marks, pair, guess)
         if fit is None:
             return self._not_seen(len(seen.indices))
         missing = np.setdiff1d(np.arange(len(view.marks)), seen.indices[fit.agree])
-        return self._verdict(fit, int(fit.agree.sum()) + _uncovered(view.marks.points_target[missing], pair, fit.T))
+        return self._verified_fix(
+            fit, int(fit.agree.sum()) + _uncovered_landmark_count(view.marks.points_target[missing], pair, fit.T)
+        )
 
-    def _verdict(self, fit: MarksPose, visible: int) -> TargetFix:
+    def _verified_fix(self, fit: MarksPose, visible: int) -> TargetFix:
         n = int(fit.agree.sum())
         share, name = n / max(visible, 1), self._taught.name
         limit = AGREE_MIN_FRAC * self._taught.agree_frac
@@ -170,7 +174,7 @@ class TaughtTracker:
         return no_fix(reason, n, seen=False)
 
 
-def _uncovered(points_object: Array, pair: SearchedPair, T: Array) -> int:
+def _uncovered_landmark_count(points_object: Array, pair: SearchedPair, T: Array) -> int:
     """How many landmarks that were not found have nothing before them: there the object itself looks different."""
     camera = pair.camera
     left_px, right_px = project_stereo(camera, transform_points(T, points_object))
@@ -195,7 +199,7 @@ def _moved_alike(expected_px: Array, pixels: Array) -> int:
     return most if most >= MOVED_MIN else 0
 
 
-def _matched(seen: Descriptors, taught: Descriptors) -> NDArray[np.int64]:
+def _match_features(seen: Descriptors, taught: Descriptors) -> NDArray[np.int64]:
     """Pairs (n, 2): image feature, landmark; each landmark once.
 
     Model:   ratio test among landmarks (Lowe 2004), so that two equal objects in view both match; of the features that
@@ -211,7 +215,7 @@ def _matched(seen: Descriptors, taught: Descriptors) -> NDArray[np.int64]:
     return np.array([(feature, landmark) for _, feature, landmark in best.values()], dtype=np.int64).reshape(-1, 2)
 
 
-def _pnp(
+def _pose_by_ransac(
     camera: StereoCamera, points: Array, pixels: Array, least: int = FIX_MIN
 ) -> tuple[Array, NDArray[np.int64]] | None:
     """T_cam_object by RANSAC in the left eye, and the inliers' indices; None for fewer than `least`."""

@@ -88,11 +88,11 @@ class TargetTracker:
         masks = allowed_masks(self._size, masks_px)
         pair = SearchedPair((left, right), masks, self._camera, self._settings)
         guess = self._by_flow(left, masks[0])
-        fix, T = self._aligned(pair, guess) if guess is not None else (_LOST, None)
+        fix, T = self._fix_from_guess(pair, guess) if guess is not None else (_LOST, None)
         if T is None and self._lost % RECOGNISE_EVERY == 0:
-            guess = self._recognised(left, masks[0])
+            guess = self._recognise_pose(left, masks[0])
             if guess is not None:
-                fix, T = self._aligned(pair, guess)
+                fix, T = self._fix_from_guess(pair, guess)
         self._lost = 0 if T is not None else self._lost + 1
         self._last = None if T is None else (left.copy(), T)
         return fix
@@ -102,17 +102,17 @@ class TargetTracker:
         if self._last is None:
             return None
         points, pixels = moved_on(self._camera, self._last, self._target.surroundings.points_target, left, mask)
-        return self._pnp(points, pixels, self._last[1])
+        return self._pose_by_ransac(points, pixels, self._last[1])
 
-    def _recognised(self, left: Image, mask: Image) -> Array | None:
+    def _recognise_pose(self, left: Image, mask: Image) -> Array | None:
         """The pose by features of the reference, wherever the camera is."""
         target = self._target
         first, second = recognise(target.reference_left, self._mask_reference, left, mask)
         if len(first) < FIX_MIN:
             return None
-        return self._pnp(self._lifted(first), second, None)
+        return self._pose_by_ransac(self._lift_to_surface(first), second, None)
 
-    def _lifted(self, left_px: Array) -> Array:
+    def _lift_to_surface(self, left_px: Array) -> Array:
         """Places (n, 3) in target axes of reference pixels, on a curved surface through the landmarks.
 
         The disparity of a surface of second order is fitted: good to millimetres, which a first guess needs no better.
@@ -120,20 +120,20 @@ class TargetTracker:
         marks, camera = self._target.surroundings, self._camera
         rays = undistort_to_rays(camera, marks.left_px)
         disparity = rays[:, 0] - undistort_to_rays(camera, marks.right_px)[:, 0]
-        found = np.linalg.lstsq(_quadratic(rays), disparity, rcond=None)[0]
+        found = np.linalg.lstsq(_quadratic_terms(rays), disparity, rcond=None)[0]
         wanted = undistort_to_rays(camera, left_px)
-        depth = camera.baseline_m / np.maximum(_quadratic(wanted) @ found, 1e-3)
+        depth = camera.baseline_m / np.maximum(_quadratic_terms(wanted) @ found, 1e-3)
         T = self._target.T_ref_target
         return (np.column_stack([wanted, np.ones(len(wanted))]) * depth[:, None] - T[:3, 3]) @ T[:3, :3]
 
-    def _pnp(self, points: Array, pixels: Array, start: Array | None) -> Array | None:
+    def _pose_by_ransac(self, points: Array, pixels: Array, start: Array | None) -> Array | None:
         if len(points) < FIX_MIN:
             return None
         rays, limit = undistort_to_rays(self._camera, pixels), PNP_PX / self._camera.fx_px
         found = ransac_pose(points, rays, limit, 200, cv2.SOLVEPNP_ITERATIVE, start)
         return None if found is None or len(found[1]) < FIX_MIN else found[0]
 
-    def _aligned(self, pair: SearchedPair, guess: Array) -> tuple[TargetFix, Array | None]:
+    def _fix_from_guess(self, pair: SearchedPair, guess: Array) -> tuple[TargetFix, Array | None]:
         """The fix from a guess; the pose None where the surroundings were not found."""
         target = self._target
         seen, visible, fit = fitted_marks(target.references, target.surroundings, pair, guess)
@@ -165,7 +165,7 @@ def not_found(n: int, visible: int) -> TargetFix:
     return no_fix(reason, n, seen=False)
 
 
-def _quadratic(rays: Array) -> Array:
+def _quadratic_terms(rays: Array) -> Array:
     x, y = rays[:, 0], rays[:, 1]
     return np.column_stack([np.ones(len(rays)), x, y, x * x, x * y, y * y])
 
@@ -219,7 +219,7 @@ def align_marks(
     warps = np.asarray(np.linalg.inv(growth[indices] * scale), dtype=np.float64)
     found = []
     for eye, places, guesses in ((0, marks.left_px, left_px), (1, marks.right_px, right_px)):
-        small = _halved(pair.images[eye], level)
+        small = _downsampled_image(pair.images[eye], level)
         at = align(references[eye], places[indices], warps, small, (guesses[indices] + 0.5) * scale - 0.5)
         found.append(((at.points_px + 0.5) / scale - 0.5, at.good))
     good = found[0][1] & found[1][1]
@@ -239,7 +239,7 @@ def fitted_marks(
     return first if first[2] is None else fitted(first[2].T)
 
 
-def _halved(image: Image, level: int) -> Image:
+def _downsampled_image(image: Image, level: int) -> Image:
     """The image at 1 / 2^level of its size; pixel centres at (u + 0.5) / 2^level - 0.5."""
     if level == 0:
         return image

@@ -29,7 +29,7 @@ def mirrored_pose(T_cam_object: Array, points_object: Array, eye_x_m: Array, sha
     Args:    share: of the way to the mirrored pose; 0.5 is the frontal one.
     Source:  Schweighofer and Pinz 2006, section 4.
     """
-    return _mirrored(
+    return _partly_mirrored_pose(
         np.ascontiguousarray(T_cam_object, dtype=np.float64),
         np.ascontiguousarray(points_object.mean(axis=0)),
         float(np.mean(eye_x_m)),
@@ -38,7 +38,7 @@ def mirrored_pose(T_cam_object: Array, points_object: Array, eye_x_m: Array, sha
 
 
 @njit(cache=True, nogil=True)
-def _mirrored(T_cam_object: Array, middle_object: Array, eye_x_m: float, share: float) -> Array:
+def _partly_mirrored_pose(T_cam_object: Array, middle_object: Array, eye_x_m: float, share: float) -> Array:
     rotation = T_cam_object[:3, :3].copy()
     middle = apply(rotation, middle_object) + T_cam_object[:3, 3]
     sight = -middle
@@ -66,7 +66,7 @@ def covariance_of_both(T_best: Array, T_rival: Array, margin_chi2: float, covari
 
 
 @njit(cache=True, nogil=True)
-def _profile(rotation: Array, position: Array, given: KernelArrays) -> float:
+def _best_cost_for_rotation(rotation: Array, position: Array, given: KernelArrays) -> float:
     """Smallest sum of squares [px^2] over all positions for one rotation, Gauss-Newton; inf behind the glass."""
     points, seen, eye_x, focal, weights = given
     place = position.copy()
@@ -111,15 +111,17 @@ def profile_sum_squares(T_cam_object: Array, observations: PointObservations) ->
     Model:   min over t of sum |pi(R X + t) - u|^2, Gauss-Newton in t.
     """
     rotation, position = np.ascontiguousarray(T_cam_object[:3, :3]), np.ascontiguousarray(T_cam_object[:3, 3])
-    return float(_profile(rotation, position, kernel_arrays(observations)))
+    return float(_best_cost_for_rotation(rotation, position, kernel_arrays(observations)))
 
 
 @njit(cache=True, nogil=True)
-def _reach(rotation: Array, position: Array, step: Array, rise: float, best: float, given: KernelArrays) -> float:
+def _steps_to_cost_rise(
+    rotation: Array, position: Array, step: Array, rise: float, best: float, given: KernelArrays
+) -> float:
     """How many times `step` (6,) must be taken until the profile has risen by `rise` [px^2]; 0.25 to 6."""
     low, high, at, found = 0.0, np.inf, 1.0, 1.0
     for _ in range(REACH_STEPS):
-        total = _profile(rotated(rotation, at * step[:3]), position + at * step[3:], given)
+        total = _best_cost_for_rotation(rotated(rotation, at * step[:3]), position + at * step[3:], given)
         found = at
         ratio = (total - best) / rise
         if abs(ratio - 1.0) < 0.1:
@@ -138,7 +140,7 @@ def _reach(rotation: Array, position: Array, step: Array, rise: float, best: flo
 
 
 @njit(cache=True, nogil=True)
-def _widen(T: Array, covariance: Array, variance: float, best: float, given: KernelArrays) -> Array:
+def _widened_covariance(T: Array, covariance: Array, variance: float, best: float, given: KernelArrays) -> Array:
     rotation, position = T[:3, :3].copy(), T[:3, 3].copy()
     axes = np.linalg.eigh(covariance[:3, :3])[1]
     wide = covariance.copy()
@@ -152,8 +154,8 @@ def _widen(T: Array, covariance: Array, variance: float, best: float, given: Ker
             own += along[j] * axes[j, k]
         step = REACH_SIGMAS * along / math.sqrt(own)  # the best fit's way when this angle is moved by so many sigma
         rise = REACH_SIGMAS**2 * variance
-        there = _reach(rotation, position, step, rise, best, given)
-        back = _reach(rotation, position, -step, rise, best, given)
+        there = _steps_to_cost_rise(rotation, position, step, rise, best, given)
+        back = _steps_to_cost_rise(rotation, position, -step, rise, best, given)
         grown = max(there, back, 1.0) ** 2 - 1.0
         for i in range(6):
             for j in range(6):
@@ -182,7 +184,7 @@ def widened_covariance(
     Source:  Venzon and Moolgavkar 1988, profile likelihood intervals.
     """
     T = np.ascontiguousarray(T_cam_object, dtype=np.float64)
-    wide = _widen(T, np.ascontiguousarray(covariance), variance, best_px2, kernel_arrays(observations))
+    wide = _widened_covariance(T, np.ascontiguousarray(covariance), variance, best_px2, kernel_arrays(observations))
     for share in (1.0, 0.5) if alone else ():
         other = mirrored_pose(T, observations.points_object, observations.eye_x_m, share)
         rise = (profile_sum_squares(other, observations) - best_px2) / variance

@@ -121,8 +121,8 @@ class BoardFinder:
     def __init__(self, machine: Machine) -> None:
         self._camera = machine.camera
         self._boards: dict[ObjectName, tuple[Board, ...]] = {
-            "tool": _charuco(machine.boards_on("tool")),
-            "ooi": _charuco(machine.boards_on("ooi")),
+            "tool": _charuco_boards(machine.boards_on("tool")),
+            "ooi": _charuco_boards(machine.boards_on("ooi")),
         }
         self.marker_ids = frozenset(
             marker_id for boards in self._boards.values() for board in boards for marker_id in board_marker_ids(board)
@@ -158,7 +158,7 @@ class BoardFinder:
         return [reason for reason in reasons if reason]
 
 
-def _charuco(boards: tuple[Board, ...]) -> tuple[Board, ...]:
+def _charuco_boards(boards: tuple[Board, ...]) -> tuple[Board, ...]:
     return tuple(board for board in boards if board.kind == "charuco")
 
 
@@ -287,7 +287,7 @@ class MonoArucoPoseSource:
     def _pose(self, name: ObjectName, seen: dict[int, Array]) -> ObjectPose:
         """Pose by the object's largest marker in the image, first IPPE solution taken as true."""
         sightings = sightings_of(self._markers[name], seen, {})
-        best = max(sightings, key=lambda one: _area(one.left_px), default=None)
+        best = max(sightings, key=lambda one: _quadrilateral_area(one.left_px), default=None)
         if best is None or best.left_px is None:
             return not_seen(name, f"no marker of the {name} in the left eye")
         marker = best.marker
@@ -300,7 +300,7 @@ class MonoArucoPoseSource:
         return ObjectPose(name, PoseStatus.OK, "", T_cam_object, covariance, ids, float("nan"), NO_RIVAL)
 
 
-def _area(corners: Array | None) -> float:
+def _quadrilateral_area(corners: Array | None) -> float:
     if corners is None:
         return 0.0
     x, y = corners[:, 0], corners[:, 1]

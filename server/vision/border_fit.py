@@ -21,7 +21,7 @@ def printed_pattern(white: NDArray[np.bool_]) -> Array:
     Less their slope, so that light that falls off across the marker says nothing.
     """
     fine = np.kron(white[1:-1, 1:-1], np.ones((PER_CELL, PER_CELL))).astype(np.float64)
-    along = _places(len(white)) - 0.5
+    along = _cell_sample_positions(len(white)) - 0.5
     fine -= fine.mean()
     for axis in (0, 1):
         slope = np.tensordot(along, fine, axes=(0, axis)).sum() / (len(along) * np.sum(along**2))
@@ -29,12 +29,12 @@ def printed_pattern(white: NDArray[np.bool_]) -> Array:
     return np.ascontiguousarray(fine)
 
 
-def _places(cells: int) -> Array:
+def _cell_sample_positions(cells: int) -> Array:
     return np.asarray((np.arange((cells - 2) * PER_CELL) + 0.5) / (cells * PER_CELL) + 1.0 / cells, dtype=np.float64)
 
 
 @njit(cache=True, nogil=True)
-def _match(image: Image, corners: Array, pattern: Array) -> float:
+def _pattern_correlation(image: Image, corners: Array, pattern: Array) -> float:
     """Correlation of the picture with the printed cells where corners (4, 2) put them, less the slope of the light."""
     k = pattern.shape[0]
     cells = k // PER_CELL + 2
@@ -74,7 +74,7 @@ def sides_moved_in(image: Image, corners: Array, pattern: Array) -> Array:
     """
     moved = np.zeros(4)
     cells = pattern.shape[0] // PER_CELL + 2
-    here = _match(image, corners, pattern)
+    here = _pattern_correlation(image, corners, pattern)
     tried, found = np.empty((4, 2)), np.zeros(2)
     for side in range(4):
         i, j, before, behind = side, (side + 1) % 4, (side + 3) % 4, (side + 2) % 4
@@ -84,7 +84,7 @@ def sides_moved_in(image: Image, corners: Array, pattern: Array) -> Array:
             for axis in range(2):
                 tried[i, axis] += share * (corners[i, axis] - corners[before, axis])
                 tried[j, axis] += share * (corners[j, axis] - corners[behind, axis])
-            found[way] = _match(image, tried, pattern)
+            found[way] = _pattern_correlation(image, tried, pattern)
         if min(here, found[0], found[1]) <= NO_MATCH:
             continue
         bend = found[0] - 2.0 * here + found[1]

@@ -47,15 +47,15 @@ def why_degenerate(problem: BundleProblem, layout: BundleLayout, start: BundleSt
 
 
 def _bad_numbers(problem: BundleProblem, layout: BundleLayout, start: BundleState) -> str:
-    if not _sane(start.rotation) or not _sane(start.position):
+    if not _is_within_limits(start.rotation) or not _is_within_limits(start.position):
         return "a start pose is not finite"
     off = np.abs(start.rotation @ start.rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     if (off > ROTATION_TOL).any() or (np.linalg.det(start.rotation) < 0.0).any():
         return f"start pose {int(off.argmax())} is not a rotation (off by {off.max():.1e})"
     observed = np.diff(layout.first) > 0
-    if not _sane(start.points[observed]):
+    if not _is_within_limits(start.points[observed]):
         return "the place of an observed point is not finite"
-    if not _sane(layout.rays):
+    if not _is_within_limits(layout.rays):
         return "a ray is infinite"
     measured = ~np.isnan(problem.uv[:, 0]), ~np.isnan(problem.uv[:, 2])
     for eye in range(2):
@@ -64,10 +64,10 @@ def _bad_numbers(problem: BundleProblem, layout: BundleLayout, start: BundleStat
             return "a sigma is not a positive number"
     if not (min(problem.focal_px) > 0.0 and np.isfinite(problem.baseline_m) and problem.baseline_m > 0.0):
         return f"focal lengths {problem.focal_px} px and baseline {problem.baseline_m} m have to be positive"
-    return "" if _sane(layout.scale) else "a sigma is too small for its focal length"
+    return "" if _is_within_limits(layout.scale) else "a sigma is too small for its focal length"
 
 
-def _sane(array: Array) -> bool:
+def _is_within_limits(array: Array) -> bool:
     return bool((np.abs(array) < SIZE_MAX).all())
 
 
@@ -91,7 +91,7 @@ def why_not_believed(
         return f"{-fit.redundancy} measurements too few for the unknowns"
     if not np.isfinite(spread.covariance).all() or (spread.own_frac < OWN_MIN).any():
         weakest = int(spread.own_frac.argmin()) // 6
-        return f"{_name(layout, weakest)} is not determined by its observations"
+        return f"{_frame_name(layout, weakest)} is not determined by its observations"
     n_frames = len(layout.column)
     wanted = np.bincount(layout.frame, (seen > 0).sum(axis=1), minlength=n_frames)
     agreed = np.bincount(layout.frame, fit.agree.sum(axis=1), minlength=n_frames)
@@ -127,7 +127,7 @@ def _median_depths(layout: BundleLayout, work: BundleWork) -> Array:
     return depths
 
 
-def _name(layout: BundleLayout, column: int) -> str:
+def _frame_name(layout: BundleLayout, column: int) -> str:
     return f"frame {int(np.flatnonzero(layout.column == column)[0])}"
 
 
@@ -159,36 +159,38 @@ def adjust_in_rounds(layout: BundleLayout, state: BundleState, work: BundleWork,
     before = observations_cost(layout, state)[0]
     if not settings.trim or settings.loss is BundleLoss.NONE:
         ending, spent = minimise(layout, state, trial, work, iterations_max, settings.step_tol_sigma)
-        noise, latest = _noise(layout, state, work), layout
+        noise, latest = _estimate_noise(layout, state, work), layout
     else:
         # Huber first: far from the optimum Cauchy has other minima, in which good rays are the outliers
-        rough, tol = max(1, int(ROUGH_FRAC * iterations_max)), ROUGH_STEP_SIGMA * np.sqrt(_unknowns(layout))
+        rough, tol = max(1, int(ROUGH_FRAC * iterations_max)), ROUGH_STEP_SIGMA * np.sqrt(_unknown_count(layout))
         ending, spent = minimise(layout._replace(loss=HUBER), state, trial, work, rough, tol)
-        noise, latest, used = _noise(layout, state, work), layout, 0.0
+        noise, latest, used = _estimate_noise(layout, state, work), layout, 0.0
         everything = layout.scale.copy()
         for _ in range(ROUNDS_MAX):
-            changed = _trim(layout, everything, state, work, settings.inlier_sigma * noise)
+            changed = _reselect_inliers(layout, everything, state, work, settings.inlier_sigma * noise)
             if ending == NOT_FINITE or (changed == 0 and abs(noise - used) < STEADY_FRAC * used):
                 break
             used, latest = noise, layout._replace(loss_scale=settings.loss_scale * noise)
             left = iterations_max - spent
             ending, more = minimise(latest, state, trial, work, left, settings.step_tol_sigma)
             spent += more
-            noise = _noise(layout, state, work)
+            noise = _estimate_noise(layout, state, work)
     after = observations_cost(layout, state)[0]
     return Adjusted(ending, spent, before, after, settings.inlier_sigma * noise, seen, latest)
 
 
-def _unknowns(layout: BundleLayout) -> int:
+def _unknown_count(layout: BundleLayout) -> int:
     return 6 * layout.n_columns + 3 * (len(layout.first) - 1)
 
 
-def _noise(layout: BundleLayout, state: BundleState, work: BundleWork) -> float:
+def _estimate_noise(layout: BundleLayout, state: BundleState, work: BundleWork) -> float:
     linearise(layout, state, work)
     return noise_of(layout, work.squares)
 
 
-def _trim(layout: BundleLayout, everything: Array, state: BundleState, work: BundleWork, limit_sigma: float) -> int:
+def _reselect_inliers(
+    layout: BundleLayout, everything: Array, state: BundleState, work: BundleWork, limit_sigma: float
+) -> int:
     """Take eyes that disagree out of `layout`, and those back in that agree by now; how many coordinates changed."""
     before = layout.scale.copy()
     layout.scale[:] = everything
@@ -221,24 +223,24 @@ def adjust_bundle(problem: BundleProblem, settings: BundleSettings | None = None
     layout, start, order = make_layout(problem, settings)
     reason = why_degenerate(problem, layout, start)
     if reason:
-        return _unknown(problem, start, reason, 0)
+        return _degenerate_result(problem, start, reason, 0)
     state, work = BundleState(*(array.copy() for array in start)), make_work(layout)
     done = adjust_in_rounds(layout, state, work, settings)
     if done.ending == NOT_FINITE:
-        return _unknown(problem, start, "the cost is not a finite number", done.iterations)
+        return _degenerate_result(problem, start, "the cost is not a finite number", done.iterations)
     spread = frames_spread(layout, state, work, done.limit_sigma)
     fit = fit_of(done.layout, work, done.limit_sigma)
     reason = why_not_believed(layout, work, spread, fit, done.seen, settings)
     if reason:
-        return _unknown(problem, start, reason, done.iterations)
+        return _degenerate_result(problem, start, reason, done.iterations)
     inliers = np.empty(len(order), dtype=np.bool_)
     inliers[order] = fit.agree.any(axis=1) & ~((done.seen > 0) & ~fit.agree).any(axis=1)
-    joint = _expanded(layout, spread, fit)
+    joint = _expand_joint_covariance(layout, spread, fit)
     converged = done.ending == CONVERGED
     return BundleResult(
         status=BundleStatus.OK if converged else BundleStatus.NOT_CONVERGED,
         reason="" if converged else f"not at the optimum after {done.iterations} iterations",
-        Ts_vo_cam=_poses(state),
+        Ts_vo_cam=_orthonormalised_poses(state),
         points_vo=state.points,
         covariances=np.array([joint[at : at + 6, at : at + 6] for at in range(0, len(joint), 6)]),
         joint_covariance=joint,
@@ -251,7 +253,7 @@ def adjust_bundle(problem: BundleProblem, settings: BundleSettings | None = None
     )
 
 
-def _expanded(layout: BundleLayout, spread: Spread, fit: BundleFit) -> Array:
+def _expand_joint_covariance(layout: BundleLayout, spread: Spread, fit: BundleFit) -> Array:
     """Joint covariance of all frames, zeros for the fixed ones."""
     places = np.flatnonzero(np.repeat(layout.column >= 0, 6))
     joint = np.zeros((6 * len(layout.column), 6 * len(layout.column)))
@@ -259,7 +261,7 @@ def _expanded(layout: BundleLayout, spread: Spread, fit: BundleFit) -> Array:
     return joint
 
 
-def _poses(state: BundleState) -> Array:
+def _orthonormalised_poses(state: BundleState) -> Array:
     """Frames (k, 4, 4); what rounding did to the rotations is taken out."""
     u, _, vt = np.linalg.svd(state.rotation)
     Ts = np.tile(np.eye(4), (len(state.rotation), 1, 1))
@@ -268,7 +270,7 @@ def _poses(state: BundleState) -> Array:
     return Ts
 
 
-def _unknown(problem: BundleProblem, start: BundleState, reason: str, iterations: int) -> BundleResult:
+def _degenerate_result(problem: BundleProblem, start: BundleState, reason: str, iterations: int) -> BundleResult:
     """The start, of which nothing is known."""
     k = len(problem.Ts_vo_cam)
     return BundleResult(

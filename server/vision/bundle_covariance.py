@@ -23,7 +23,7 @@ BEHIND_PATIENCE = 4  # steps refused because a point would go behind an eye; the
 
 
 @njit(cache=True, nogil=True)
-def _solve(layout: BundleLayout, work: BundleWork, damping: float, step: Array) -> float:
+def _solve_damped_step(layout: BundleLayout, work: BundleWork, damping: float, step: Array) -> float:
     """Damped step of the frames into `step`, of the points into the workspace; returns the promised gain, -1: none."""
     assemble(layout, work, damping)
     if not factor(work.reduced):
@@ -38,7 +38,7 @@ def _solve(layout: BundleLayout, work: BundleWork, damping: float, step: Array) 
 
 
 @njit(cache=True, nogil=True)
-def _copy(source: BundleState, target: BundleState) -> None:
+def _copy_state(source: BundleState, target: BundleState) -> None:
     target.rotation[:] = source.rotation
     target.position[:] = source.position
     target.points[:] = source.points
@@ -63,7 +63,7 @@ def minimise(
             linearise(layout, state, work)
             choose_charts(layout, state, work)
             fresh = False
-        gain = _solve(layout, work, damping, step)
+        gain = _solve_damped_step(layout, work, damping, step)
         if not math.isfinite(gain):
             return NOT_FINITE, iteration
         if gain >= 0.0:
@@ -72,7 +72,7 @@ def minimise(
             new, behind = observations_cost(layout, trial)
             if behind == 0 and new <= cost:
                 ratio = (cost - new) / max(gain, 1e-300)
-                _copy(trial, state)
+                _copy_state(trial, state)
                 cost, fresh, growth, refused = new, True, 2.0, 0
                 damping = max(damping * max(1.0 / 9.0, 1.0 - (2.0 * ratio - 1.0) ** 3), DAMPING_MIN)
             if near and behind == 0:
@@ -164,7 +164,7 @@ def noise_of(layout: BundleLayout, squares: Array) -> float:
     if not seen.any():
         return 1.0
     typical = float(np.median(squares[seen] / CHI2_MEDIANS[counts[seen]]))
-    taken = counts.sum() / max(_redundancy(layout, counts), 1)
+    taken = counts.sum() / max(_degrees_of_freedom(layout, counts), 1)
     return math.sqrt(max(typical * taken, 1.0))
 
 
@@ -177,17 +177,17 @@ def fit_of(layout: BundleLayout, work: BundleWork, limit_sigma: float) -> Bundle
     """
     counts = seen_counts(layout)
     agree = (counts > 0) & (work.squares <= limit_sigma**2)
-    redundancy = _redundancy(layout, np.where(agree, counts, 0))
+    redundancy = _degrees_of_freedom(layout, np.where(agree, counts, 0))
     squares, of = work.squares[agree], counts[agree]
-    influence = float(np.sum(_influence(layout, work.squares[counts > 0])))
-    slope = float(np.sum(_slope(layout, squares, of))) / max(int(of.sum()), 1)
+    influence = float(np.sum(_squared_influence(layout, work.squares[counts > 0])))
+    slope = float(np.sum(_influence_derivative(layout, squares, of))) / max(int(of.sum()), 1)
     measured = influence / max(redundancy, 1) / max(slope, 0.05) ** 2
     expected = gaussian_factor(layout.loss, round(layout.loss_scale, 1), 3 if layout.joint else 2)
     rms = math.sqrt(float(squares.sum()) / max(redundancy, 1))
     return BundleFit(agree, rms, max(measured, expected), redundancy)
 
 
-def _redundancy(layout: BundleLayout, counts: Indices) -> int:
+def _degrees_of_freedom(layout: BundleLayout, counts: Indices) -> int:
     """Agreeing coordinates (counts (n, 2)) minus unknowns; a point takes no more than what was measured of it."""
     if len(layout.first) == 1:
         return int(counts.sum()) - 6 * layout.n_columns
@@ -196,14 +196,14 @@ def _redundancy(layout: BundleLayout, counts: Indices) -> int:
     return int(counts.sum()) - 6 * layout.n_columns - int(np.minimum(of_point, 3).sum())
 
 
-def _influence(layout: BundleLayout, squares: Array) -> Array:
+def _squared_influence(layout: BundleLayout, squares: Array) -> Array:
     """|psi|^2 = w^2 s."""
-    return _weights(layout.loss, layout.loss_scale, squares) ** 2 * squares
+    return _robust_weights(layout.loss, layout.loss_scale, squares) ** 2 * squares
 
 
-def _slope(layout: BundleLayout, squares: Array, counts: Indices) -> Array:
+def _influence_derivative(layout: BundleLayout, squares: Array, counts: Indices) -> Array:
     """Trace of d psi / d r = d w + 2 s dw/ds."""
-    w = _weights(layout.loss, layout.loss_scale, squares)
+    w = _robust_weights(layout.loss, layout.loss_scale, squares)
     if layout.loss == HUBER:
         return np.where(w < 1.0, (counts - 1) * w, counts)
     if layout.loss == CAUCHY:
@@ -211,7 +211,7 @@ def _slope(layout: BundleLayout, squares: Array, counts: Indices) -> Array:
     return counts.astype(float)
 
 
-def _weights(kind: int, scale: float, squares: Array) -> Array:
+def _robust_weights(kind: int, scale: float, squares: Array) -> Array:
     if kind == HUBER:
         return scale / np.maximum(np.sqrt(squares), scale)
     if kind == CAUCHY:
@@ -225,7 +225,7 @@ def gaussian_factor(kind: int, scale: float, dimensions: int) -> float:
     r = np.linspace(0.0, 12.0, 4001)
     density = r ** (dimensions - 1) * np.exp(-0.5 * r**2)
     density /= density.sum()
-    w = _weights(kind, scale, r**2)
+    w = _robust_weights(kind, scale, r**2)
     slope = np.zeros_like(r)
     if kind == HUBER:
         slope = np.where(w < 1.0, -w, 0.0)

@@ -67,7 +67,7 @@ def back_substitute(layout: BundleLayout, work: BundleWork, frames_step: Array) 
         for i in range(first[p], first[p + 1]):
             c = column[frame[i]]
             if c >= 0:
-                x, y, z = _pulled(i, int(6 * c), weight, arm, frames_step)
+                x, y, z = _weighted_displacement(i, int(6 * c), weight, arm, frames_step)
                 q0 += x
                 q1 += y
                 q2 += z
@@ -76,7 +76,7 @@ def back_substitute(layout: BundleLayout, work: BundleWork, frames_step: Array) 
 
 
 @njit(cache=True, nogil=True)
-def _pulled(i: int, o: int, weight: Array, arm: Array, step: Array) -> tuple[float, float, float]:
+def _weighted_displacement(i: int, o: int, weight: Array, arm: Array, step: Array) -> tuple[float, float, float]:
     """S A^T step of one observation."""
     a0, a1, a2 = arm[i, 0], arm[i, 1], arm[i, 2]
     d0 = a1 * step[o + 2] - a2 * step[o + 1] - step[o + 3]
@@ -154,7 +154,7 @@ def assemble(layout: BundleLayout, work: BundleWork, damping: float) -> None:
                     columns[count] = 6 * column[frame[i]]
                     _project_rows(p, i, count, work.chart, work.lower, weight, arm, rows)
                     count += 1
-            _eliminate(p, count, work.point_step, work.lower, columns, rows, reduced, right)
+            _eliminate_point(p, count, work.point_step, work.lower, columns, rows, reduced, right)
     for j in range(len(diagonal)):
         reduced[j, j] += damping * diagonal[j]
 
@@ -209,7 +209,7 @@ def _add_block(
 
 
 @njit(cache=True, nogil=True)
-def _column(s: Array, j: int) -> tuple[float, float, float]:
+def _symmetric_matrix_column(s: Array, j: int) -> tuple[float, float, float]:
     """Column j of the symmetric S held as xx, yy, zz, xy, yz, zx."""
     if j == 0:
         return s[0], s[3], s[5]
@@ -268,7 +268,7 @@ def _project_rows(p: int, i: int, at: int, chart: Array, lower: Array, weight: A
     M, L, s, out = chart[p], lower[p], weight[i], rows[at]
     i0, i1, i2 = 1.0 / L[0, 0], 1.0 / L[1, 1], 1.0 / L[2, 2]
     for j in range(3):
-        x, y, z = _column(s, j)
+        x, y, z = _symmetric_matrix_column(s, j)
         u0 = (x * M[0, 0] + y * M[1, 0] + z * M[2, 0]) * i0
         u1 = (x * M[0, 1] + y * M[1, 1] + z * M[2, 1] - L[1, 0] * u0) * i1
         u2 = (x * M[0, 2] + y * M[1, 2] + z * M[2, 2] - L[2, 0] * u0 - L[2, 1] * u1) * i2
@@ -280,7 +280,7 @@ def _project_rows(p: int, i: int, at: int, chart: Array, lower: Array, weight: A
 
 
 @njit(cache=True, nogil=True)
-def _eliminate(
+def _eliminate_point(
     p: int, count: int, step: Array, lower: Array, columns: Indices, rows: Array, reduced: Array, right: Array
 ) -> None:
     """Subtract W V^-1 W^T (lower triangle) and W V^-1 g of the frames that see point p."""

@@ -143,7 +143,7 @@ def linearise(layout: BundleLayout, state: BundleState, work: BundleWork) -> Non
             f = frame[i]
             x, y, z = in_eye(rotation, position, points, f, p)
             if not alive[i] or not z > layout.depth_min:
-                _clear(i, weights, pull, arm, squares)
+                _clear_observation(i, weights, pull, arm, squares)
                 continue
             ul, ur, v = x / z, (x - baseline) / z, y / z
             r0, r1, r2, r3 = residuals(rays, scale, i, ul, ur, v)
@@ -166,7 +166,7 @@ def linearise(layout: BundleLayout, state: BundleState, work: BundleWork) -> Non
 
 
 @njit(cache=True, nogil=True)
-def _clear(i: int, weights: Array, pull: Array, arm: Array, squares: Array) -> None:
+def _clear_observation(i: int, weights: Array, pull: Array, arm: Array, squares: Array) -> None:
     for j in range(3):
         weights[i, j] = weights[i, 3 + j] = pull[i, j] = arm[i, j] = 0.0
     squares[i, 0] = squares[i, 1] = 0.0

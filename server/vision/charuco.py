@@ -38,7 +38,7 @@ class BoardPlane:
 
     def sigmas_px(self, plane: Array) -> Array:
         """Standard deviation (n,) [px] of the predicted places, the larger axis."""
-        J = _jacobian(self.H, plane)
+        J = _homography_jacobian(self.H, plane)
         covariances = J @ self.covariance @ J.transpose(0, 2, 1)
         return np.sqrt(np.maximum(np.linalg.eigvalsh(covariances)[:, -1], 0.0))
 
@@ -57,7 +57,7 @@ def fit_plane(plane: Array, pixels: Array, sigmas_px: Array, camera: StereoCamer
     if start is None or not np.isfinite(start).all() or abs(start[2, 2]) < 1e-9:
         return None
     H = np.asarray(start, dtype=np.float64) / start[2, 2]
-    near = np.linalg.norm(_mapped(H, plane) - seen, axis=1) <= np.maximum(STRAY_PX, 3.0 * sigmas_px)
+    near = np.linalg.norm(_apply_homography(H, plane) - seen, axis=1) <= np.maximum(STRAY_PX, 3.0 * sigmas_px)
     if near.sum() < POINTS_MIN:
         return None
     return _gauss_newton(H, plane[near], seen[near], sigmas_px[near], camera)
@@ -66,8 +66,8 @@ def fit_plane(plane: Array, pixels: Array, sigmas_px: Array, camera: StereoCamer
 def _gauss_newton(H: Array, plane: Array, seen: Array, sigmas_px: Array, camera: StereoCamera) -> BoardPlane | None:
     information = np.eye(8)
     for _ in range(GAUSS_NEWTON_STEPS):
-        J = _jacobian(H, plane) / sigmas_px[:, None, None]
-        residual = (_mapped(H, plane) - seen) / sigmas_px[:, None]
+        J = _homography_jacobian(H, plane) / sigmas_px[:, None, None]
+        residual = (_apply_homography(H, plane) - seen) / sigmas_px[:, None]
         information = np.einsum("nij,nik->jk", J, J)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
         scaled = information * np.outer(scale, scale)
@@ -80,12 +80,12 @@ def _gauss_newton(H: Array, plane: Array, seen: Array, sigmas_px: Array, camera:
     return BoardPlane(H, np.asarray(np.linalg.inv(information), dtype=np.float64), camera)
 
 
-def _mapped(H: Array, plane: Array) -> Array:
+def _apply_homography(H: Array, plane: Array) -> Array:
     p = np.column_stack([plane, np.ones(len(plane))]) @ H.T
     return p[:, :2] / p[:, 2:]
 
 
-def _jacobian(H: Array, plane: Array) -> Array:
+def _homography_jacobian(H: Array, plane: Array) -> Array:
     """d(mapped) / d(h11, h12, h13, h21, h22, h23, h31, h32), shape (n, 2, 8)."""
     p = np.column_stack([plane, np.ones(len(plane))])
     inverse = 1.0 / (p @ H[2])
@@ -129,7 +129,7 @@ def board_corners(image: Image, board: Board, found: Mapping[int, Array], camera
     for _ in range(PASSES_MAX):
         if where is None or np.isfinite(seen).all():
             break
-        fitted = np.where(np.isnan(seen), _fitted(image, board, where, plane, np.isnan(seen[:, 0])), seen)
+        fitted = np.where(np.isnan(seen), _fit_board_corners(image, board, where, plane, np.isnan(seen[:, 0])), seen)
         if np.isnan(fitted).sum() == np.isnan(seen).sum():
             break
         seen = fitted
@@ -201,7 +201,7 @@ def _plane_of(markers: tuple[Array, Array], plane: Array, seen_px: Array, camera
     return fit_plane(points, pixels, sigmas, camera)
 
 
-def _fitted(image: Image, board: Board, where: BoardPlane, plane: Array, wanted: Array) -> Array:
+def _fit_board_corners(image: Image, board: Board, where: BoardPlane, plane: Array, wanted: Array) -> Array:
     """Corners (n, 2) [px] that pass the gates of the single corner; NaN for the others."""
     x, y = np.array([0.5, 0.0]), np.array([0.0, 0.5])
     start = where.pixels(plane)

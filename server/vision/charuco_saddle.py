@@ -25,7 +25,7 @@ SQRT_HALF = 0.7071067811865476
 
 
 @njit(cache=True, nogil=True)
-def _gather(
+def _gather_edge_pixels(
     image: Image, x0: float, y0: float, J: Array, dark_first: bool, gap_frac: float, pixels: Array
 ) -> tuple[int, float]:
     """Pixels (u, v, grey) near the two edges, and their number; the share of the wanted places inside the image.
@@ -63,7 +63,7 @@ def _gather(
 
 
 @njit(cache=True, nogil=True)
-def _equations(pixels: Array, count: int, p: Array, information: Array, gradient: Array) -> float:
+def _saddle_normal_equations(pixels: Array, count: int, p: Array, information: Array, gradient: Array) -> float:
     """Normal equations in place and the sum of squares.
 
     Model: grey = p4 + p5 E(d1 / p6) E(d2 / p6), E(t) = erf(t / sqrt 2), d the distances from the two edges through
@@ -100,7 +100,7 @@ def _least_squares(pixels: Array, count: int, p: Array) -> tuple[Array, float]:
     """Levenberg-Marquardt from `p`: parameters and sum of squares."""
     information, gradient = np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
     new_information, new_gradient = np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
-    total = _equations(pixels, count, p, information, gradient)
+    total = _saddle_normal_equations(pixels, count, p, information, gradient)
     damping = 1e-3
     for _ in range(ITERATIONS_MAX):
         damped = information.copy()
@@ -108,7 +108,7 @@ def _least_squares(pixels: Array, count: int, p: Array) -> tuple[Array, float]:
             damped[j, j] += damping * information[j, j] + 1e-9
         trial = p + solve_positive(damped, -gradient)
         trial[6] = min(max(trial[6], BLUR_MIN_PX), BLUR_MAX_PX)
-        new_total = _equations(pixels, count, trial, new_information, new_gradient)
+        new_total = _saddle_normal_equations(pixels, count, trial, new_information, new_gradient)
         if new_total <= total:
             done = total - new_total < 1e-4 * total
             p, total = trial, new_total
@@ -143,7 +143,7 @@ def fit_saddle(image: Image, start: Array, J: Array, dark_first: bool, gap_frac:
     p[6] = 1.2
     total, count = 0.0, 0
     for k in range(2):
-        count, inside = _gather(image, p[0], p[1], J, dark_first, gap_frac, pixels)
+        count, inside = _gather_edge_pixels(image, p[0], p[1], J, dark_first, gap_frac, pixels)
         if count < PIXELS_MIN or inside < 0.9:
             return failed
         if k == 0:

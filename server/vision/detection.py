@@ -66,13 +66,13 @@ class MarkerFollower:
         if known is None:
             return None
         expected = known.corners_px if known.before_px is None else 2.0 * known.corners_px - known.before_px
-        sags = self._sags(known, expected)
+        sags = self._cached_side_sags(known, expected)
         fit, corners = fit_corners(image, expected, cells_along_side(self._dictionary), sags)
         if fit is not SideFit.CLEAN or not _same_shape(corners, np.ascontiguousarray(known.corners_px)):
             return None
-        if wrong_cells(image, np.ascontiguousarray(corners), self._printed(marker_id)) > WRONG_CELLS_MAX:
+        if wrong_cells(image, np.ascontiguousarray(corners), self._cached_marker_cells(marker_id)) > WRONG_CELLS_MAX:
             return None
-        if border_covered(image, corners, self._pattern(marker_id), float(np.abs(sags).max())):
+        if border_covered(image, corners, self._cached_printed_pattern(marker_id), float(np.abs(sags).max())):
             return None
         return FoundMarker(marker_id, corners, fit)
 
@@ -90,19 +90,19 @@ class MarkerFollower:
                 followed[marker_id] = _Followed(marker.corners_px, last.corners_px, last.sags_px, last.sags_at_px)
         self._followed = followed
 
-    def _sags(self, known: _Followed, corners_px: Array) -> Array:
+    def _cached_side_sags(self, known: _Followed, corners_px: Array) -> Array:
         if float(np.abs(corners_px - known.sags_at_px).max()) > TURN_MIN_PX:
             known.sags_px, known.sags_at_px = side_sags(self._camera, corners_px), corners_px
         return known.sags_px
 
-    def _printed(self, marker_id: int) -> NDArray[np.bool_]:
+    def _cached_marker_cells(self, marker_id: int) -> NDArray[np.bool_]:
         if marker_id not in self._cells:
             self._cells[marker_id] = marker_cells(self._dictionary, marker_id)
         return self._cells[marker_id]
 
-    def _pattern(self, marker_id: int) -> Array:
+    def _cached_printed_pattern(self, marker_id: int) -> Array:
         if marker_id not in self._patterns:
-            self._patterns[marker_id] = printed_pattern(self._printed(marker_id))
+            self._patterns[marker_id] = printed_pattern(self._cached_marker_cells(marker_id))
         return self._patterns[marker_id]
 
 
@@ -175,15 +175,15 @@ class EyeDetector:
     def detect(self, image: Image) -> EyeDetection:
         """Wanted markers in the next image of this eye."""
         self._pair += 1
-        due = self._pair % self._period() == self._phase % self._period()
+        due = self._pair % self._full_search_period() == self._phase % self._full_search_period()
         if not self._last:
-            return self._full(image) if due else self._keep({}, full_search=False)
-        tracked = self._tracked(image)
+            return self._search_whole_image(image) if due else self._record_detection({}, full_search=False)
+        tracked = self._track_markers(image)
         if len(tracked) < len(self._last):
-            return self._full(image)
-        return self._full(image, tracked) if due else self._keep(tracked, full_search=False)
+            return self._search_whole_image(image)
+        return self._search_whole_image(image, tracked) if due else self._record_detection(tracked, full_search=False)
 
-    def _period(self) -> int:
+    def _full_search_period(self) -> int:
         """Pairs from one whole search to the next."""
         settings = self._settings
         if self._missed_searches == 0:
@@ -193,7 +193,7 @@ class EyeDetector:
         longer = settings.full_search_missing_every * (1 + self._missed_searches // 4)
         return min(longer, settings.full_search_missing_every_max)
 
-    def _keep(self, found: dict[int, FoundMarker], full_search: bool) -> EyeDetection:
+    def _record_detection(self, found: dict[int, FoundMarker], full_search: bool) -> EyeDetection:
         self._last = found
         if self._settings.refine:
             self._follower.remember(found)
@@ -202,30 +202,32 @@ class EyeDetector:
         bare = frozenset(marker.marker_id for marker in found.values() if marker.fit is SideFit.NO_MARGIN)
         return EyeDetection(clean, covered, self._repeated, full_search, bare, self._inverted - found.keys())
 
-    def _find(self, image: Image) -> tuple[FoundMarker, ...]:
+    def _detect_markers(self, image: Image) -> tuple[FoundMarker, ...]:
         return find_markers(image, self._dictionary, self._settings.perimeter_min_px)
 
-    def _refined(self, marker: FoundMarker, image: Image) -> FoundMarker:
+    def _refined_if_wanted(self, marker: FoundMarker, image: Image) -> FoundMarker:
         fitted = self._settings.refine and marker.marker_id in self._wanted
         return refined_marker(marker, image, self._dictionary, self._camera) if fitted else marker
 
-    def _tracked(self, image: Image) -> dict[int, FoundMarker]:
+    def _track_markers(self, image: Image) -> dict[int, FoundMarker]:
         """The last pair's markers that are still there, each followed or found near its last place."""
         tracked = {}
         for marker_id, last in self._last.items():
-            found = self._follower.follow(marker_id, image) or self._near(last, image)
+            found = self._follower.follow(marker_id, image) or self._find_near_last(last, image)
             if found is not None:
                 tracked[marker_id] = found
         return tracked
 
-    def _near(self, last: FoundMarker, image: Image) -> FoundMarker | None:
-        left, top, right, bottom = self._region(image, last.corners_px)
-        for found in self._find(np.ascontiguousarray(image[top:bottom, left:right])):
+    def _find_near_last(self, last: FoundMarker, image: Image) -> FoundMarker | None:
+        left, top, right, bottom = self._search_region(image, last.corners_px)
+        for found in self._detect_markers(np.ascontiguousarray(image[top:bottom, left:right])):
             if found.marker_id == last.marker_id:
-                return self._refined(FoundMarker(last.marker_id, found.corners_px + np.array([left, top])), image)
+                return self._refined_if_wanted(
+                    FoundMarker(last.marker_id, found.corners_px + np.array([left, top])), image
+                )
         return None
 
-    def _region(self, image: Image, corners: Array) -> tuple[int, int, int, int]:
+    def _search_region(self, image: Image, corners: Array) -> tuple[int, int, int, int]:
         height, width = image.shape
         low, high = corners.min(axis=0), corners.max(axis=0)
         margin = self._settings.region_margin_frac * float((high - low).max()) + 8.0
@@ -233,30 +235,30 @@ class EyeDetector:
         right, bottom = np.minimum(np.ceil(high + margin) + 1, [width, height]).astype(int)
         return int(left), int(top), int(right), int(bottom)
 
-    def _full(self, image: Image, tracked: dict[int, FoundMarker] | None = None) -> EyeDetection:
+    def _search_whole_image(self, image: Image, tracked: dict[int, FoundMarker] | None = None) -> EyeDetection:
         """Search the whole picture; `tracked`: what is known to be there, whose corners need no second fit."""
         known = tracked or {}
-        found = [marker for marker in self._everywhere(image, known) if marker.marker_id in self._read]
+        found = [marker for marker in self._find_all_markers(image, known) if marker.marker_id in self._read]
         found += [marker for marker in known.values() if not any(same_place(marker, other) for other in found)]
         ids = [marker.marker_id for marker in found]
         self._repeated = frozenset(marker_id for marker_id in ids if ids.count(marker_id) > 1)
         new = {marker.marker_id: marker for marker in found if marker.marker_id not in known}
-        everything = known | {marker_id: self._refined(marker, image) for marker_id, marker in new.items()}
+        everything = known | {marker_id: self._refined_if_wanted(marker, image) for marker_id, marker in new.items()}
         single = {marker_id: marker for marker_id, marker in everything.items() if marker_id not in self._repeated}
         self._missed_searches = 0 if self._wanted <= single.keys() else self._missed_searches + 1
         if self._missed_searches in LOOKS_FOR_INVERTED or not self._missed_searches:
             self._inverted = self._white_on_black(image) if self._missed_searches else frozenset()
-        return self._keep(single, full_search=True)
+        return self._record_detection(single, full_search=True)
 
     def _white_on_black(self, image: Image) -> frozenset[int]:
         found = find_inverted(image, self._dictionary, self._settings.perimeter_min_px)
         return frozenset(marker.marker_id for marker in found) & self._wanted
 
-    def _everywhere(self, image: Image, known: dict[int, FoundMarker]) -> tuple[FoundMarker, ...]:
+    def _find_all_markers(self, image: Image, known: dict[int, FoundMarker]) -> tuple[FoundMarker, ...]:
         """Every marker of the picture; at half size where those that are known are large."""
         sides = [side_length_min(marker.corners_px) for marker in known.values()]
         if min(sides, default=0.0) < self._settings.half_size_side_min_px:
-            return self._find(image)
+            return self._detect_markers(image)
         half = np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
         found = find_markers(half, self._dictionary, 0.5 * self._settings.perimeter_min_px)
         return tuple(FoundMarker(marker.marker_id, (marker.corners_px + 0.5) * 2.0 - 0.5) for marker in found)

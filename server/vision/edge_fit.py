@@ -35,12 +35,12 @@ def side_sags(camera: StereoCamera | None, corners_px: Array) -> Array:
         return np.zeros((4, 2))
     corners, lens = np.ascontiguousarray(corners_px, dtype=np.float64), camera.distortion
     rays, out = undistort_to_rays(camera, corners), np.empty((4, 2))
-    _sags(corners, rays, np.array(lens), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, out)
+    _compute_side_sags(corners, rays, np.array(lens), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, out)
     return out
 
 
 @njit(cache=True, nogil=True)
-def _sags(
+def _compute_side_sags(
     corners: Array, rays: Array, coefficients: Array, fx: float, fy: float, cx: float, cy: float, out: Array
 ) -> None:
     k1, k2, p1, p2, k3 = coefficients
@@ -74,7 +74,7 @@ def corner_search(image: Image, corners_px: Array, cells: int) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _collect(
+def _collect_side_pixels(
     image: Image, start: Array, end: Array, bow: Array, half_px: float, trim: float, stations: int, pixels: Array
 ) -> tuple[int, float, float]:
     """Pixels of the band around a side: rows (t along, distance across, grey) into `pixels`; count, mean dark, bright.
@@ -158,7 +158,7 @@ def _fit_side(
 
     Model: grey(p) = dark + (bright - dark) * Phi(d / blur), d = n.(p - start) - a (1-t) - b t - bow(t).
     """
-    count, dark, bright = _collect(image, start, end, bow, half_px, trim, stations, pixels)
+    count, dark, bright = _collect_side_pixels(image, start, end, bow, half_px, trim, stations, pixels)
     if count < 12 or bright - dark < 8.0:
         return False, 0.0, 0.0, 0.0
     p = np.array([0.0, 0.0, dark, bright, BLUR_START_PX])
@@ -191,7 +191,7 @@ def _fit_side(
 
 
 @njit(cache=True, nogil=True)
-def _intersect(a0: Array, a1: Array, b0: Array, b1: Array, out: Array) -> None:
+def _intersect_lines(a0: Array, a1: Array, b0: Array, b1: Array, out: Array) -> None:
     dax, day, dbx, dby = a1[0] - a0[0], a1[1] - a0[1], b1[0] - b0[0], b1[1] - b0[1]
     cross = dax * dby - day * dbx
     if abs(cross) < 1e-9:
@@ -202,7 +202,9 @@ def _intersect(a0: Array, a1: Array, b0: Array, b1: Array, out: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _refine(image: Image, corners: Array, bows_px: Array, half_px: float, stations: int) -> tuple[bool, Array, float]:
+def _refine_corners(
+    image: Image, corners: Array, bows_px: Array, half_px: float, stations: int
+) -> tuple[bool, Array, float]:
     starts, ends = np.empty((4, 2)), np.empty((4, 2))
     pixels = np.empty((int((stations + 8) * (4.0 * half_px + 8.0)), 3))
     worst = 0.0
@@ -221,17 +223,17 @@ def _refine(image: Image, corners: Array, bows_px: Array, half_px: float, statio
         worst = max(worst, rms)
     refined = np.empty((4, 2))
     for i in range(4):
-        _intersect(starts[i - 1], ends[i - 1], starts[i], ends[i], refined[i])
+        _intersect_lines(starts[i - 1], ends[i - 1], starts[i], ends[i], refined[i])
     return bool(np.isfinite(refined).all()), refined, worst
 
 
 def side_length_min(corners_px: Array) -> float:
     """Shortest side of a quadrilateral (4, 2) [px]."""
-    return _shortest(np.ascontiguousarray(corners_px, dtype=np.float64))
+    return _shortest_side(np.ascontiguousarray(corners_px, dtype=np.float64))
 
 
 @njit(cache=True, nogil=True)
-def _shortest(corners: Array) -> float:
+def _shortest_side(corners: Array) -> float:
     shortest = np.inf
     for i in range(4):
         j = (i + 1) % 4
@@ -271,7 +273,7 @@ def fit_corners(image: Image, corners_px: Array, cells: int, sags_px: Array) -> 
         (min(max(0.8 * cell, 1.6), 5.0), COARSE_STATIONS),
         (min(max(0.7 * cell, 1.5), 3.5), FINE_STATIONS),
     ):
-        good, current, roughness = _refine(image, current, bows, half_px, stations)
+        good, current, roughness = _refine_corners(image, current, bows, half_px, stations)
         if not good:
             return SideFit.COVERED, corners_px
     moved = float(np.max(np.abs(current - corners_px)))

@@ -103,11 +103,11 @@ def pair_error(tool: ObjectPose, ooi: ObjectPose, T_ooi_goal: Array, common: Arr
 
     Raises: NoPoseError when one of the objects has no pose.
     """
-    (T_cam_tool, tool_covariance), (T_cam_ooi, ooi_covariance) = _posed(tool), _posed(ooi)
+    (T_cam_tool, tool_covariance), (T_cam_ooi, ooi_covariance) = _pose_and_covariance(tool), _pose_and_covariance(ooi)
     return pose_error(T_cam_tool, T_cam_ooi, T_ooi_goal, tool_covariance, ooi_covariance, common)
 
 
-def _posed(found: ObjectPose) -> tuple[Array, Array]:
+def _pose_and_covariance(found: ObjectPose) -> tuple[Array, Array]:
     if found.T_cam_object is None or found.covariance is None:
         raise NoPoseError(f"{found.on} has no pose ({found.status.value}): {found.reason}")
     return found.T_cam_object, found.covariance

@@ -35,7 +35,7 @@ def pose_deviations(Ts: Array, T_mean: Array) -> Array:
     return np.concatenate([rotations, Ts[:, :3, 3] - T_mean[:3, 3]], axis=1)
 
 
-def _mean(Ts: Array, start: Array) -> Array:
+def _mean_pose(Ts: Array, start: Array) -> Array:
     """Karcher mean of the rotations, arithmetic mean of the positions."""
     rotation = start
     for _ in range(ITERATIONS_MAX):
@@ -76,11 +76,11 @@ def pose_mean(Ts: Array, covariances: Array) -> PoseMean:
         kept &= chi2 <= OUTLIER_CHI2 * max(float(np.median(chi2)) / CHI2_3_MEDIAN, 1.0)
     if not kept.any():
         kept[:] = True
-    T_mean = _mean(Ts[kept], start[:3, :3])
-    return PoseMean(T_mean, _covariance(pose_deviations(Ts[kept], T_mean), covariances[kept]), kept)
+    T_mean = _mean_pose(Ts[kept], start[:3, :3])
+    return PoseMean(T_mean, _covariance_of_mean(pose_deviations(Ts[kept], T_mean), covariances[kept]), kept)
 
 
-def _covariance(residuals: Array, covariances: Array) -> Array:
+def _covariance_of_mean(residuals: Array, covariances: Array) -> Array:
     n = len(residuals)
     predicted = covariances.mean(axis=0)
     if n < SCATTER_MIN:
@@ -114,12 +114,15 @@ def _effective_numbers(white: Array) -> Array:
     """
     n = len(white)
     products, squares = np.sum(white[1:] * white[:-1], axis=0), np.sum(white**2, axis=0)
-    shared = _worth(float(products.sum() / max(squares.sum(), 1e-30)), n, CORRELATED_ALL)
-    own = [_worth(float(p / max(q, 1e-30)), n, CORRELATED_ONE) for p, q in zip(products, squares, strict=True)]
+    shared = _effective_sample_size(float(products.sum() / max(squares.sum(), 1e-30)), n, CORRELATED_ALL)
+    own = [
+        _effective_sample_size(float(p / max(q, 1e-30)), n, CORRELATED_ONE)
+        for p, q in zip(products, squares, strict=True)
+    ]
     return np.minimum(shared, own)
 
 
-def _worth(r: float, n: int, limit: float) -> float:
+def _effective_sample_size(r: float, n: int, limit: float) -> float:
     """n independent values, or fewer where neighbours in time correlate by r, if that is beyond limit / sqrt(n)."""
     if r + 1.0 / n < limit / np.sqrt(n):
         return float(n)
@@ -143,10 +146,10 @@ def average_look(observations: Sequence[PairObservation], spread_max_mm: float =
     """
     if not observations:
         reason = "no stereo pairs received; check the camera source and its cable"
-        return _failed(observations, LookStatus.NO_IMAGES, reason)
+        return _failed_look(observations, LookStatus.NO_IMAGES, reason)
     usable = [pair for pair in observations if pair.tool.status in USABLE and pair.ooi.status in USABLE]
     if len(usable) < max(1.0, USED_MIN_FRAC * len(observations)):
-        return _failed(observations, *_why_unusable(observations))
+        return _failed_look(observations, *_why_unusable(observations))
     spread_mm, drift_mm = _spread_and_drift_mm(usable)
     noise_mm = _noise_mm(usable)  # far markers scatter by more than the limits without any motion
     drift_max_mm = max(spread_max_mm, DRIFT_SIGMAS * noise_mm / np.sqrt(max(1.0, len(usable) / 3.0)))
@@ -157,13 +160,13 @@ def average_look(observations: Sequence[PairObservation], spread_max_mm: float =
             f"{drift_mm:.2f} mm (limit {drift_max_mm:.2g} mm) over {len(usable)} pairs; "
             "wait until the boom rests"
         )
-        return _failed(observations, LookStatus.NOT_AT_REST, reason, spread_mm)
+        return _failed_look(observations, LookStatus.NOT_AT_REST, reason, spread_mm)
     clear = [pair for pair in usable if pair.tool.status is PoseStatus.OK and pair.ooi.status is PoseStatus.OK]
     ambiguous = len(clear) < USED_MIN_FRAC * len(usable)
-    return _averaged(observations, usable if ambiguous else clear, spread_mm, ambiguous)
+    return _averaged_look(observations, usable if ambiguous else clear, spread_mm, ambiguous)
 
 
-def _averaged(
+def _averaged_look(
     observations: Sequence[PairObservation], taken: Sequence[PairObservation], spread_mm: float, ambiguous: bool
 ) -> Look:
     tool, ooi = _mean_of([pair.tool for pair in taken]), _mean_of([pair.ooi for pair in taken])
@@ -252,7 +255,7 @@ def _why_unusable(observations: Sequence[PairObservation]) -> tuple[LookStatus, 
     return status, f"tool and OOI together in too few of {n} pairs: {unseen[-1].reason}"
 
 
-def _failed(
+def _failed_look(
     observations: Sequence[PairObservation], status: LookStatus, reason: str, spread_mm: float = float("nan")
 ) -> Look:
     return Look(

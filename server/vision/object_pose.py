@@ -131,28 +131,28 @@ def estimate_object_pose(
     problem = pose_problem(sightings, camera)
     contradiction = _contradiction_of(problem, settings) if contradiction is None else contradiction
     if contradiction:
-        return _rejected(on, problem, contradiction, float("nan"))
-    minima = _minima(problem, range(len(sightings)))
+        return _rejected_pose(on, problem, contradiction, float("nan"))
+    minima = _pose_minima(problem, range(len(sightings)))
     if not minima:
-        return _rejected(on, problem, "no pose puts the corners in front of the camera", float("nan"))
-    if _rms(minima[0]) > settings.covered_rms_px:
+        return _rejected_pose(on, problem, "no pose puts the corners in front of the camera", float("nan"))
+    if _residual_rms_px(minima[0]) > settings.covered_rms_px:
         cleared = without_covered_view(problem, minima[0], SAME_MINIMUM_RAD)
         if cleared is not None:
             found, views = estimate_object_pose(on, cleared.sightings, camera, settings, "", prior)
             return replace(found, reason="; ".join(text for text in (found.reason, cleared.reason) if text)), views
     used = list(range(len(sightings)))
     dropped: dict[int, str] = {}
-    if _rms(minima[0]) > settings.residual_max_px and len(used) > 1:
+    if _residual_rms_px(minima[0]) > settings.residual_max_px and len(used) > 1:
         minima, dropped = _without_the_worst(problem, minima, settings)
         used = [index for index in used if index not in dropped]
-    if _rms(minima[0]) > settings.residual_max_px:
+    if _residual_rms_px(minima[0]) > settings.residual_max_px:
         reason = (
-            f"{on}: residual {_rms(minima[0]):.2f} px rms exceeds {settings.residual_max_px:g} px; check marker sides, "
-            "layout and camera file"
+            f"{on}: residual {_residual_rms_px(minima[0]):.2f} px rms exceeds {settings.residual_max_px:g} px; "
+            "check marker sides, layout and camera file"
         )
-        return _rejected(on, problem, reason, _rms(minima[0]))
-    found, fit = _accepted(on, problem, used, minima, settings, prior)
-    return found, _views(problem, fit, used, dropped)
+        return _rejected_pose(on, problem, reason, _residual_rms_px(minima[0]))
+    found, fit = _accepted_pose(on, problem, used, minima, settings, prior)
+    return found, _marker_views(problem, fit, used, dropped)
 
 
 def not_seen(on: ObjectName, reason: str) -> ObjectPose:
@@ -189,7 +189,7 @@ def _contradiction_of(problem: PoseProblem, settings: PoseSettings) -> str:
     return ""
 
 
-def _minima(problem: PoseProblem, indices: Sequence[int]) -> list[RefinedPose]:
+def _pose_minima(problem: PoseProblem, indices: Sequence[int]) -> list[RefinedPose]:
     """Distinct local minima, the best first."""
     observations = problem.observations_of(indices)
     found = distinct_minima(problem.starts(indices), observations, SAME_MINIMUM_RAD)
@@ -200,7 +200,7 @@ def _minima(problem: PoseProblem, indices: Sequence[int]) -> list[RefinedPose]:
     return distinct_minima(starts, observations, SAME_MINIMUM_RAD)
 
 
-def _rms(refined: RefinedPose) -> float:
+def _residual_rms_px(refined: RefinedPose) -> float:
     """Root mean square of the corners' distance over sqrt 2, that is per coordinate [px]."""
     return float(np.sqrt(refined.sum_squares_px2 / refined.residuals_px.size))
 
@@ -212,17 +212,17 @@ def _without_the_worst(
     indices = range(len(problem.sightings))
     if len(indices) < 3:
         return minima, {}
-    trials = [(_minima(problem, [i for i in indices if i != left_out]), left_out) for left_out in indices]
+    trials = [(_pose_minima(problem, [i for i in indices if i != left_out]), left_out) for left_out in indices]
     trials = [(trial, left_out) for trial, left_out in trials if trial]
     best, left_out = min(trials, key=lambda trial: trial[0][0].sum_squares_px2, default=(minima, -1))
-    if left_out < 0 or _rms(best[0]) > settings.residual_max_px:
+    if left_out < 0 or _residual_rms_px(best[0]) > settings.residual_max_px:
         return minima, {}
     marker_id = problem.sightings[left_out].target_id
     reason = f"marker {marker_id} contradicts the others; it has {MOVED_ON_BOARD} or its layout entry is wrong"
     return best, {left_out: reason}
 
 
-def _candidate(
+def _pose_candidate(
     minima: list[RefinedPose], rank: int, problem: PoseProblem, used: Sequence[int], settings: PoseSettings
 ) -> _Candidate | None:
     """A minimum with its covariance; None where the corners do not determine a pose."""
@@ -259,7 +259,7 @@ def _chosen_by_time(
     return _Candidate(winner.fit, winner.covariance, float(margin))
 
 
-def _accepted(
+def _accepted_pose(
     on: ObjectName,
     problem: PoseProblem,
     used: Sequence[int],
@@ -267,12 +267,14 @@ def _accepted(
     settings: PoseSettings,
     prior: PosePrior | None,
 ) -> tuple[ObjectPose, RefinedPose]:
-    best = _candidate(minima, 0, problem, used, settings)
+    best = _pose_candidate(minima, 0, problem, used, settings)
     if best is None:
-        return _rejected(on, problem, f"{on}: the corners do not determine a pose", _rms(minima[0]))[0], minima[0]
+        return _rejected_pose(on, problem, f"{on}: the corners do not determine a pose", _residual_rms_px(minima[0]))[
+            0
+        ], minima[0]
     status, reason, covariance = PoseStatus.OK, "", best.covariance
     if best.margin_chi2 < settings.chi2_margin_min:
-        rival = _candidate(minima, 1, problem, used, settings)
+        rival = _pose_candidate(minima, 1, problem, used, settings)
         by_time = None if rival is None else _chosen_by_time((best, rival), settings, prior)
         if by_time is not None and prior is not None:
             best, covariance = by_time, by_time.covariance
@@ -290,11 +292,11 @@ def _accepted(
         limit = settings.tilt_sigma_max_deg
         reason = f"{on}: orientation known to {tilt_sigma_deg:.1f} deg only (limit {limit:g}); come closer"
     ids = tuple(problem.sightings[index].target_id for index in used)
-    T, rms = best.fit.T_cam_object, _rms(best.fit)
+    T, rms = best.fit.T_cam_object, _residual_rms_px(best.fit)
     return ObjectPose(on, status, reason, T, covariance, ids, rms, best.margin_chi2), best.fit
 
 
-def _rejected(
+def _rejected_pose(
     on: ObjectName, problem: PoseProblem, reason: str, rms_px: float
 ) -> tuple[ObjectPose, tuple[MarkerView, ...]]:
     ids = tuple(sighting.target_id for sighting in problem.sightings)
@@ -305,7 +307,7 @@ def _rejected(
     return ObjectPose(on, PoseStatus.REJECTED, reason, None, None, ids, rms_px, NO_RIVAL), views
 
 
-def _views(
+def _marker_views(
     problem: PoseProblem, best: RefinedPose, used: Sequence[int], dropped: dict[int, str]
 ) -> tuple[MarkerView, ...]:
     rows = problem.rows_of(used)

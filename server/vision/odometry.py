@@ -115,14 +115,14 @@ class StereoOdometry:
         """As `process`, for a pair that was looked at in another way (a simulation of points)."""
         if self._last is None:
             return self._start(sight)
-        located = self._locate(sight, self._last)
+        located = self._locate_camera(sight, self._last)
         if located is None:
             reason = "too few known points found again: dark, covered, or a new place; go back or start again"
             return self._lost(sight.t_exposure_ns, reason)
-        located = self._unique(sight, self._last, located)
+        located = self._resolve_ambiguous_place(sight, self._last, located)
         if self._last.is_keyframe and not located.doubt:
             located = self._settle_keyframe(sight, self._last, located)
-        return self._accept(sight, self._last, located)
+        return self._accept_located_pose(sight, self._last, located)
 
     def _start(self, sight: Sight) -> OdometryPose:
         motion = standing_motion(np.eye(4), sight.t_exposure_ns)
@@ -133,18 +133,20 @@ class StereoOdometry:
             reason = f"{keyframe.n_points} points in both eyes (need {self._settings.inliers_min}); too little texture"
             return self._lost(sight.t_exposure_ns, reason)
         self._last = LastLocatedPair(kept, motion, keyframe.places_left_px, keyframe.points_vo, True)
-        status, reason = self._judged(Evidence(keyframe.places_left_px, np.zeros((6, 6)), 1.0, self._texture_grey))
+        status, reason = self._judge_evidence(
+            Evidence(keyframe.places_left_px, np.zeros((6, 6)), 1.0, self._texture_grey)
+        )
         return OdometryPose(sight.t_exposure_ns, np.eye(4), np.zeros((6, 6)), status, reason, keyframe.n_points)
 
-    def _locate(self, sight: Sight, last: LastLocatedPair) -> LocatedPose | None:
-        located = self._fit(sight, last.motion, last.motion.predict(sight.t_exposure_ns), False)
+    def _locate_camera(self, sight: Sight, last: LastLocatedPair) -> LocatedPose | None:
+        located = self._fit_pose_to_map(sight, last.motion, last.motion.predict(sight.t_exposure_ns), False)
         if located is not None:
             return located
         self._unsure_m = max(self._unsure_m, travel_limit_m(last.motion, sight.t_exposure_ns))
-        T_coarse = self._coarse(sight, last)
-        return None if T_coarse is None else self._fit(sight, last.motion, T_coarse, True)
+        T_coarse = self._coarse_pose(sight, last)
+        return None if T_coarse is None else self._fit_pose_to_map(sight, last.motion, T_coarse, True)
 
-    def _unique(self, sight: Sight, last: LastLocatedPair, located: LocatedPose) -> LocatedPose:
+    def _resolve_ambiguous_place(self, sight: Sight, last: LastLocatedPair, located: LocatedPose) -> LocatedPose:
         """After a gap: the best of the places that look alike, in doubt until no other is nearly as good."""
         if last.motion.is_gap(sight.t_exposure_ns):
             self._unsure_m = max(self._unsure_m, travel_limit_m(last.motion, sight.t_exposure_ns))
@@ -152,7 +154,7 @@ class StereoOdometry:
             return located
         ways_px = sight.repeats()
         best, others = best_place(
-            self._camera, ways_px, located, lambda T_vo_cam: self._fit(sight, last.motion, T_vo_cam, False)
+            self._camera, ways_px, located, lambda T_vo_cam: self._fit_pose_to_map(sight, last.motion, T_vo_cam, False)
         )
         if not others:
             self._unsure_m = 0.0
@@ -165,7 +167,7 @@ class StereoOdometry:
         )
         return replace(best, places=np.asarray(spread), doubt=doubt, jumped=True)
 
-    def _coarse(self, sight: Sight, last: LastLocatedPair) -> Array | None:
+    def _coarse_pose(self, sight: Sight, last: LastLocatedPair) -> Array | None:
         """T_vo_cam by flow from the last pair, the first and the newest keyframe; else by recognising a keyframe."""
         keyframes = (self._keyframes[0], self._keyframes[-1])
         sources = [(last.sight, last.left_px, last.points_vo)]
@@ -176,10 +178,10 @@ class StereoOdometry:
         self._recognitions += 1
         return by_recognition(self._camera, sight, self._keyframes, self._recognitions, self._settings.inliers_min)
 
-    def _judged(self, found: Evidence) -> tuple[OdometryStatus, str]:
+    def _judge_evidence(self, found: Evidence) -> tuple[OdometryStatus, str]:
         return odometry_verdict(self._settings, self._shape, replace(found, unique_depth=self._unique_depth))
 
-    def _fit(self, sight: Sight, motion: Motion, T_vo_cam: Array, coarse: bool) -> LocatedPose | None:
+    def _fit_pose_to_map(self, sight: Sight, motion: Motion, T_vo_cam: Array, coarse: bool) -> LocatedPose | None:
         settings = self._settings
         observed = observe_map(
             self._camera, self._keyframes, sight, T_vo_cam, settings.points_max, settings.sigma_px, self._own.hides
@@ -188,7 +190,7 @@ class StereoOdometry:
         if len(observed.left_px) < max(frac * observed.n_expected, settings.inliers_min):
             return None
         twist, located = motion.twist(), None
-        for _ in range(2 if self._rolls else 1):
+        for _ in range(2 if self._has_rolling_shutter else 1):
             points_vo = self._as_exposed(observed, T_vo_cam, twist.value)
             located = self._fit_motions(observed, points_vo, T_vo_cam, twist)
             if located is None:
@@ -229,36 +231,36 @@ class StereoOdometry:
         return LocatedPose(observed, fit, points_vo, twist, scene.rest_squares, rival, doubt)
 
     @property
-    def _rolls(self) -> bool:
+    def _has_rolling_shutter(self) -> bool:
         return self._readout.value_s != 0.0 or self._readout.sigma_s > 0.0
 
-    def _fractions(self, left_px: Array) -> Array:
+    def _image_row_fractions(self, left_px: Array) -> Array:
         return row_fractions(left_px[:, 1], self._camera.height_px)
 
     def _as_exposed(self, observed: ObservedPoints, T_vo_cam: Array, twist: Array) -> Array:
         """Map points (n, 3) in vo as if they had moved, instead of the camera, until their row was exposed."""
         points_vo = observed.seen.points_vo
-        if not self._rolls:
+        if not self._has_rolling_shutter:
             return points_vo
         points_cam = transform_points(inverse_pose(T_vo_cam), points_vo)
-        times_s = self._readout.value_s * self._fractions(observed.left_px)
+        times_s = self._readout.value_s * self._image_row_fractions(observed.left_px)
         return transform_points(T_vo_cam, moved_by_twist(points_cam, twist, times_s))
 
     def _settle_keyframe(self, sight: Sight, last: LastLocatedPair, located: LocatedPose) -> LocatedPose:
         """The pair after a keyframe shows how fast that one moved; then the map is adjusted, and the fit repeated."""
-        if not self._rolls:
+        if not self._has_rolling_shutter:
             return located
         keyframe, motion = self._keyframes[-1], last.motion
         twist = motion.twist_between(motion.moved_to(inverse_pose(located.fit.T_cam_vo), sight.t_exposure_ns))
         keyframe.place(keyframe.T_vo_cam, twist.value, self._readout.value_s)
         self._known.set_twist(len(self._keyframes) - 1, twist.sigma)
         if len(self._keyframes) > 1:
-            self._adjust(located.fit.noise_factor)
+            self._adjust_keyframe_window(located.fit.noise_factor)
         self._last = replace(last, motion=replace(motion, T_vo_cam=keyframe.T_vo_cam))
-        again = self._fit(sight, self._last.motion, inverse_pose(located.fit.T_cam_vo), False)
+        again = self._fit_pose_to_map(sight, self._last.motion, inverse_pose(located.fit.T_cam_vo), False)
         return located if again is None else again
 
-    def _accept(self, sight: Sight, last: LastLocatedPair, located: LocatedPose) -> OdometryPose:
+    def _accept_located_pose(self, sight: Sight, last: LastLocatedPair, located: LocatedPose) -> OdometryPose:
         fit, observed = located.fit, located.observed
         observed.count(fit.inliers)
         if not located.doubt:
@@ -266,13 +268,13 @@ class StereoOdometry:
         T_vo_cam = inverse_pose(fit.T_cam_vo)
         T_vo_cam[:3, :3] = nearest_rotation(T_vo_cam[:3, :3])
         inliers_px = observed.left_px[fit.inliers]
-        gains = self._sensitivity(located)
+        gains = self._pose_sensitivity(located)
         covariance = covariance_in_vo(fit.T_cam_vo, fit.covariance) + self._known.carried(gains)
         covariance += gains.of_twist @ np.diag(located.twist.sigma**2) @ gains.of_twist.T
         covariance += self._readout.sigma_s**2 * np.outer(gains.of_readout, gains.of_readout)
         self._learn_readout(gains)
         distance_m = float(np.linalg.norm(T_vo_cam[:3, 3]))
-        held = covariance if located.rival is None else _holding(covariance, T_vo_cam, located.rival)
+        held = covariance if located.rival is None else _covariance_including_rival(covariance, T_vo_cam, located.rival)
         held = held + np.kron(np.diag([0.0, 1.0]), located.places)
         evidence = Evidence(
             inliers_px=inliers_px,
@@ -283,20 +285,22 @@ class StereoOdometry:
             right_frac=self._right_frac(located),
             doubt=located.doubt,
         )
-        status, reason = self._judged(evidence)
+        status, reason = self._judge_evidence(evidence)
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
         if located.jumped:  # a step over places that look alike is not a motion
             motion = standing_motion(T_vo_cam, sight.t_exposure_ns)
         full = self._settings.keyframe_below_frac * np.array([self._full_points, self._full_coverage])
         wanted = (
-            wants_keyframe(inliers_px, self._shape, *full) and (motion.steady or not self._rolls) and not located.doubt
+            wants_keyframe(inliers_px, self._shape, *full)
+            and (motion.steady or not self._has_rolling_shutter)
+            and not located.doubt
         )
         kept = sight.keep() if wanted else sight
         if wanted:
             seen_here = self._seen_here(located)  # by the list as it is: adding one may forget another
             keyframe = self._add_keyframe(kept, motion, covariance, gains, inliers_px)
             keyframe.seen_here, keyframe.twist_gain = seen_here, gains.of_twist
-            self._adjust(fit.noise_factor)
+            self._adjust_keyframe_window(fit.noise_factor)
             T_vo_cam = keyframe.T_vo_cam
             motion = replace(motion, T_vo_cam=T_vo_cam)
         self._last = LastLocatedPair(kept, motion, inliers_px, observed.seen.points_vo[fit.inliers], wanted)
@@ -318,13 +322,13 @@ class StereoOdometry:
         for keyframe in self._keyframes:
             keyframe.place(keyframe.T_vo_cam, keyframe.twist, self._readout.value_s)
 
-    def _sensitivity(self, located: LocatedPose) -> Sensitivity:
+    def _pose_sensitivity(self, located: LocatedPose) -> Sensitivity:
         observed = located.observed
         fractions_key = np.empty(len(observed.keyframes))
         for number in np.unique(observed.keyframes):
             on = observed.keyframes == number
             fractions_key[on] = self._keyframes[number].row_fractions[observed.indices[on]]
-        fractions = self._fractions(observed.left_px)
+        fractions = self._image_row_fractions(observed.left_px)
         shutter = Shutter(fractions, fractions_key, located.twist.value, self._readout.size_s)
         return sensitivity(observed, located.fit, located.points_vo, shutter, self._keyframes)
 
@@ -335,7 +339,7 @@ class StereoOdometry:
             serials[observed.keyframes[on]], observed.indices[on], observed.left_px[on], observed.right_px[on]
         )
 
-    def _adjust(self, noise_factor: float) -> None:
+    def _adjust_keyframe_window(self, noise_factor: float) -> None:
         """Bring the newest keyframes and their points into one best fit."""
         first = max(0, len(self._keyframes) - self._settings.window)
         window = self._keyframes[first:]
@@ -375,7 +379,7 @@ class StereoOdometry:
         return OdometryPose(t_exposure_ns, T_vo_cam, UNKNOWN_COVARIANCE.copy(), OdometryStatus.LOST, reason, 0)
 
 
-def _holding(covariance: Array, T_vo_cam: Array, rival: PoseFit) -> Array:
+def _covariance_including_rival(covariance: Array, T_vo_cam: Array, rival: PoseFit) -> Array:
     """A pose's covariance (6, 6) that holds another motion's pose as well."""
     apart = pose_difference(T_vo_cam, inverse_pose(rival.T_cam_vo))
     return covariance + covariance_in_vo(rival.T_cam_vo, rival.covariance) + np.outer(apart, apart)

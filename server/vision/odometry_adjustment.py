@@ -64,7 +64,7 @@ def adjust_keyframes(
         points_vo=tracked.places(window),
         frames=seen.frames,
         points=seen.points,
-        uv=rays + _unrolled(camera, window, tracked, seen, readout_s),
+        uv=rays + _rolling_shutter_correction(camera, window, tracked, seen, readout_s),
         sigma_px=noise_factor * sigma_px * sigma,
         focal_px=(camera.fx_px, camera.fx_px),
         baseline_m=camera.baseline_m,
@@ -80,11 +80,11 @@ def adjust_keyframes(
         on = tracked.hosts == number
         at = tracked.indices[on]
         keyframe.move_points(at, result.points_vo[on], covariances[on], readout_s)
-        _mix(keyframe, at, mixings[on], [held.serial for held in window])
+        _store_point_mixings(keyframe, at, mixings[on], [held.serial for held in window])
     return result.joint_covariance
 
 
-def _mix(keyframe: Keyframe, at: Indices, mixings: Array, serials: Sequence[int]) -> None:
+def _store_point_mixings(keyframe: Keyframe, at: Indices, mixings: Array, serials: Sequence[int]) -> None:
     """Which keyframes points of this one go with from now on: mixings (m, k, 3, 3) for the window's serials."""
     for serial in keyframe.mixing.keys() - set(serials):
         keyframe.mixing[serial][at] = 0.0
@@ -124,7 +124,7 @@ def collect(window: Sequence[Keyframe]) -> tuple[TrackedPoints, WindowObservatio
     return TrackedPoints(hosts, indices), seen
 
 
-def _unrolled(
+def _rolling_shutter_correction(
     camera: StereoCamera, window: Sequence[Keyframe], tracked: TrackedPoints, seen: WindowObservations, readout_s: float
 ) -> Array:
     """What has to be added to rays (n, 4) so that they are those of the middle row's exposure."""

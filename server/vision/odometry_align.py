@@ -29,7 +29,7 @@ class Alignment:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _template(image: Image, x: float, y: float, warp: Array, patch: Greys) -> bool:
+def _sample_warped_patch(image: Image, x: float, y: float, warp: Array, patch: Greys) -> bool:
     """Patch with a rim of one pixel, sampled through the warp; False where it leaves the image or is torn apart."""
     height, width = image.shape
     reach = HALF_PX + 1
@@ -138,13 +138,13 @@ def _align_one(
 
 
 @njit(cache=True, nogil=True)
-def _align(reference: Image, points: Array, warps: Array, image: Image, guesses: Array) -> tuple[Array, Array]:
+def _align_patches(reference: Image, points: Array, warps: Array, image: Image, guesses: Array) -> tuple[Array, Array]:
     found, correlations = guesses.copy(), np.full(len(points), -1.0)
     patch = np.empty((SIZE_PX + 2, SIZE_PX + 2), np.float32)
     across = np.empty(SIZE_PX * SIZE_PX, np.float32)
     down, middle, grey = np.empty_like(across), np.empty_like(across), np.empty_like(across)
     for k in range(len(points)):
-        if _template(reference, points[k, 0], points[k, 1], warps[k], patch):
+        if _sample_warped_patch(reference, points[k, 0], points[k, 1], warps[k], patch):
             x, y, correlation = _align_one(image, patch, guesses[k, 0], guesses[k, 1], across, down, middle, grey)
             found[k, 0], found[k, 1], correlations[k] = x, y, correlation
     return found, correlations
@@ -159,7 +159,7 @@ def align(reference: Image, points_px: Array, warps: Array, image: Image, guesse
              d(new px); guesses_px (n, 2) to within about 3 px.
     Source:  Baker and Matthews 2004; linear change of light as in Hager and Belhumeur 1998.
     """
-    found, correlation = _align(
+    found, correlation = _align_patches(
         reference,
         np.ascontiguousarray(points_px, dtype=np.float64),
         np.ascontiguousarray(warps, dtype=np.float64),

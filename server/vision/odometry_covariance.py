@@ -52,7 +52,7 @@ class KeyframeCovariances:
 
     def carried(self, found: Sensitivity) -> Array:
         """What the keyframes' errors amount to in a pose that was fitted to their points, (6, 6)."""
-        gain, places = self._gain(found)
+        gain, places = self._gain_and_indices(found)
         return gain @ self._joint[np.ix_(places, places)] @ gain.T
 
     def add(self, covariance: Array, found: Sensitivity | None, twist_sigma: Array) -> None:
@@ -63,7 +63,7 @@ class KeyframeCovariances:
         joint[old : old + 6, old : old + 6] = covariance
         joint[old + 6 :, old + 6 :] = np.diag(twist_sigma**2)
         if found is not None:
-            gain, places = self._gain(found)
+            gain, places = self._gain_and_indices(found)
             joint[old : old + 6, :old] = gain @ self._joint[places]
             joint[:old, old : old + 6] = joint[old : old + 6, :old].T
         self._joint = joint
@@ -103,7 +103,7 @@ class KeyframeCovariances:
         self._joint = self._joint[np.ix_(kept, kept)]
 
     @staticmethod
-    def _gain(found: Sensitivity) -> tuple[Array, NDArray[np.int64]]:
+    def _gain_and_indices(found: Sensitivity) -> tuple[Array, NDArray[np.int64]]:
         gain = found.of_keyframes.transpose(1, 0, 2).reshape(6, -1)
         places = np.concatenate([np.arange(SHARED * n, SHARED * (n + 1)) for n in found.keyframes])
         return np.asarray(gain, float), np.asarray(places, np.int64)

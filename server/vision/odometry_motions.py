@@ -169,7 +169,7 @@ class _Side:
     able: bool
 
 
-def _side(fit: PoseFit, other: PoseFit, scene: Scene) -> _Side:
+def _evidence_for_fit(fit: PoseFit, other: PoseFit, scene: Scene) -> _Side:
     on = fit.inliers & ~other.inliers
     count, spread = int(on.sum()), coverage(scene.left_px[on], scene.shape)
     depths = transform_points(fit.T_cam_vo, scene.points_vo[on])[:, 2]
@@ -189,14 +189,16 @@ def world_motion(fits: Sequence[PoseFit], scene: Scene) -> tuple[PoseFit, PoseFi
     """Which of the motions is the camera's through the world; a rival where nothing decides, and why it is doubtful."""
     world, rival, doubt = fits[0], None, ""
     for fit in fits[1:]:
-        won, lost, why = _decided(_side(world, fit, scene), _side(fit, world, scene), scene)
+        won, lost, why = _choose_world_motion(
+            _evidence_for_fit(world, fit, scene), _evidence_for_fit(fit, world, scene), scene
+        )
         if why or lost is rival:
             rival, doubt = (lost, why) if why else (None, "")
         world = won
     return world, rival, doubt
 
 
-def _decided(one: _Side, two: _Side, scene: Scene) -> tuple[PoseFit, PoseFit, str]:
+def _choose_world_motion(one: _Side, two: _Side, scene: Scene) -> tuple[PoseFit, PoseFit, str]:
     """Winner, loser, and why that is doubtful: by what earlier motion showed, then by the picture.
 
     Own structure stands still in the picture while the world behind it moves; a thing that moves by itself does so in

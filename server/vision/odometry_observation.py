@@ -207,12 +207,12 @@ def vote_by_pair(own: OwnStructure, sight: Sight, observed: ObservedPoints, fit:
         end = start + int(tried.found.sum())
         at = tried.wanted.indices[tried.found]
         tried.keyframe.vote(at, with_world[start:end].astype(np.int8) - with_camera[start:end].astype(np.int8))
-        own_px.append(_standing(sight, tried, limit_px))
+        own_px.append(_image_fixed_points(sight, tried, limit_px))
         start = end
     own.vote(np.concatenate(own_px), observed.left_px[with_world])
 
 
-def _standing(sight: Sight, tried: SearchedPoints, limit_px: float) -> Array:
+def _image_fixed_points(sight: Sight, tried: SearchedPoints, limit_px: float) -> Array:
     """Places (n, 2) of points that were missed, and that lie where they were kept, in both eyes."""
     wanted = tried.wanted
     away = np.linalg.norm(wanted.guesses_left_px - wanted.places_left_px, axis=1) > AWAY_MAX_PX

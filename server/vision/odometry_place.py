@@ -103,26 +103,26 @@ def best_place(
         others = [
             (dissimilarity(fitted), fitted)
             for fitted in found
-            if fitted is not None and _apart(best, fitted, ways_px, camera.fx_px)
+            if fitted is not None and _is_different_place(best, fitted, ways_px, camera.fx_px)
         ]
         nearest = min(others, default=None, key=lambda pair: pair[0])
         if nearest is None or nearest[0] >= dissimilarity(best):
             break
         best = nearest[1]
     alike = [located for unlike, located in others if dissimilarity(best) > UNIQUE_RATIO_MAX * unlike]
-    return best, [_position(located) - _position(best) for located in alike]
+    return best, [_camera_position(located) - _camera_position(best) for located in alike]
 
 
-def _position(located: LocatedPose) -> Array:
+def _camera_position(located: LocatedPose) -> Array:
     return inverse_pose(located.fit.T_cam_vo)[:3, 3]
 
 
-def _apart(one: LocatedPose, other: LocatedPose, ways_px: Array, focal_px: float) -> bool:
+def _is_different_place(one: LocatedPose, other: LocatedPose, ways_px: Array, focal_px: float) -> bool:
     """Whether two fits did not end at the same place: more than half of the shortest repetition between them."""
     points_cam = transform_points(one.fit.T_cam_vo, one.points_vo[one.fit.inliers])
     half_px = 0.5 * np.linalg.norm(ways_px, axis=1).min()
     half_m = half_px / focal_px * float(np.median(points_cam[:, 2]))
-    return bool(np.linalg.norm(_position(one) - _position(other)) > half_m)
+    return bool(np.linalg.norm(_camera_position(one) - _camera_position(other)) > half_m)
 
 
 def travel_limit_m(motion: Motion, t_ns: int) -> float:

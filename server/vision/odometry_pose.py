@@ -143,7 +143,7 @@ def _inverse_root(covariance: Array, n: int, root: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _whiteners(
+def _whitening_matrices(
     rotation: Array, position: Array, points: Array, covariances: Array, rays: Array, noise: Array, shape: Array
 ) -> Array:
     """(n, 4, 4): whitens a point's four residuals, of which the map's own error makes one piece."""
@@ -327,7 +327,7 @@ def pose_problem(T_cam_vo: Array, seen: StereoPoints) -> PoseProblem:
     noise = np.tile(np.eye(2), (len(points), 2, 1, 1)) if seen.noise is None else seen.noise
     rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
     covariances = np.ascontiguousarray(seen.covariances_vo)
-    roots = _whiteners(rotation, position, points, covariances, rays, seen.sigma_px**2 * noise, shape)
+    roots = _whitening_matrices(rotation, position, points, covariances, rays, seen.sigma_px**2 * noise, shape)
     return PoseProblem(points, rays, roots, shape, row_factor(seen))
 
 

@@ -46,7 +46,7 @@ class Shutter:
 
 
 @njit(cache=True, nogil=True)
-def _cross(column: Array, point: Array, out: Array) -> None:
+def _rotation_jacobian_rows(column: Array, point: Array, out: Array) -> None:
     """d(w x point) / dw projected on rows (4, 3): rows [-[point]x], in place (4, 3)."""
     for a in range(4):
         out[a, 0] = point[1] * column[a, 2] - point[2] * column[a, 1]
@@ -83,11 +83,11 @@ def _shared_columns(
             in_vo[a, k] = turn[a, 0] * mixing[0, k] + turn[a, 1] * mixing[1, k] + turn[a, 2] * mixing[2, k]
         for k in range(3):
             in_key[a, k] = in_vo[a, 0] * T[0, k] + in_vo[a, 1] * T[1, k] + in_vo[a, 2] * T[2, k]
-    _cross(in_vo, away, turn)
+    _rotation_jacobian_rows(in_vo, away, turn)
     out[:, 0:3], out[:, 3:6] = turn, in_vo
-    _cross(in_key, point_key, turn)
+    _rotation_jacobian_rows(in_key, point_key, turn)
     out[:, 6:9], out[:, 9:12] = there * turn, there * in_key
-    _cross(slope, point_cam, turn)
+    _rotation_jacobian_rows(slope, point_cam, turn)
     out[:, 12:15], out[:, 15:18] = -here * turn, -here * slope
     for a in range(4):
         out[a, 18] = 0.0
@@ -98,7 +98,7 @@ def _shared_columns(
 
 
 @njit(cache=True, nogil=True)
-def _products(
+def _sensitivity_products(
     rotation: Array,
     position: Array,
     points: Array,
@@ -177,7 +177,7 @@ def sensitivity(
     on = fit.inliers
     hosts, indices, seen = observed.keyframes[on], observed.indices[on], observed.seen
     numbers, mixings = keyframe_mixture(keyframes, hosts, indices)
-    keyed, moving, alone = _products(
+    keyed, moving, alone = _sensitivity_products(
         np.ascontiguousarray(fit.T_cam_vo[:3, :3]),
         np.ascontiguousarray(fit.T_cam_vo[:3, 3]),
         np.ascontiguousarray(points_vo[on]),

@@ -49,14 +49,16 @@ def optical_flow(first: Image, second: Image, points_px: Array, guess_px: Array 
         return Flow(np.zeros((0, 2)), np.zeros(0, dtype=bool))
     start = np.ascontiguousarray(points_px, dtype=np.float32).reshape(-1, 1, 2)
     guess = start.copy() if guess_px is None else np.ascontiguousarray(guess_px, dtype=np.float32).reshape(-1, 1, 2)
-    there, forward = _klt(first, second, start, guess)
-    back, backward = _klt(second, first, there, start.copy())
+    there, forward = _track_points_klt(first, second, start, guess)
+    back, backward = _track_points_klt(second, first, there, start.copy())
     returned = np.linalg.norm((back - start).reshape(-1, 2), axis=1)
     good = (forward.reshape(-1) == 1) & (backward.reshape(-1) == 1) & (returned < RETURN_MAX_PX)
     return Flow(there.reshape(-1, 2).astype(np.float64), good)
 
 
-def _klt(first: Image, second: Image, points: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _track_points_klt(
+    first: Image, second: Image, points: np.ndarray, guess: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     found, status, _ = cv2.calcOpticalFlowPyrLK(
         first,
         second,

@@ -56,10 +56,10 @@ def warm_up() -> None:
     numbers = np.zeros(12, dtype=np.int64)
     observed = ObservedPoints(numbers, numbers, left, right, 12, seen, points, np.zeros(12, dtype=np.int8), np.ones(12))
     shutter = Shutter(left[:, 0], left[:, 0], np.ones(6), 0.01)
-    sensitivity(observed, fit, points, shutter, [_keyframe()])
+    sensitivity(observed, fit, points, shutter, [_dummy_keyframe()])
 
 
-def _keyframe() -> Keyframe:
+def _dummy_keyframe() -> Keyframe:
     none, points, black = np.zeros((0, 2)), np.zeros((1, 3)), np.zeros((2, 2), np.uint8)
     return Keyframe(
         sight=ImageSight(black, black, (black, black), 0),

@@ -76,7 +76,7 @@ def _homography_of_square(rays: Array, half: float) -> tuple[bool, Array]:
 
 
 @njit(cache=True, nogil=True)
-def _rotations(H: Array) -> tuple[bool, Array]:
+def _ippe_rotations(H: Array) -> tuple[bool, Array]:
     """The two rotations (2, 3, 3) whose first-order image at the marker's middle is that of H."""
     both = np.empty((2, 3, 3))
     p, q = H[0, 2], H[1, 2]
@@ -119,7 +119,7 @@ def _rotations(H: Array) -> tuple[bool, Array]:
 
 
 @njit(cache=True, nogil=True)
-def _position(rotation: Array, rays: Array, half: float) -> Array:
+def _least_squares_position(rotation: Array, rays: Array, half: float) -> Array:
     """Least-squares position of a square of known rotation: x - u z = 0 and y - v z = 0 at every corner."""
     matrix, right = np.zeros((3, 3)), np.zeros(3)
     for i in range(4):
@@ -143,7 +143,7 @@ def _position(rotation: Array, rays: Array, half: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _misfit(rotation: Array, position: Array, rays: Array, half: float) -> float:
+def _squared_reprojection_error(rotation: Array, position: Array, rays: Array, half: float) -> float:
     total = 0.0
     for i in range(4):
         sx = -half if i in (0, 3) else half
@@ -164,13 +164,13 @@ def square_solutions(rays: Array, side_m: float) -> tuple[int, Array, Array]:
     good, H = _homography_of_square(rays, half)
     if not good:
         return 0, found, misfits
-    good, rotations = _rotations(H)
+    good, rotations = _ippe_rotations(H)
     if not good:
         return 0, found, misfits
     count = 0
     for k in range(2):
-        position = _position(rotations[k], rays, half)
-        misfit = _misfit(rotations[k], position, rays, half) if position[2] > 0.0 else np.inf
+        position = _least_squares_position(rotations[k], rays, half)
+        misfit = _squared_reprojection_error(rotations[k], position, rays, half) if position[2] > 0.0 else np.inf
         if not misfit < np.inf:
             continue
         place = count

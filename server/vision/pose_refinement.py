@@ -120,7 +120,7 @@ def _normal_equations(
 
 
 @njit(cache=True, nogil=True)
-def _descend(T: Array, given: KernelArrays) -> tuple[Array, Array, float, Array]:
+def _levenberg_marquardt(T: Array, given: KernelArrays) -> tuple[Array, Array, float, Array]:
     """Levenberg-Marquardt from one start: rotation, position, sum of squares, information."""
     rotation, position = T[:3, :3].copy(), T[:3, 3].copy()
     total = sum_squares(rotation, position, given)
@@ -159,7 +159,7 @@ def _descend_all(Ts: Array, given: KernelArrays) -> tuple[Array, Array, Array]:
     """From every start (k, 4, 4): poses (k, 4, 4), sums of squares (k,), information (k, 6, 6)."""
     found, totals, informations = np.zeros(Ts.shape), np.empty(len(Ts)), np.empty((len(Ts), 6, 6))
     for k in range(len(Ts)):
-        rotation, position, total, information = _descend(Ts[k], given)
+        rotation, position, total, information = _levenberg_marquardt(Ts[k], given)
         found[k, :3, :3], found[k, :3, 3], found[k, 3, 3] = rotation, position, 1.0
         totals[k], informations[k] = total, information
     return found, totals, informations
@@ -174,7 +174,7 @@ def residuals_px(T_cam_object: Array, observations: PointObservations) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _distinct(Ts: Array, totals: Array, order: NDArray[np.intp], trace_max: float) -> list[int]:
+def _distinct_orientations(Ts: Array, totals: Array, order: NDArray[np.intp], trace_max: float) -> list[int]:
     """Of poses in ascending order of their sums of squares: the first of each group with the same orientation."""
     kept = [-1]
     for i in order:
@@ -202,7 +202,7 @@ def distinct_minima(starts: Array, observations: PointObservations, apart_rad: f
     Ts = np.ascontiguousarray(starts, dtype=np.float64).reshape(-1, 4, 4)
     found, totals, informations = _descend_all(Ts, kernel_arrays(observations))
     order = np.argsort(totals, kind="stable")
-    kept = _distinct(found, totals, order, 1.0 + 2.0 * float(np.cos(apart_rad)))
+    kept = _distinct_orientations(found, totals, order, 1.0 + 2.0 * float(np.cos(apart_rad)))
     return [
         RefinedPose(found[k], float(totals[k]), informations[k], residuals_px(found[k], observations)) for k in kept
     ]

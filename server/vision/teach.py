@@ -148,11 +148,11 @@ def teach_layout(
     Args:    views: stereo pairs from different directions, raw px. camera: both eyes.
     Returns: TaughtLayout; markers only where the status is OK.
     """
-    fits = _fits(views, task, camera, settings)
+    fits = _fit_layouts(views, task, camera, settings)
     if isinstance(fits, Refusal):
         return refused_layout(fits, len(views))
     refusal = check_sides(fits.free, task.printed_m, task.ids, settings)
-    markers = _markers(fits, task)
+    markers = _taught_markers(fits, task)
     refusal = refusal or check_sigmas(
         max(position_sigma_m(marker) for marker in markers),
         float(np.rad2deg(max(angle_sigma_rad(marker) for marker in markers))),
@@ -179,13 +179,13 @@ def refused_layout(refusal: Refusal, n_views: int) -> TaughtLayout:
     return TaughtLayout(refusal.status, refusal.reason, (), n_views, nan, nan, nan, nan)
 
 
-def _fits(
+def _fit_layouts(
     views: Sequence[TeachView], task: TeachTask, camera: StereoCamera, settings: TeachSettings
 ) -> _Fits | Refusal:
     refusal = _check_task(task) or check_input(views, task.ids)
     if refusal:
         return refusal
-    seen = SeenViews(task.ids, tuple(view for view in views if len(_shown(view, task.ids)) > 1))
+    seen = SeenViews(task.ids, tuple(view for view in views if len(_visible_marker_ids(view, task.ids)) > 1))
     refusal = check_connected(seen)
     if refusal:
         return refusal
@@ -202,14 +202,14 @@ def _fits(
             TeachStatus.CONTRADICTION, "no pose puts the markers in front of the camera; check the camera file"
         )
     corners = corners_of(seen, camera)
-    priors = _priors(task, sides, settings)
+    priors = _layout_priors(task, sides, settings)
     fit = fit_layout(start, corners, priors)
     stray = stray_sightings(sighting_rms_px(fit, corners, len(seen.views), len(task.ids)), settings)
     if stray.any():
         corners = corners.without(stray.ravel()[corners.sighting])
         fit = fit_layout(fit.state, corners, priors)
     refusal = check_directions(fit.state, settings) or check_rigid(fit, corners, priors, task.ids, settings)
-    return refusal or _refined(seen, corners, fit, priors, int(stray.sum()))
+    return refusal or _refit_with_measured_noise(seen, corners, fit, priors, int(stray.sum()))
 
 
 def _check_task(task: TeachTask) -> Refusal | None:
@@ -221,16 +221,18 @@ def _check_task(task: TeachTask) -> Refusal | None:
     )
 
 
-def _shown(view: TeachView, ids: Sequence[int]) -> list[int]:
+def _visible_marker_ids(view: TeachView, ids: Sequence[int]) -> list[int]:
     return [marker_id for marker_id in ids if marker_id in view.left or marker_id in view.right]
 
 
-def _priors(task: TeachTask, sides_m: Array, settings: TeachSettings) -> Priors:
+def _layout_priors(task: TeachTask, sides_m: Array, settings: TeachSettings) -> Priors:
     sigmas = [settings.side_sigma_m if marker_id in task.printed_m else np.inf for marker_id in task.ids]
     return Priors(sides_m, np.array(sigmas), settings.baseline_sigma_frac, settings.sigma_px)
 
 
-def _refined(seen: SeenViews, corners: Corners, fit: LayoutFit, priors: Priors, n_dropped: int) -> _Fits:
+def _refit_with_measured_noise(
+    seen: SeenViews, corners: Corners, fit: LayoutFit, priors: Priors, n_dropped: int
+) -> _Fits:
     """Take the noise from the residuals, and ask the images for the sides."""
     dof = fit.residuals_px.size - 6 * len(seen.views) - PER_MARKER * len(seen.ids) + 6
     variance = fitted_variance(float((fit.residuals_px**2).sum()), dof, priors.sigma_px)
@@ -241,7 +243,7 @@ def _refined(seen: SeenViews, corners: Corners, fit: LayoutFit, priors: Priors, 
     return _Fits(seen, corners, known, free, n_dropped)
 
 
-def _markers(fits: _Fits, task: TeachTask) -> tuple[TaughtMarker, ...]:
+def _taught_markers(fits: _Fits, task: TeachTask) -> tuple[TaughtMarker, ...]:
     state, ids = fits.known.state, task.ids
     Ts = place_layout(state, ids, task.frame)
     covariances = placed_covariances(state, fits.known.covariance, ids, task.frame)

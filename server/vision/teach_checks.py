@@ -44,7 +44,7 @@ def check_input(views: Sequence[TeachView], wanted: Sequence[int]) -> Refusal | 
     if missing:
         return Refusal(
             TeachStatus.NO_MARKERS,
-            f"marker {_listed(missing)} is in no view; bring it into view, or leave it out of --ids",
+            f"marker {_comma_separated(missing)} is in no view; bring it into view, or leave it out of --ids",
         )
     return None
 
@@ -54,7 +54,7 @@ def check_connected(seen: SeenViews) -> Refusal | None:
     groups = groups_seen_together(seen)
     if len(groups) == 1:
         return None
-    names = " and ".join(f"{{{_listed([seen.ids[k] for k in group])}}}" for group in groups)
+    names = " and ".join(f"{{{_comma_separated([seen.ids[k] for k in group])}}}" for group in groups)
     return Refusal(
         TeachStatus.NOT_CONNECTED,
         f"markers {names} are never seen together; take views that show markers of both groups together",
@@ -142,11 +142,11 @@ def check_rigid(
         if apart * EXPLAINED_TIMES < whole:
             return Refusal(
                 TeachStatus.CONTRADICTION,
-                f"markers {_listed(ids)} moved against each other ({whole:.2f} px rms, {apart:.2f} px before and after "
-                f"it); fasten both {again}",
+                f"markers {_comma_separated(ids)} moved against each other "
+                f"({whole:.2f} px rms, {apart:.2f} px before and after it); fasten both {again}",
             )
     else:
-        blamed, without = _blamed(fit, corners, priors, ids)
+        blamed, without = _worst_fitting_marker(fit, corners, priors, ids)
         if without * EXPLAINED_TIMES < whole:
             return Refusal(
                 TeachStatus.CONTRADICTION,
@@ -162,7 +162,7 @@ def check_rigid(
     )
 
 
-def _blamed(fit: LayoutFit, corners: Corners, priors: Priors, ids: Sequence[int]) -> tuple[int, float]:
+def _worst_fitting_marker(fit: LayoutFit, corners: Corners, priors: Priors, ids: Sequence[int]) -> tuple[int, float]:
     """The marker without which the others fit best, and their rms [px]."""
     trials = []
     for k in range(len(ids)):
@@ -240,5 +240,5 @@ def rms_of(residuals_px: Array) -> float:
     return float(np.sqrt(np.mean(residuals_px**2)))
 
 
-def _listed(ids: Sequence[int]) -> str:
+def _comma_separated(ids: Sequence[int]) -> str:
     return ", ".join(str(number) for number in ids)

@@ -90,13 +90,13 @@ class TaughtLayout:
 
 def position_sigma_m(marker: TaughtMarker) -> float:
     """Standard deviation of a marker's place along its worst direction [m]."""
-    return _worst(marker.covariance[3:, 3:])
+    return _largest_sigma(marker.covariance[3:, 3:])
 
 
 def angle_sigma_rad(marker: TaughtMarker) -> float:
     """Standard deviation of a marker's orientation about its worst axis [rad]."""
-    return _worst(marker.covariance[:3, :3])
+    return _largest_sigma(marker.covariance[:3, :3])
 
 
-def _worst(covariance: Array) -> float:
+def _largest_sigma(covariance: Array) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))

@@ -106,24 +106,24 @@ def fit_layout(start: LayoutState, corners: Corners, priors: Priors) -> LayoutFi
              large as the residuals' median says); views eliminated by Schur's complement; the reference marker is held.
     """
     state, damping = start, 1e-4
-    cost, scale_px = _cost(state, corners, priors)
+    cost, scale_px = _robust_cost(state, corners, priors)
     for _ in range(ITERATIONS_MAX):
         if not np.isfinite(cost):
             break
-        equations = _equations(state, corners, priors, scale_px, damping)
-        trial = _moved(state, equations)
-        trial_cost, _ = _cost(trial, corners, priors, scale_px)
+        equations = _normal_equations(state, corners, priors, scale_px, damping)
+        trial = _solve_and_step(state, equations)
+        trial_cost, _ = _robust_cost(trial, corners, priors, scale_px)
         if trial_cost <= cost:
             done = cost - trial_cost <= GAIN_DONE * cost + 1e-12
             state, damping = trial, max(0.1 * damping, 1e-9)
-            cost, scale_px = _cost(state, corners, priors)
+            cost, scale_px = _robust_cost(state, corners, priors)
             if done:
                 break
         else:
             damping *= 10.0
             if damping > 1e8:
                 break
-    return LayoutFit(state, _covariance(state, corners, priors), residuals_px(state, corners))
+    return LayoutFit(state, _layout_covariance(state, corners, priors), residuals_px(state, corners))
 
 
 def _in_camera(state: LayoutState, corners: Corners) -> tuple[Array, Array, Array]:
@@ -134,7 +134,9 @@ def _in_camera(state: LayoutState, corners: Corners) -> tuple[Array, Array, Arra
     return arm + T_view[:, :3, 3], arm, on_marker
 
 
-def _cost(state: LayoutState, corners: Corners, priors: Priors, scale_px: float | None = None) -> tuple[float, float]:
+def _robust_cost(
+    state: LayoutState, corners: Corners, priors: Priors, scale_px: float | None = None
+) -> tuple[float, float]:
     """Robust cost in units of sigma squared, and the scale it was taken at."""
     distance = np.linalg.norm(residuals_px(state, corners), axis=1)
     if not np.isfinite(distance).all() or np.any(state.sides_m <= 0.0):
@@ -148,7 +150,7 @@ def _cost(state: LayoutState, corners: Corners, priors: Priors, scale_px: float 
     return float(rho.sum()) / priors.sigma_px**2 + extra, scale_px
 
 
-def _jacobians(state: LayoutState, corners: Corners) -> tuple[Array, Array, Array]:
+def _residual_jacobians(state: LayoutState, corners: Corners) -> tuple[Array, Array, Array]:
     """d residual / d view (n, 2, 6), / d marker (n, 2, 7), / d baseline (n, 2)."""
     p, arm, on_marker = _in_camera(state, corners)
     eye_x = corners.right * corners.baseline_m * (1.0 + state.baseline_frac)
@@ -172,13 +174,15 @@ def _cross_rows(P: Array, arm: Array) -> Array:
     return np.cross(arm[:, None, :], P)
 
 
-def _equations(state: LayoutState, corners: Corners, priors: Priors, scale_px: float, damping: float) -> _Equations:
+def _normal_equations(
+    state: LayoutState, corners: Corners, priors: Priors, scale_px: float, damping: float
+) -> _Equations:
     n_views, n_markers = len(state.Ts_cam_ref), len(state.Ts_ref_marker)
     k = PER_MARKER * n_markers + 1
     residual = residuals_px(state, corners)
     distance = np.linalg.norm(residual, axis=1)
     weight = np.minimum(1.0, HUBER_SIGMAS * scale_px / np.maximum(distance, 1e-12)) / priors.sigma_px**2
-    J_view, J_marker, J_baseline = _jacobians(state, corners)
+    J_view, J_marker, J_baseline = _residual_jacobians(state, corners)
     V, v = np.zeros((n_views, 6, 6)), np.zeros((n_views, 6))
     C = np.zeros((n_views, n_markers, 6, PER_MARKER))
     M, m = np.zeros((n_markers, PER_MARKER, PER_MARKER)), np.zeros((n_markers, PER_MARKER))
@@ -232,10 +236,10 @@ def stepped_state(state: LayoutState, step: Array) -> LayoutState:
     return replace(state, Ts_ref_marker=Ts, sides_m=sides, baseline_frac=state.baseline_frac + float(step[-1]))
 
 
-def _moved(state: LayoutState, equations: _Equations) -> LayoutState:
+def _solve_and_step(state: LayoutState, equations: _Equations) -> LayoutState:
     free = free_rows(len(state.Ts_ref_marker))
     step = np.zeros(len(equations.g))
-    step[free] = _solved(equations.S[np.ix_(free, free)], -equations.g[free])
+    step[free] = _solve_scaled_system(equations.S[np.ix_(free, free)], -equations.g[free])
     back = equations.view_gradient + np.einsum("vij,j->vi", equations.cross, step)
     views = -np.einsum("vij,vj->vi", equations.view_inverse, back)
     return replace(stepped_state(state, step), Ts_cam_ref=_all_moved(state.Ts_cam_ref, views))
@@ -245,28 +249,28 @@ def _all_moved(Ts: Array, steps: Array) -> Array:
     return np.array([moved_pose(T, step) for T, step in zip(Ts, steps, strict=True)])
 
 
-def _scaled(S: Array) -> tuple[Array, Array]:
+def _scale_to_unit_diagonal(S: Array) -> tuple[Array, Array]:
     scale = 1.0 / np.sqrt(np.maximum(np.diag(S), 1e-300))
     return S * np.outer(scale, scale), scale
 
 
-def _solved(S: Array, right: Array) -> Array:
-    scaled, scale = _scaled(S)
+def _solve_scaled_system(S: Array, right: Array) -> Array:
+    scaled, scale = _scale_to_unit_diagonal(S)
     try:
         return scale * np.linalg.solve(scaled + 1e-12 * np.eye(len(S)), scale * right)
     except np.linalg.LinAlgError:
         return np.zeros(len(S))
 
 
-def _covariance(state: LayoutState, corners: Corners, priors: Priors) -> Array:
+def _layout_covariance(state: LayoutState, corners: Corners, priors: Priors) -> Array:
     """(7 m + 1, 7 m + 1), zero for what is held; infinite diagonal where nothing is determined."""
     n = len(state.Ts_ref_marker)
     k = PER_MARKER * n + 1
     full, free = np.zeros((k, k)), free_rows(n)
     if not np.isfinite(residuals_px(state, corners)).all():
         return np.diag(np.full(k, np.inf))
-    S = _equations(state, corners, priors, np.inf, 0.0).S[np.ix_(free, free)]
-    scaled, scale = _scaled(S)
+    S = _normal_equations(state, corners, priors, np.inf, 0.0).S[np.ix_(free, free)]
+    scaled, scale = _scale_to_unit_diagonal(S)
     values, vectors = np.linalg.eigh(scaled)
     if values[0] < 1e-12:
         return np.diag(np.full(k, np.inf))

@@ -105,10 +105,10 @@ def start_of(seen: SeenViews, sides_m: Array, camera: StereoCamera) -> LayoutSta
              along the pairs seen together most often; each view by its best start over all its markers.
     """
     alone = [
-        {k: _candidates(shot, seen.ids[k], sides_m[k], camera) for k in seen.shows(v)}
+        {k: _pose_candidates(shot, seen.ids[k], sides_m[k], camera) for k in seen.shows(v)}
         for v, shot in enumerate(seen.views)
     ]
-    Ts = _chained(alone, sides_m)
+    Ts = _chain_marker_poses(alone, sides_m)
     if Ts is None:
         return None
     views = [_view_pose(seen, v, alone[v], Ts, sides_m, camera) for v in range(len(seen.views))]
@@ -118,7 +118,7 @@ def start_of(seen: SeenViews, sides_m: Array, camera: StereoCamera) -> LayoutSta
     return LayoutState(np.array(Ts), np.array(found), sides_m.copy(), 0.0)
 
 
-def _candidates(view: TeachView, marker_id: int, side_m: float, camera: StereoCamera) -> list[Array]:
+def _pose_candidates(view: TeachView, marker_id: int, side_m: float, camera: StereoCamera) -> list[Array]:
     """T_cam_marker by this marker alone: its distinct minima, the best first."""
     marker = Marker(marker_id, float(side_m), "ooi", np.eye(4))
     problem = pose_problem([Sighting(marker, view.left.get(marker_id), view.right.get(marker_id))], camera)
@@ -126,31 +126,34 @@ def _candidates(view: TeachView, marker_id: int, side_m: float, camera: StereoCa
     return [minimum.T_cam_object for minimum in minima[:CANDIDATES_MAX]]
 
 
-def _apart(one: Array, other: Array, length_m: float) -> float:
+def _pose_distance(one: Array, other: Array, length_m: float) -> float:
     angle = geodesic_angle(one[:3, :3], other[:3, :3]) / ANGLE_UNIT_RAD
     return min(angle + float(np.linalg.norm(one[:3, 3] - other[:3, 3])) / length_m, FAR_APART)
 
 
-def _agreed(by_view: Sequence[Sequence[Array]], length_m: float) -> Array:
+def _consensus_pose(by_view: Sequence[Sequence[Array]], length_m: float) -> Array:
     """The candidate with the least sum of distances to the nearest candidate of every view."""
     everything = [T for candidates in by_view for T in candidates]
-    costs = [sum(min(_apart(T, other, length_m) for other in candidates) for candidates in by_view) for T in everything]
+    costs = [
+        sum(min(_pose_distance(T, other, length_m) for other in candidates) for candidates in by_view)
+        for T in everything
+    ]
     return everything[int(np.argmin(costs))]
 
 
-def _chained(alone: Sequence[Mapping[int, list[Array]]], sides_m: Array) -> list[Array] | None:
+def _chain_marker_poses(alone: Sequence[Mapping[int, list[Array]]], sides_m: Array) -> list[Array] | None:
     n = len(sides_m)
     known: dict[int, Array] = {0: np.eye(4)}
     while len(known) < n:
-        pairs = [(a, b, _pair(alone, a, b)) for a in known for b in range(n) if b not in known]
+        pairs = [(a, b, _relative_pose_candidates(alone, a, b)) for a in known for b in range(n) if b not in known]
         a, b, by_view = max(pairs, key=lambda pair: len(pair[2]))
         if not by_view:
             return None
-        known[b] = known[a] @ _agreed(by_view, LENGTH_UNIT_FRAC * float(sides_m[b]))
+        known[b] = known[a] @ _consensus_pose(by_view, LENGTH_UNIT_FRAC * float(sides_m[b]))
     return [known[k] for k in range(n)]
 
 
-def _pair(alone: Sequence[Mapping[int, list[Array]]], a: int, b: int) -> list[list[Array]]:
+def _relative_pose_candidates(alone: Sequence[Mapping[int, list[Array]]], a: int, b: int) -> list[list[Array]]:
     """Candidates of T_a_b by view."""
     both = [(candidates[a], candidates[b]) for candidates in alone if candidates.get(a) and candidates.get(b)]
     return [[inverse_pose(T_a) @ T_b for T_a in first for T_b in second] for first, second in both[:VIEW_STARTS_MAX]]

@@ -101,13 +101,13 @@ class ViewKeeper:
         if self._resting < REST_PAIRS:
             return OfferedView.MOVING
         places = camera_in_markers(view, self._camera)
-        if any(self._alike(places, other) for other in self._places):
+        if any(self._is_similar_view(places, other) for other in self._places):
             return OfferedView.ALIKE
         self._places.append(places)
         self.views.append(view)
         return OfferedView.TAKEN
 
-    def _alike(self, one: dict[int, Array], other: dict[int, Array]) -> bool:
+    def _is_similar_view(self, one: dict[int, Array], other: dict[int, Array]) -> bool:
         both = one.keys() & other.keys()
         if not both:
             return False

@@ -63,7 +63,9 @@ def smeared(image: Grey) -> Grey:
     return motion_blur(image, np.array(SMEAR_PX))
 
 
-def _turned(image: Grey, rotvec: tuple[float, float, float], k1: float, k2: float, zoom: float = 1.0) -> Grey:
+def _rotate_and_distort(
+    image: Grey, rotvec: tuple[float, float, float], k1: float, k2: float, zoom: float = 1.0
+) -> Grey:
     """The picture as an eye with this lens, turned by this rotation vector [rad], sees it."""
     height, width = image.shape
     focal = FOCAL_FRAC * width
@@ -81,29 +83,29 @@ def _turned(image: Grey, rotvec: tuple[float, float, float], k1: float, k2: floa
 def other_lens(left: Grey, right: Grey) -> tuple[Grey, Grey]:
     """Raw pictures of a lens that bows more, its eyes not aligned, where pictures of the camera file's are expected."""
     return (
-        _turned(left, (0.5 * PITCH_RAD, 0.0, 0.5 * ROLL_RAD), OTHER_K1, OTHER_K2, ZOOM),
-        _turned(right, (-0.5 * PITCH_RAD, 0.0, -0.5 * ROLL_RAD), OTHER_K1, OTHER_K2, ZOOM),
+        _rotate_and_distort(left, (0.5 * PITCH_RAD, 0.0, 0.5 * ROLL_RAD), OTHER_K1, OTHER_K2, ZOOM),
+        _rotate_and_distort(right, (-0.5 * PITCH_RAD, 0.0, -0.5 * ROLL_RAD), OTHER_K1, OTHER_K2, ZOOM),
     )
 
 
 def bumped(image: Grey) -> Grey:
     """The eye turned up by half a degree."""
-    return _turned(image, (BUMP_RAD, 0.0, 0.0), 0.0, 0.0)
+    return _rotate_and_distort(image, (BUMP_RAD, 0.0, 0.0), 0.0, 0.0)
 
 
-def _times(image: Grey, gain: float | np.ndarray) -> Grey:
+def _scale_brightness(image: Grey, gain: float | np.ndarray) -> Grey:
     return np.clip(image * gain + 0.5, 0.0, 255.0).astype(np.uint8)
 
 
 def flickering(image: Grey, number: int) -> Grey:
     """Picture `number` under a lamp that flickers."""
-    return _times(image, 1.0 + FLICKER_FRAC * np.sin(MAINS_STEP_RAD * number))
+    return _scale_brightness(image, 1.0 + FLICKER_FRAC * np.sin(MAINS_STEP_RAD * number))
 
 
 def uneven(image: Grey, number: int) -> Grey:
     """The same with a rolling shutter: rows in bands, which wander."""
     rows = np.arange(image.shape[0])[:, None] / image.shape[0]
-    return _times(image, 1.0 + FLICKER_FRAC * np.sin(MAINS_PER_READOUT_RAD * rows + MAINS_STEP_RAD * number))
+    return _scale_brightness(image, 1.0 + FLICKER_FRAC * np.sin(MAINS_PER_READOUT_RAD * rows + MAINS_STEP_RAD * number))
 
 
 def spotted(image: Grey) -> Grey:
@@ -184,7 +186,7 @@ _PICTURES: dict[FaultKind, PictureFault] = {
     FaultKind.BLUR: lambda left, right, _: (blurred(left), blurred(right)),
     FaultKind.LEFT_BLUR: lambda left, right, _: (blurred(left), right),
     FaultKind.MOTION_BLUR: lambda left, right, _: (smeared(left), smeared(right)),
-    FaultKind.SMALL: lambda left, right, _: (_half(left), _half(right)),
+    FaultKind.SMALL: lambda left, right, _: (_half_size_image(left), _half_size_image(right)),
     FaultKind.FLICKER: lambda left, right, n: (flickering(left, n), flickering(right, n)),
     FaultKind.UNEVEN: lambda left, right, n: (uneven(left, n), uneven(right, n)),
     FaultKind.SPOT: lambda left, right, _: (spotted(left), right),
@@ -234,9 +236,9 @@ class FaultSwitch:
         if self.kind is FaultKind.SILENT:
             return None
         if self.kind is FaultKind.FREEZE_RECODED:
-            picture = _decoded(_encoded(picture, quality))  # what the frozen memory holds
+            picture = _decode_jpeg(_encode_jpeg(picture, quality))  # what the frozen memory holds
             quality = RECODED_QUALITIES[self._number % len(RECODED_QUALITIES)]
-        jpeg = _encoded(picture, quality)
+        jpeg = _encode_jpeg(picture, quality)
         if self.kind is FaultKind.GARBAGE:
             return _with_lost_bytes(jpeg, self._number)
         if self.kind is FaultKind.FLIPPED:
@@ -258,18 +260,18 @@ def faulty_scene(kind: FaultKind, scene: "SceneTruth") -> "SceneTruth":
     return scene
 
 
-def _half(image: Grey) -> Grey:
+def _half_size_image(image: Grey) -> Grey:
     return np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _encoded(picture: Grey, quality: int) -> bytes:
+def _encode_jpeg(picture: Grey, quality: int) -> bytes:
     good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not good:
         raise ValueError(f"picture {picture.shape} {picture.dtype} cannot be encoded as JPEG; give grey 8 bit")
     return jpeg.tobytes()
 
 
-def _decoded(jpeg: bytes) -> Grey:
+def _decode_jpeg(jpeg: bytes) -> Grey:
     return np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE), np.uint8)
 
 

@@ -78,7 +78,7 @@ class EyeView:
 
 
 @lru_cache(maxsize=4)
-def _rays(camera: StereoCamera) -> EyeRays:
+def _camera_rays(camera: StereoCamera) -> EyeRays:
     return eye_rays(camera)
 
 
@@ -86,7 +86,7 @@ def eye_views(camera: "CameraTruth", tool_boards: tuple[Board, ...]) -> tuple[Ey
     """Left and right eye with the tool in view."""
 
     def view(eye: StereoCamera, T_tcp_cam: Array) -> EyeView:
-        rays = _rays(eye)
+        rays = _camera_rays(eye)
         return EyeView(rays, T_tcp_cam, fixed_patch(rays, tool_boards, T_tcp_cam))
 
     T_left_right = pose(np.eye(3), np.array([camera.left.baseline_m, 0.0, 0.0]))
@@ -105,7 +105,7 @@ class OwnStructure:
             return
         self._skin = hose_skin(truth.contrast_frac, np.random.default_rng([seed, 0x686F7365]))
         step, resting = eyes[0].rays.step_px, replace(truth, hoses_move=False)
-        hidden = [_mask(eye, None, resting, np.eye(4))[::step, ::step] for eye in eyes]
+        hidden = [_own_structure_mask(eye, None, resting, np.eye(4))[::step, ::step] for eye in eyes]
         self.boards = structure_faces(truth, seed, [(eye.rays, eye.T_tcp_cam) for eye in eyes], hidden)
         self._fixed = tuple(
             fixed_patch(eye.rays, backs_first(self.boards, eye.T_tcp_cam), eye.T_tcp_cam) for eye in eyes
@@ -127,7 +127,8 @@ class OwnStructure:
         The simulation's truth, for tests and benches.
         """
         left, right = (
-            _mask(eye, fixed, self._truth, T_base_tcp) for eye, fixed in zip(self._eyes, self._fixed, strict=True)
+            _own_structure_mask(eye, fixed, self._truth, T_base_tcp)
+            for eye, fixed in zip(self._eyes, self._fixed, strict=True)
         )
         return left, right
 
@@ -139,7 +140,9 @@ def _paint_hoses(image: Grey, view: EyeView, truth: "StructureTruth", T_base_tcp
             paint_hose(image, hose.pixels, hose.radius_px, hose.skin_row, skin)
 
 
-def _mask(view: EyeView, fixed: FixedPatch | None, truth: "StructureTruth | None", T_base_tcp: Array) -> Mask:
+def _own_structure_mask(
+    view: EyeView, fixed: FixedPatch | None, truth: "StructureTruth | None", T_base_tcp: Array
+) -> Mask:
     cover = np.zeros((view.rays.camera.height_px, view.rays.camera.width_px), np.uint8)
     if truth is not None:
         _paint_hoses(cover, view, truth, T_base_tcp, np.full((2, 1), 255, np.uint8))

@@ -94,7 +94,7 @@ class CameraLoop:
         """Until `stop` is set; a failure ends the pictures and is stored in `error`."""
         try:
             renderer = StereoRenderer(self._world)
-            feed = self._attached(feed_name)
+            feed = self._attach_pose_feed(feed_name)
             if feed is not None:
                 try:
                     self._run(renderer, feed)
@@ -104,7 +104,7 @@ class CameraLoop:
             log.exception("camera loop ended")
             self.error = f"{type(error).__name__}: {error}"
 
-    def _attached(self, feed_name: str) -> PoseFeed | None:
+    def _attach_pose_feed(self, feed_name: str) -> PoseFeed | None:
         """The pose feed once it holds poses; None when stopped before."""
         feed = PoseFeed.attach(feed_name)
         while not self.stop.is_set():
@@ -128,7 +128,7 @@ class CameraLoop:
                 return
             start = time.perf_counter()
             try:
-                pair = self._faulty(renderer).render(feed, t_mid_ns, self._rng)
+                pair = self._renderer_with_fault(renderer).render(feed, t_mid_ns, self._rng)
             except PoseFeedError as error:  # starved for longer than the feed reaches back: take the next exposure
                 log.warning("camera: exposure left out: %s", error)
                 continue
@@ -137,7 +137,7 @@ class CameraLoop:
                 grid.rate_hz = self.governor.rate_hz
                 log.info("camera: %.1f pairs/s of %.1f wanted", grid.rate_hz, self.governor.wanted_hz)
 
-    def _faulty(self, renderer: StereoRenderer) -> StereoRenderer:
+    def _renderer_with_fault(self, renderer: StereoRenderer) -> StereoRenderer:
         """The renderer of the scene as the chosen fault leaves it; made when first requested."""
         kind = self._faults.kind
         if kind not in SCENE_FAULTS:

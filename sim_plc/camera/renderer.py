@@ -75,12 +75,12 @@ class RenderSetup:
 
 
 @lru_cache(maxsize=2)
-def _levels(seed: int, contrast_frac: float) -> tuple[TextureLevel, ...]:
+def _rock_texture_levels(seed: int, contrast_frac: float) -> tuple[TextureLevel, ...]:
     return texture_levels(rock_texture(seed, contrast_frac))
 
 
 @lru_cache(maxsize=1)
-def _bank() -> NDArray[np.int8]:
+def _image_noise_bank() -> NDArray[np.int8]:
     return noise_bank(np.random.default_rng(_NOISE_BANK_SEED))
 
 
@@ -116,7 +116,7 @@ class StereoRenderer:
         self._camera = world.camera
         self._scene = scene = world.scene
         dictionary = world.dictionary if isinstance(world, RenderSetup) else world.nominal.dictionary
-        self._levels = _levels(scene.texture_seed, scene.texture_contrast_frac)
+        self._levels = _rock_texture_levels(scene.texture_seed, scene.texture_contrast_frac)
         self._relief = wall_relief(scene.texture_seed, scene.wall_relief_m, scene.wall_offset_m)
         self._T_ooi_base = inverse_pose(scene.T_base_ooi)
         self._marks = tuple(drawn_mark(mark) for mark in scene.round_marks)
@@ -165,7 +165,7 @@ class StereoRenderer:
         half_ns = round(0.5e9 * self._camera.exposure_s)
         ends = np.stack([poses.pose_at(t_mid_ns - half_ns), poses.pose_at(t_mid_ns + half_ns)])
         self.times.mark("poses")
-        return self._picture(0, Ts_base_tcp, ends, rng), self._picture(1, Ts_base_tcp, ends, rng)
+        return self._render_eye_image(0, Ts_base_tcp, ends, rng), self._render_eye_image(1, Ts_base_tcp, ends, rng)
 
     def render_static(self, T_base_tcp: Array, rng: np.random.Generator | None = None) -> tuple[Grey, Grey]:
         """A pair with the tool at rest; noise from `rng`, or seed 0."""
@@ -174,51 +174,51 @@ class StereoRenderer:
     def sharp(self, eye: EyeView, Ts_base_tcp: Array) -> Grey:
         """Wall and OOI in one eye, before motion, point spread, tool and noise. `Ts_base_tcp` at the key rows."""
         keys = self.Ts_ooi_cam(eye, Ts_base_tcp)
-        image = self._wall(eye, keys)
+        image = self._render_wall(eye, keys)
         self.times.mark("wall")
         for board in (*self._fixture_boards, *far_to_near(self._ooi_boards, keys[len(keys) // 2])):
             paint_board(image, eye.rays, board, keys)
         self.times.mark("markers")
         return image
 
-    def _wall(self, eye: EyeView, keys: Array) -> Grey:
+    def _render_wall(self, eye: EyeView, keys: Array) -> Grey:
         camera, rays = eye.rays.camera, eye.rays
         image = np.empty((camera.height_px, camera.width_px), np.uint8)
         relief = self._relief
         flat = self._scene.wall_relief_m == 0.0
         points = node_map(rays.nodes, rays.step_px, camera.height_px, keys, relief.heights, relief.mean_z_m, flat)
-        level = self._levels[best_level(self._levels, self._footprint(camera, keys[len(keys) // 2]))]
+        level = self._levels[best_level(self._levels, self._wall_pixel_size_m(camera, keys[len(keys) // 2]))]
         paint_map(texel_map(points, level), rays.step_px, level.image, image)
         for mark in self._marks:
             paint_mark(image, rays, mark, keys, relief)
         return image
 
-    def _footprint(self, camera: StereoCamera, T_ooi_cam: Array) -> float:
+    def _wall_pixel_size_m(self, camera: StereoCamera, T_ooi_cam: Array) -> float:
         """Side of a pixel on the wall at the picture's middle [m]."""
-        return self._depth(T_ooi_cam) / camera.fx_px
+        return self._wall_depth_m(T_ooi_cam) / camera.fx_px
 
-    def _depth(self, T_ooi_cam: Array) -> float:
+    def _wall_depth_m(self, T_ooi_cam: Array) -> float:
         """Depth of the wall along the optical axis [m], 0.05 to 30."""
         towards = min(float(T_ooi_cam[2, 2]), -1e-3)
         return float(np.clip((self._relief.mean_z_m - T_ooi_cam[2, 3]) / towards, 0.05, 30.0))
 
-    def _streak(self, eye: EyeView, ends_base_tcp: Array) -> Array:
+    def _motion_blur_vector_px(self, eye: EyeView, ends_base_tcp: Array) -> Array:
         """How far the wall's middle moves in the picture during the exposure, (2,) [px]."""
         start, end = self.Ts_ooi_cam(eye, ends_base_tcp)
-        middle = start[:3, 3] + start[:3, 2] * self._depth(start)
+        middle = start[:3, 3] + start[:3, 2] * self._wall_depth_m(start)
         seen = np.stack([T[:3, :3].T @ (middle - T[:3, 3]) for T in (start, end)])
         pixels = project(eye.rays.camera, seen)
         return pixels[1] - pixels[0]
 
-    def _picture(self, number: int, Ts_base_tcp: Array, ends: Array, rng: np.random.Generator) -> Grey:
+    def _render_eye_image(self, number: int, Ts_base_tcp: Array, ends: Array, rng: np.random.Generator) -> Grey:
         image = self.sharp(self.eyes[number], Ts_base_tcp)
         if self._camera.exposure_s > 0.0:
-            image = motion_blur(image, self._streak(self.eyes[number], ends))
+            image = motion_blur(image, self._motion_blur_vector_px(self.eyes[number], ends))
         self.times.mark("motion blur")
         self.structure.paint(image, number, Ts_base_tcp[len(Ts_base_tcp) // 2])
         self.times.mark("own structure")
         image = point_spread(image, self._camera.psf_px)
         self.times.mark("point spread")
-        add_noise(image, _bank(), self._camera.noise_grey, rng)
+        add_noise(image, _image_noise_bank(), self._camera.noise_grey, rng)
         self.times.mark("noise")
         return image

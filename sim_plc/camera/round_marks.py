@@ -116,7 +116,7 @@ def drawn_mark(mark: RoundMark) -> DrawnMark:
 def paint_mark(image: Grey, eye: EyeRays, drawn: DrawnMark, Ts_ooi_cam: Array, relief: Relief) -> None:
     """Paint one mark over the wall; `Ts_ooi_cam` (n, 4, 4) at the shutter's key rows."""
     mark = drawn.mark
-    roi = _region(eye, mark, Ts_ooi_cam)
+    roi = _mark_pixel_region(eye, mark, Ts_ooi_cam)
     if roi is None:
         return
     height = mark.T_ooi_mark[2, 3] - relief.mean_z_m
@@ -125,13 +125,13 @@ def paint_mark(image: Grey, eye: EyeRays, drawn: DrawnMark, Ts_ooi_cam: Array, r
     )
     light = mark.T_ooi_mark[:3, :3].T @ mark.light_ooi
     T_mark_ooi = np.ascontiguousarray(inverse_pose(mark.T_ooi_mark)[:3])
-    _paint(
+    _paint_mark_pixels(
         image, eye.corners, Ts_ooi_cam, relief.heights, relief.mean_z_m, T_mark_ooi, figures, light, drawn.noise,
         drawn.rim_m, roi,
     )  # fmt: skip
 
 
-def _region(eye: EyeRays, mark: RoundMark, Ts_ooi_cam: Array) -> tuple[int, int, int, int] | None:
+def _mark_pixel_region(eye: EyeRays, mark: RoundMark, Ts_ooi_cam: Array) -> tuple[int, int, int, int] | None:
     """Pixels (u0, v0, u1, v1) that the mark and what surrounds it may touch; None: out of view."""
     reach, low = mark.diameter_m, -_REACH * 0.5 * mark.diameter_m if mark.wet else -mark.diameter_m
     box = np.array([[-reach, low, 0.0], [reach, low, 0.0], [reach, reach, 0.0], [-reach, reach, 0.0]])
@@ -148,7 +148,7 @@ def _region(eye: EyeRays, mark: RoundMark, Ts_ooi_cam: Array) -> tuple[int, int,
 
 
 @njit(cache=True, nogil=True)
-def _paint(
+def _paint_mark_pixels(
     out: Grey,
     corners: NDArray[np.float32],
     keys: Array,
@@ -169,8 +169,8 @@ def _paint(
         origin = T[:, 3].copy()
         for u in range(u0, u1):
             base = float(out[v, u])
-            _ray(corners, T, u, v, 0.5, 0.5, d)
-            _meet(heights, mean_z, figures[6], origin, d, T_mark_ooi, p)
+            _pixel_ray_direction(corners, T, u, v, 0.5, 0.5, d)
+            _ray_surface_hit(heights, mean_z, figures[6], origin, d, T_mark_ooi, p)
             r = np.hypot(p[0], p[1])
             pixel = abs((origin[2] - mean_z) / d[2]) * (corners[v, u + 1, 0] - corners[v, u, 0])
             slack = 1.5 * pixel
@@ -181,14 +181,16 @@ def _paint(
             for a in range(n):
                 for b in range(n):
                     if n > 1:
-                        _ray(corners, T, u, v, (b + (a + 0.5) / n) / n, (a + (b + 0.5) / n) / n, d)
-                        _meet(heights, mean_z, figures[6], origin, d, T_mark_ooi, p)
-                    total += _grey(T_mark_ooi, figures, light, noise, rim, p, d, base)
+                        _pixel_ray_direction(corners, T, u, v, (b + (a + 0.5) / n) / n, (a + (b + 0.5) / n) / n, d)
+                        _ray_surface_hit(heights, mean_z, figures[6], origin, d, T_mark_ooi, p)
+                    total += _ray_grey_value(T_mark_ooi, figures, light, noise, rim, p, d, base)
             out[v, u] = np.uint8(min(max(total / (n * n) + 0.5, 0.0), 255.0))
 
 
 @njit(cache=True, nogil=True)
-def _ray(corners: NDArray[np.float32], T: Array, u: int, v: int, fx: float, fy: float, d: Array) -> None:
+def _pixel_ray_direction(
+    corners: NDArray[np.float32], T: Array, u: int, v: int, fx: float, fy: float, d: Array
+) -> None:
     """Direction in OOI axes of the ray through a place (fx, fy) of the pixel, into `d`."""
     w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
     rx = (
@@ -208,7 +210,9 @@ def _ray(corners: NDArray[np.float32], T: Array, u: int, v: int, fx: float, fy: 
 
 
 @njit(cache=True, nogil=True)
-def _meet(heights: Array, mean_z: float, guess: float, origin: Array, d: Array, T_mark_ooi: Array, p: Array) -> None:
+def _ray_surface_hit(
+    heights: Array, mean_z: float, guess: float, origin: Array, d: Array, T_mark_ooi: Array, p: Array
+) -> None:
     """Where the ray meets the rock's surface, in mark axes, into `p`."""
     x, y, h = wall_hit(heights, mean_z, guess, origin, d[0], d[1], d[2], _HIT_STEPS)
     for i in range(3):
@@ -216,7 +220,9 @@ def _meet(heights: Array, mean_z: float, guess: float, origin: Array, d: Array, 
 
 
 @njit(cache=True, nogil=True)
-def _grey(T: Array, figures: Array, light: Array, noise: Field, rim: Array, p: Array, d: Array, base: float) -> float:
+def _ray_grey_value(
+    T: Array, figures: Array, light: Array, noise: Field, rim: Array, p: Array, d: Array, base: float
+) -> float:
     """Grey that one ray along `d` sees which meets the rock's surface at `p` (mark axes); `base`: of the rock there."""
     px, py, pz = p
     dx, dy, dz = d
@@ -234,7 +240,7 @@ def _grey(T: Array, figures: Array, light: Array, noise: Field, rim: Array, p: A
         qx = T[0, 0] * dx + T[0, 1] * dy + T[0, 2] * dz
         qy = T[1, 0] * dx + T[1, 1] * dy + T[1, 2] * dz
         qz = T[2, 0] * dx + T[2, 1] * dy + T[2, 2] * dz
-        return _inside(px, py, pz, qx, qy, qz, radius, depth, light, noise)
+        return _hole_grey_value(px, py, pz, qx, qy, qz, radius, depth, light, noise)
     if r < rim[cell]:
         return 0.4 * base + 0.6 * _FRESH_GREY + 14.0 * speck
     grey = base
@@ -246,7 +252,7 @@ def _grey(T: Array, figures: Array, light: Array, noise: Field, rim: Array, p: A
 
 
 @njit(cache=True, nogil=True)
-def _inside(
+def _hole_grey_value(
     px: float, py: float, pz: float, qx: float, qy: float, qz: float, radius: float, depth: float, light: Array,
     noise: Field,
 ) -> float:  # fmt: skip

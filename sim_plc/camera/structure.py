@@ -47,7 +47,7 @@ _HOSE_ROWS_M, _HOSE_COLUMNS = 0.001, 48  # of its texture, along and around
 _FIT_STEPS = 12  # halvings of the beams' size: 1 part in 4000
 
 
-def _box(low: Array, high: Array, grey: int, contrast_frac: float, rng: np.random.Generator) -> tuple[Board, ...]:
+def _box_faces(low: Array, high: Array, grey: int, contrast_frac: float, rng: np.random.Generator) -> tuple[Board, ...]:
     """Six faces of a box between two corners, printed sides out; `contrast_frac` 0: plain, one cell each."""
     middle, size = 0.5 * (low + high), high - low
     faces = []
@@ -100,13 +100,13 @@ def hose_skin(contrast_frac: float, rng: np.random.Generator) -> Grey:
     return np.clip(skin, 4.0, 250.0).astype(np.uint8)
 
 
-def _boards(share: float, contrast_frac: float, seed: int) -> tuple[Board, ...]:
+def _beam_and_housing_faces(share: float, contrast_frac: float, seed: int) -> tuple[Board, ...]:
     """Faces of beams and housing, which never hide each other from between the beams; `share` 0..1 raises the beams."""
     rng = np.random.default_rng([seed, 0x626F6F6D])
 
     def box(tops_m: float, sides_m: tuple[float, float], ends_m: tuple[float, float], grey: int) -> tuple[Board, ...]:
         low, high = np.array([_BOTTOM_M, sides_m[0], ends_m[0]]), np.array([tops_m, sides_m[1], ends_m[1]])
-        return _box(low, high, grey, contrast_frac, rng)
+        return _box_faces(low, high, grey, contrast_frac, rng)
 
     beam = (_BEAM_FRONT_M, _BEHIND_M)
     left = box(_BEAM_TOP_M + _LEFT_RISE_M * share, (_BEAM_INNER_M, _BEAM_OUTER_M), beam, _BEAM_GREY)
@@ -163,7 +163,7 @@ def backs_first(boards: Sequence[Board], T_tcp_cam: Array) -> list[Board]:
     return sorted(boards, key=lambda board: (inverse_pose(board.T_object_board) @ T_tcp_cam)[2, 3] > 0.0)
 
 
-def _hit(rays: Array, board: Board, T_tcp_cam: Array) -> NDArray[np.bool_]:
+def _rays_hitting_board(rays: Array, board: Board, T_tcp_cam: Array) -> NDArray[np.bool_]:
     """Which rays (n, 2) meet a board."""
     T = inverse_pose(board.T_object_board) @ T_tcp_cam
     directions = np.column_stack([rays, np.ones(len(rays))]) @ T[:3, :3].T
@@ -176,12 +176,12 @@ def _hit(rays: Array, board: Board, T_tcp_cam: Array) -> NDArray[np.bool_]:
 def _share_at(share: float, eyes: "Sequence[tuple[EyeRays, Array]]", hidden: "Sequence[NDArray[np.bool_]]") -> float:
     """Covered share of both pictures, at the sparse rays inside them; `hidden`: by hoses and tool."""
     covered = 0.0
-    boards = _boards(share, 0.0, 0)
+    boards = _beam_and_housing_faces(share, 0.0, 0)
     for (rays, T_tcp_cam), already in zip(eyes, hidden, strict=True):
         nodes = rays.nodes[1:-2, 1:-2].reshape(-1, 2)
         hit = already.ravel().copy()
         for board in boards:
-            hit |= _hit(nodes, board, T_tcp_cam)
+            hit |= _rays_hitting_board(nodes, board, T_tcp_cam)
         covered += float(hit.mean()) / len(eyes)
     return covered
 
@@ -201,4 +201,4 @@ def structure_faces(
             low = middle
         else:
             high = middle
-    return _boards(0.5 * (low + high), truth.contrast_frac, seed)
+    return _beam_and_housing_faces(0.5 * (low + high), truth.contrast_frac, seed)

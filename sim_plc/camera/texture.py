@@ -47,28 +47,28 @@ def value_noise(rng: np.random.Generator, rows: int, cols: int, cells_y: int, ce
     return np.ascontiguousarray(big[top : top + rows, left : left + cols], np.float32)
 
 
-def _octaves(rng: np.random.Generator) -> Field:
+def _octave_noise(rng: np.random.Generator) -> Field:
     """Sum of noises from coarse to fine, each drawn at the size it needs and enlarged together with those before it."""
     field = np.zeros((ROWS // 16, COLUMNS // 16), np.float32)
     gain = 1.0
     for cell_m in _OCTAVE_CELLS_M:
         cells_y, cells_x = round(ROWS * TEXEL_M / cell_m), round(COLUMNS * TEXEL_M / cell_m)
         while field.shape[1] < min(4 * cells_x, COLUMNS):
-            field = _doubled(field)
+            field = _double_periodic_field(field)
         rows, cols = field.shape
         cv2.scaleAdd(value_noise(rng, rows, cols, cells_y, cells_x), gain, field, field)
         gain *= _OCTAVE_GAIN
     return field / np.float32(field.std())
 
 
-def _doubled(field: Field) -> Field:
+def _double_periodic_field(field: Field) -> Field:
     """A periodic field at twice its size."""
     padded = np.pad(field, 1, mode="wrap")
     big = cv2.resize(padded, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(big[2:-2, 2:-2], np.float32)
 
 
-def _wrapped(points: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+def _periodic_shape_copies(points: NDArray[np.int32]) -> list[NDArray[np.int32]]:
     """A shape and its copies that reach in from the neighbouring periods."""
     x_min, y_min = points.min(axis=0)
     x_max, y_max = points.max(axis=0)
@@ -77,7 +77,7 @@ def _wrapped(points: NDArray[np.int32]) -> list[NDArray[np.int32]]:
     return [points + np.array([dx, dy], np.int32) for dx in shifts_x for dy in shifts_y]
 
 
-def _facets(rng: np.random.Generator) -> Field:
+def _facet_tone_field(rng: np.random.Generator) -> Field:
     """Convex chips of random tone, the large ones below the small ones; 0 where there is none."""
     field = np.zeros((ROWS, COLUMNS), np.float32)
     for size_m in _FACET_SIZES_M:
@@ -91,12 +91,12 @@ def _facets(rng: np.random.Generator) -> Field:
         for centre, angle, radius, turn, tone in zip(centres, angles, radii, turns, tones, strict=True):
             c, s = np.cos(turn), np.sin(turn)
             ring = np.stack([np.cos(angle), np.sin(angle)], axis=1) * radius @ np.array([[c, s], [-s, c]])
-            for points in _wrapped(np.rint(ring + centre).astype(np.int32)):
+            for points in _periodic_shape_copies(np.rint(ring + centre).astype(np.int32)):
                 cv2.fillConvexPoly(field, points, float(tone), cv2.LINE_8)
     return field
 
 
-def _cracks(rng: np.random.Generator) -> Grey:
+def _crack_mask(rng: np.random.Generator) -> Grey:
     """Dark branching lines as a mask (255 = crack)."""
     mask = np.zeros((ROWS, COLUMNS), np.uint8)
     for _ in range(_N_CRACKS):
@@ -105,12 +105,12 @@ def _cracks(rng: np.random.Generator) -> Grey:
         steps = rng.uniform(10, 45, (n, 1)) * np.stack([np.cos(heading), np.sin(heading)], axis=1)
         path = rng.uniform((0, 0), (COLUMNS, ROWS)) + np.cumsum(steps, axis=0)
         width = int(rng.integers(1, 6))
-        for points in _wrapped(np.rint(path).astype(np.int32)):
+        for points in _periodic_shape_copies(np.rint(path).astype(np.int32)):
             cv2.polylines(mask, [points], False, 255, width, cv2.LINE_AA)
     return mask
 
 
-def _speckles(rng: np.random.Generator) -> Field:
+def _speckle_field(rng: np.random.Generator) -> Field:
     """Square-ish bright and dark grains of several sizes."""
     field = np.zeros((ROWS, COLUMNS), np.float32)
     for size in _SPECKLE_SIZES_TEXEL:
@@ -130,10 +130,10 @@ def rock_texture(seed: int, contrast_frac: float) -> Grey:
     Args:    seed: the wall's own seed. contrast_frac: 0..1, scales every departure from the mean grey.
     """
     rng = np.random.default_rng([seed, 0x726F636B])
-    field = 0.7 * _octaves(rng)
-    field += 0.75 * _facets(rng)
-    field += 0.8 * _speckles(rng)
-    field -= (1.8 / 255.0) * _cracks(rng).astype(np.float32)
+    field = 0.7 * _octave_noise(rng)
+    field += 0.75 * _facet_tone_field(rng)
+    field += 0.8 * _speckle_field(rng)
+    field -= (1.8 / 255.0) * _crack_mask(rng).astype(np.float32)
     field -= np.float32(field.mean())
     field *= np.float32(contrast_frac * SIGMA_GREY / field.std())
     return np.clip(field + MEAN_GREY, 4.0, 250.0).astype(np.uint8)

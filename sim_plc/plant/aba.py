@@ -34,7 +34,7 @@ def joint_frames(tree_R: Array, tree_p: Array, q: Array, R: Array, p: Array) -> 
 
 
 @njit(cache=True, error_model="numpy")
-def _cross(a: Array, ia: int, b: Array, ib: int, out: Array, io: int) -> None:
+def _cross_product(a: Array, ia: int, b: Array, ib: int, out: Array, io: int) -> None:
     out[io] = a[ia + 1] * b[ib + 2] - a[ia + 2] * b[ib + 1]
     out[io + 1] = a[ia + 2] * b[ib] - a[ia] * b[ib + 2]
     out[io + 2] = a[ia] * b[ib + 1] - a[ia + 1] * b[ib]
@@ -73,13 +73,13 @@ def _spatial_inertia(R: Array, p: Array, mass: float, com: Array, inertia: Array
 
 
 @njit(cache=True, error_model="numpy")
-def _velocities(R: Array, p: Array, qd: Array, axis: Array, v: Array, c: Array) -> None:
+def _propagate_velocities(R: Array, p: Array, qd: Array, axis: Array, v: Array, c: Array) -> None:
     """Motion axes S_i = (z, p x z), spatial velocities v_i and bias accelerations c_i = v_i x S_i qd_i."""
     for i in range(qd.shape[0]):
         s = axis[i]
         for k in range(3):
             s[k] = R[i, k, 2]
-        _cross(p[i], 0, s, 0, s, 3)
+        _cross_product(p[i], 0, s, 0, s, 3)
         for k in range(6):
             v[i, k] = s[k] * qd[i]
             if i > 0:
@@ -152,7 +152,7 @@ def aba(
     acc = extra[15:21]
 
     joint_frames(tree_R, tree_p, q, R, p)
-    _velocities(R, p, qd, axis, v, c)
+    _propagate_velocities(R, p, qd, axis, v, c)
     for i in range(n):
         _spatial_inertia(R[i], p[i], mass[i], com[i], inertia[i], bodies[i], turned)
         _bias_force(bodies[i], v[i], momentum, force[i])

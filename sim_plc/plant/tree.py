@@ -35,7 +35,7 @@ class Tree:
     armature: Array
 
 
-def _turn(axis: str, angle_rad: float) -> Array:
+def _axis_rotation_pose(axis: str, angle_rad: float) -> Array:
     return pose(rotation_about(axis, angle_rad), np.zeros(3))
 
 
@@ -52,8 +52,11 @@ def build_tree(kinematics: KinematicTruth, inertia: InertiaTruth) -> Tree:
              lateral bending is across it and across the boom, the wrist mount bends vertically at d4 along the boom.
     """
     rest = [_dh_rest(kinematics, i) for i in range(6)]
-    zero = [_turn("z", float(angle)) for angle in kinematics.theta_zero_rad]
-    to_y, to_x = _turn("x", -np.pi / 2), _turn("y", np.pi / 2)  # put z on the old y, on the old x
+    zero = [_axis_rotation_pose("z", float(angle)) for angle in kinematics.theta_zero_rad]
+    to_y, to_x = (
+        _axis_rotation_pose("x", -np.pi / 2),
+        _axis_rotation_pose("y", np.pi / 2),
+    )  # put z on the old y, on the old x
     along_boom = pose(np.eye(3), np.array([0.0, 0.0, kinematics.d_m[3]]))
     wrist_rest = inverse_pose(along_boom) @ rest[3]
     steps = [

@@ -61,12 +61,12 @@ class KnotRing:
             self.last, self.end = replaced - 1, -1
         for index, knot in enumerate(command.knots, start=command.knot_first):
             if index == self.last + 1:
-                self._put(index, knot)
+                self._store_knot(index, knot)
         self.first = max(self.first, view.playing, self.last - SIZE + 1)
         if CommandFlag.LAST_IS_END in command.cmd_flags:
             self.end = command.knot_first + len(command.knots) - 1
 
-    def _put(self, index: int, knot: Knot) -> None:
+    def _store_knot(self, index: int, knot: Knot) -> None:
         slot, n = index % SIZE, len(self._table.axes)
         self._kept[slot] = knot
         self.times[slot] = knot.t_ns * 1e-9

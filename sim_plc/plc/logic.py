@@ -86,16 +86,16 @@ class PlcLogic:
 
     def receive(self, datagram: bytes, t_plc_ns: int, source: Hashable = None) -> list[PlcLinkEvent]:
         """Take one datagram; any bytes may come. Returns what it led to, for the shell's log."""
-        return self._handle(self.link.receive(datagram, t_plc_ns, source), t_plc_ns)
+        return self._handle_link_events(self.link.receive(datagram, t_plc_ns, source), t_plc_ns)
 
     def cycle(self, t_plc_ns: int, sample: PlantSample) -> Array:
         """One cycle: valve commands (n,) [fraction of full command]; a view that the next cycle changes."""
         self._counters.cycles += 1
         self._sample = sample = readable(sample)
         if self.link.state is PlcState.BOOT:
-            self._apply(PlcEvent.BOOTED, t_plc_ns)
-        self._watch(sample, t_plc_ns)
-        self._handle(self.link.poll(t_plc_ns), t_plc_ns)
+            self._apply_link_event(PlcEvent.BOOTED, t_plc_ns)
+        self._monitor_sample(sample, t_plc_ns)
+        self._handle_link_events(self.link.poll(t_plc_ns), t_plc_ns)
         self._move(sample, t_plc_ns)
         if self._dry_run or self.reference.motion is Motion.FOLLOW:
             return self._control.neutral()
@@ -114,13 +114,13 @@ class PlcLogic:
     def latch_faults(self, faults: FaultBit, t_plc_ns: int) -> None:
         """Latch faults: ramp down, then valves neutral until RESET and a new arming."""
         self.monitor.latch(faults)
-        self._apply(PlcEvent.FAULT, t_plc_ns)
+        self._apply_link_event(PlcEvent.FAULT, t_plc_ns)
         if faults & (FaultBit.SENSOR | FaultBit.ESTOP) and self._sample is not None:
             self.reference.let_go()  # without encoders or oil there is no ramp: valves neutral immediately
 
     # --- one cycle --------------------------------------------------------------------------------------------------
 
-    def _watch(self, sample: PlantSample, t_plc_ns: int) -> None:
+    def _monitor_sample(self, sample: PlantSample, t_plc_ns: int) -> None:
         controlled = self.reference.motion is not Motion.FOLLOW
         monitor, reference = self.monitor, self.reference
         reference.qd_joints[:] = np.where(np.isfinite(sample.qd_rad_s), sample.qd_rad_s, 0.0)
@@ -148,9 +148,9 @@ class PlcLogic:
         """The local lever overrules the network; it does not overrule a fault."""
         state, taken = self.state, self.panel.lever_taken
         if taken and state not in (PlcState.LOCAL, PlcState.FAULT):
-            self._apply(PlcEvent.LOCAL_ON, t_plc_ns)
+            self._apply_link_event(PlcEvent.LOCAL_ON, t_plc_ns)
         elif not taken and state is PlcState.LOCAL and self.reference.motion is Motion.FOLLOW:
-            self._apply(PlcEvent.LOCAL_OFF, t_plc_ns)
+            self._apply_link_event(PlcEvent.LOCAL_OFF, t_plc_ns)
 
     def _move(self, sample: PlantSample, t_plc_ns: int) -> None:
         reference = self.reference
@@ -162,12 +162,12 @@ class PlcLogic:
             self._counters.starved = True
             self._counters.underruns += 1
             reference.stop_along_path()
-            self._apply(PlcEvent.SOFT_STOP, t_plc_ns)
+            self._apply_link_event(PlcEvent.SOFT_STOP, t_plc_ns)
         played = reference.motion in (Motion.PLAY, Motion.SERVO)
         if reference.step(t_plc_ns):
             self._settle(sample, played)
             if self.state in (PlcState.RUN, PlcState.STOPPING):
-                self._apply(PlcEvent.END if played else PlcEvent.AT_REST, t_plc_ns)
+                self._apply_link_event(PlcEvent.END if played else PlcEvent.AT_REST, t_plc_ns)
             if self.state not in ARMED_STATES:
                 reference.follow(sample.q_rad)
 
@@ -181,14 +181,14 @@ class PlcLogic:
 
     # --- link events ------------------------------------------------------------------------------------------------
 
-    def _apply(self, event: PlcEvent, t_plc_ns: int) -> None:
-        self._handle(self.link.apply(event, t_plc_ns), t_plc_ns)
+    def _apply_link_event(self, event: PlcEvent, t_plc_ns: int) -> None:
+        self._handle_link_events(self.link.apply(event, t_plc_ns), t_plc_ns)
 
-    def _handle(self, events: list[PlcLinkEvent], t_plc_ns: int) -> list[PlcLinkEvent]:
+    def _handle_link_events(self, events: list[PlcLinkEvent], t_plc_ns: int) -> list[PlcLinkEvent]:
         for event in events:
             match event:
                 case StateChanged(new=new):
-                    self._enter(event.old, new, event.event)
+                    self._enter_state(event.old, new, event.event)
                 case CommandAccepted(command=command, effect=PlcAction.LOAD):
                     self._load(command)
                 case CommandAccepted(command=command, effect=PlcAction.SERVO):
@@ -205,7 +205,7 @@ class PlcLogic:
                     pass
         return events
 
-    def _enter(self, old: PlcState, new: PlcState, event: PlcEvent) -> None:
+    def _enter_state(self, old: PlcState, new: PlcState, event: PlcEvent) -> None:
         reference = self.reference
         if new is PlcState.HOLD and old is PlcState.LINKED:
             self._control.neutral()

@@ -20,7 +20,7 @@ _SENSOR, _RANGE, _LAG_WARN, _LAG_FAULT = 1, 2, 4, 8
 
 
 @njit(cache=True)
-def _findings(
+def _joint_finding_bits(
     q: Array, qd: Array, q_ref: Array, q_min: Array, q_max: Array, lag_warn: Array, lag_fault: Array, margin: float
 ) -> int:
     bits = 0
@@ -39,7 +39,7 @@ def _findings(
 
 
 @njit(cache=True)
-def _jumps(q: Array, q_before: Array, qd_max: Array, since_s: float) -> int:
+def _encoder_jump_bits(q: Array, q_before: Array, qd_max: Array, since_s: float) -> int:
     """Bit j: the encoder went further since the last reading than its joint can; those that are no numbers do not."""
     bits = 0
     for j in range(q.shape[0]):
@@ -77,8 +77,8 @@ class Monitor:
         Range, jumps and pressure only count while the PLC moves the machine, lag not in a dry run either.
         """
         s = self._settings
-        bits = _findings(q, qd, q_ref, s.q_min, s.q_max, s.lag_warn, s.lag_fault, RANGE_MARGIN_RAD)
-        jumps = _jumps(q, self._q_before, s.qd_max, since_s) if controlled else 0
+        bits = _joint_finding_bits(q, qd, q_ref, s.q_min, s.q_max, s.lag_warn, s.lag_fault, RANGE_MARGIN_RAD)
+        jumps = _encoder_jump_bits(q, self._q_before, s.qd_max, since_s) if controlled else 0
         if jumps:
             self.jumped |= jumps
             bits |= _SENSOR

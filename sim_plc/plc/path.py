@@ -71,7 +71,7 @@ def _next_rate(point: Array, qd: Array, rate: float, target: float, dt: float, q
 
 
 @njit(cache=True)
-def _move(times: Array, last: int, k: int, sigma: float, ahead: float) -> tuple[int, float]:
+def _advance_path_position(times: Array, last: int, k: int, sigma: float, ahead: float) -> tuple[int, float]:
     """Segment and path time `ahead` [s] further on, not past knot `last`."""
     sigma = min(sigma + ahead, times[last % SIZE])
     while k + 1 < last and sigma >= times[(k + 1) % SIZE]:
@@ -102,10 +102,10 @@ def advance(
         path_point(times, knots, k, sigma, out)
         qd = out[1] * rate
         guess = _first_guess(out, rate, target, dt, qdd_max)
-        k_guess, sigma_guess = _move(times, last, k, sigma, 0.5 * (rate + guess) * dt)
+        k_guess, sigma_guess = _advance_path_position(times, last, k, sigma, 0.5 * (rate + guess) * dt)
         path_point(times, knots, k_guess, sigma_guess, out)
         new_rate = _next_rate(out, qd, rate, target, dt, qdd_max)
-    k, sigma = _move(times, last, k, sigma, 0.5 * (rate + new_rate) * dt)
+    k, sigma = _advance_path_position(times, last, k, sigma, 0.5 * (rate + new_rate) * dt)
     path_point(times, knots, k, sigma, out)
     for j in range(out.shape[1]):
         out[2, j] = out[2, j] * new_rate * new_rate + out[1, j] * (new_rate - rate) / dt

@@ -174,18 +174,18 @@ class Reference:
         if self.motion is Motion.SERVO:
             return self.servo.step(self._out, self.speed_override, t_plc_ns)
         if self.motion is Motion.PLAY:
-            self._advance(self.speed_override)
+            self._advance_along_path(self.speed_override)
             return self._ring.complete and self._at_path_end()
         if self.motion in (Motion.PATH_STOP, Motion.JOINT_STOP):
             self.fade = max(self.fade - self._fade_step, 0.0)
-            return self._brake() and self.fade == 0.0
+            return self._step_stop_ramp() and self.fade == 0.0
         return False
 
-    def _brake(self) -> bool:
+    def _step_stop_ramp(self) -> bool:
         """One cycle of a ramp; whether the reference rests."""
         if self.motion is Motion.JOINT_STOP:
             return not ramp_down(self._out, self._decel, self._settings.cycle_s)
-        self._advance(0.0)
+        self._advance_along_path(0.0)
         if self._rate > 0.0 and self._at_path_end() and float(np.abs(self.qd).max()) > AT_REST:
             self._stop_straight()  # a path that was cut short under the brake
             return False
@@ -216,7 +216,7 @@ class Reference:
     def _at_path_end(self) -> bool:
         return self.path_left_s <= _AT_END_S
 
-    def _advance(self, target: float) -> None:
+    def _advance_along_path(self, target: float) -> None:
         ring, settings = self._ring, self._settings
         self._k, self._sigma, self._rate = advance(
             ring.times, ring.knots, ring.last, self._k, self._sigma, self._rate, target, settings.cycle_s,

@@ -56,7 +56,7 @@ def steady_lag(joint: Joint) -> float:
     return joint.qd_max_rad_s / (joint.velocity_gain_rad_s * joint.kp_frac_per_rad)
 
 
-def _frozen(values: list[float]) -> Array:
+def _read_only_array(values: list[float]) -> Array:
     array = np.array(values, dtype=np.float64)
     array.setflags(write=False)
     return array
@@ -70,12 +70,12 @@ def plc_settings(machine: Machine) -> PlcSettings:
     return PlcSettings(
         table=limits_of(joints),
         cycle_ns=round(cycle_s * 1e9),
-        q_min=_frozen([joint.q_min_rad for joint in joints]),
-        q_max=_frozen([joint.q_max_rad for joint in joints]),
-        qd_max=_frozen([joint.qd_max_rad_s for joint in joints]),
-        qdd_stop=_frozen([joint.qdd_max_rad_s2 for joint in joints]),
-        kp=_frozen([joint.kp_frac_per_rad for joint in joints]),
-        pt1_share=_frozen(shares),
-        lag_warn=_frozen([max(LAG_WARN_FACTOR * value, LAG_FLOOR_RAD) for value in lag]),
-        lag_fault=_frozen([max(LAG_FAULT_FACTOR * value, 2.0 * LAG_FLOOR_RAD) for value in lag]),
+        q_min=_read_only_array([joint.q_min_rad for joint in joints]),
+        q_max=_read_only_array([joint.q_max_rad for joint in joints]),
+        qd_max=_read_only_array([joint.qd_max_rad_s for joint in joints]),
+        qdd_stop=_read_only_array([joint.qdd_max_rad_s2 for joint in joints]),
+        kp=_read_only_array([joint.kp_frac_per_rad for joint in joints]),
+        pt1_share=_read_only_array(shares),
+        lag_warn=_read_only_array([max(LAG_WARN_FACTOR * value, LAG_FLOOR_RAD) for value in lag]),
+        lag_fault=_read_only_array([max(LAG_FAULT_FACTOR * value, 2.0 * LAG_FLOOR_RAD) for value in lag]),
     )

@@ -62,13 +62,13 @@ def status_of(
         t_play_ns=reference.t_play_ns,
         buffer_us=round(reference.buffer_s * 1e6),
         underruns=counters.underruns,
-        q=_sent(sample.q_rad),
-        qd=_sent(sample.qd_rad_s),
-        q_ref=_sent(reference.q),
-        qd_ref=_sent(reference.qd),
-        valve_cmd=_sent(valves),
-        p_a=_sent(sample.p_a_pa),
-        p_b=_sent(sample.p_b_pa),
+        q=_finite_axis_values(sample.q_rad),
+        qd=_finite_axis_values(sample.qd_rad_s),
+        q_ref=_finite_axis_values(reference.q),
+        qd_ref=_finite_axis_values(reference.qd),
+        valve_cmd=_finite_axis_values(valves),
+        p_a=_finite_axis_values(sample.p_a_pa),
+        p_b=_finite_axis_values(sample.p_b_pa),
         axis_status=(*_axis_words(settings, monitor, sample.q_rad, reference.q, valves), *(0,) * (8 - settings.n)),
         p_supply=sample.p_supply_pa,
         p_tank=sample.p_tank_pa,
@@ -79,7 +79,7 @@ def status_of(
     )
 
 
-def _sent(values: Array) -> Axes:
+def _finite_axis_values(values: Array) -> Axes:
     return axes8(tuple(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0).tolist()))
 
 

@@ -77,7 +77,7 @@ class FaultCounts:
             setattr(self, field.name, getattr(self, field.name) + getattr(other, field.name))
 
 
-def _within(windows: Windows, t_s: float) -> bool:
+def _is_inside_any_window(windows: Windows, t_s: float) -> bool:
     return any(a <= t_s < b for a, b in windows)
 
 
@@ -104,18 +104,18 @@ class FaultChannel:
         faults, counts = self.faults, self.counts
         counts.taken += 1
         self._pushed += 1
-        if self._swallowed(t_ns):
+        if self._is_datagram_dropped(t_ns):
             return
-        datagram = self._damaged(self._frozen(datagram, t_ns))
+        datagram = self._corrupt_or_truncate(self._apply_freeze_fault(datagram, t_ns))
         due_ns = self._due_ns(t_ns)
-        if self._hit("reorder", faults.reorder_frac):
+        if self._is_fault_drawn("reorder", faults.reorder_frac):
             counts.reordered += 1
             due_ns += round(faults.reorder_ms * _MS_NS)
-        self._launch(due_ns, datagram)
-        if self._hit("duplicate", faults.duplicate_frac):
+        self._schedule_datagram(due_ns, datagram)
+        if self._is_fault_drawn("duplicate", faults.duplicate_frac):
             counts.duplicated += 1
-            self._launch(self._due_ns(t_ns), datagram)
-        self._replay(t_ns)
+            self._schedule_datagram(self._due_ns(t_ns), datagram)
+        self._replay_past_datagram(t_ns)
         self._past.append(datagram)
 
     def pop(self, t_ns: int) -> list[bytes]:
@@ -135,19 +135,19 @@ class FaultChannel:
         self.counts.cut += len(self._flying)
         self._flying.clear()
 
-    def _hit(self, name: str, share: float) -> bool:
+    def _is_fault_drawn(self, name: str, share: float) -> bool:
         return share > 0.0 and self._draws[name].random() < share
 
-    def _swallowed(self, t_ns: int) -> bool:
+    def _is_datagram_dropped(self, t_ns: int) -> bool:
         """Whether the datagram goes no further, counted by cause."""
         faults, counts = self.faults, self.counts
-        if _within(faults.cut_windows_s, t_ns * 1e-9):
+        if _is_inside_any_window(faults.cut_windows_s, t_ns * 1e-9):
             counts.cut += 1
             return True
         if self._in_burst():
             counts.burst += 1
             return True
-        if self._hit("loss", faults.loss_frac):
+        if self._is_fault_drawn("loss", faults.loss_frac):
             counts.lost += 1
             return True
         return False
@@ -157,28 +157,28 @@ class FaultChannel:
             if self._after_burst:
                 self._after_burst = False
                 return False
-            if not self._hit("burst", self.faults.burst_frac):
+            if not self._is_fault_drawn("burst", self.faults.burst_frac):
                 return False
             self._burst_left, self._after_burst = self.faults.burst_length, True
         self._burst_left -= 1
         return True
 
-    def _frozen(self, datagram: bytes, t_ns: int) -> bytes:
-        if self._before_freeze is None or not _within(self.faults.freeze_windows_s, t_ns * 1e-9):
+    def _apply_freeze_fault(self, datagram: bytes, t_ns: int) -> bytes:
+        if self._before_freeze is None or not _is_inside_any_window(self.faults.freeze_windows_s, t_ns * 1e-9):
             self._before_freeze = datagram
             return datagram
         self.counts.frozen += 1
         return self._before_freeze
 
-    def _damaged(self, datagram: bytes) -> bytes:
+    def _corrupt_or_truncate(self, datagram: bytes) -> bytes:
         faults, counts = self.faults, self.counts
-        if datagram and self._hit("corrupt", faults.corrupt_frac):
+        if datagram and self._is_fault_drawn("corrupt", faults.corrupt_frac):
             counts.corrupted += 1
             draws, broken = self._draws["corrupt"], bytearray(datagram)
             for place in draws.sample(range(8 * len(broken)), draws.randint(1, _BITS_MAX)):
                 broken[place // 8] ^= 1 << place % 8
             datagram = bytes(broken)
-        if datagram and self._hit("truncate", faults.truncate_frac):
+        if datagram and self._is_fault_drawn("truncate", faults.truncate_frac):
             counts.truncated += 1
             datagram = datagram[: self._draws["truncate"].randrange(len(datagram))]
         return datagram
@@ -188,11 +188,11 @@ class FaultChannel:
         jitter_ms = self._draws["jitter"].random() * faults.jitter_ms if faults.jitter_ms > 0.0 else 0.0
         return t_ns + round((faults.delay_ms + jitter_ms) * _MS_NS)
 
-    def _launch(self, due_ns: int, datagram: bytes) -> None:
+    def _schedule_datagram(self, due_ns: int, datagram: bytes) -> None:
         self._number += 1
         heapq.heappush(self._flying, (due_ns, self._number, self._pushed, datagram))
 
-    def _replay(self, t_ns: int) -> None:
-        if self._past and self._hit("replay", self.faults.replay_frac):
+    def _replay_past_datagram(self, t_ns: int) -> None:
+        if self._past and self._is_fault_drawn("replay", self.faults.replay_frac):
             self.counts.replayed += 1
-            self._launch(self._due_ns(t_ns), self._past[self._draws["replay"].randrange(len(self._past))])
+            self._schedule_datagram(self._due_ns(t_ns), self._past[self._draws["replay"].randrange(len(self._past))])

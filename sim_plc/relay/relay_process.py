@@ -52,8 +52,8 @@ class UdpRelay:
 
     def __init__(self, settings: RelaySettings, clock: Callable[[], int] = mono_ns) -> None:
         self._settings, self._clock = settings, clock
-        self._plc = _resolved(settings.plc_host, settings.plc_port)
-        self._listener = _bound(settings.listen_host, settings.listen_port)
+        self._plc = _resolve_address(settings.plc_host, settings.plc_port)
+        self._listener = _bind_udp_socket(settings.listen_host, settings.listen_port)
         self._lanes: dict[Address, _Lane] = {}
         self._opened = 0
         self._t_first_ns: int | None = None
@@ -96,9 +96,9 @@ class UdpRelay:
             self._from_pcs(now_ns)
         for lane in self._lanes.values():
             if lane.socket in readable:
-                for datagram in _drained(lane.socket):
+                for datagram in _waiting_datagrams(lane.socket):
                     lane.to_pc.push(datagram[0], self._elapsed_ns(now_ns))
-            self._deliver(lane, self._elapsed_ns(self._clock()))
+            self._deliver_due_datagrams(lane, self._elapsed_ns(self._clock()))
 
     def close(self) -> None:
         """Release the ports; what is on its way is lost."""
@@ -119,7 +119,7 @@ class UdpRelay:
         return now_ns - self._t_first_ns
 
     def _from_pcs(self, now_ns: int) -> None:
-        for datagram, pc in _drained(self._listener):
+        for datagram, pc in _waiting_datagrams(self._listener):
             lane = self._lanes.get(pc) or self._open(pc)
             lane.to_plc.push(datagram, self._elapsed_ns(now_ns))
 
@@ -136,7 +136,7 @@ class UdpRelay:
         log.info("PC %s:%d relayed to %s:%d", *pc, *self._plc)
         return lane
 
-    def _deliver(self, lane: _Lane, elapsed_ns: int) -> None:
+    def _deliver_due_datagrams(self, lane: _Lane, elapsed_ns: int) -> None:
         for datagram in lane.to_plc.pop(elapsed_ns):
             with suppress(OSError):  # the PLC is not there: the datagram is lost, as in any network
                 lane.socket.send(datagram)
@@ -181,7 +181,7 @@ def _stop_flag() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _drained(port: socket.socket) -> Iterator[tuple[bytes, Address]]:
+def _waiting_datagrams(port: socket.socket) -> Iterator[tuple[bytes, Address]]:
     """What waits in a socket. An ICMP answer to something sent earlier is not a datagram."""
     for _ in range(_DRAIN):
         try:
@@ -192,7 +192,7 @@ def _drained(port: socket.socket) -> Iterator[tuple[bytes, Address]]:
             continue
 
 
-def _resolved(host: str, port: int) -> Address:
+def _resolve_address(host: str, port: int) -> Address:
     try:
         return socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4][:2]  # type: ignore[return-value]
     except OSError as error:
@@ -201,7 +201,7 @@ def _resolved(host: str, port: int) -> Address:
         ) from error
 
 
-def _bound(host: str, port: int) -> socket.socket:
+def _bind_udp_socket(host: str, port: int) -> socket.socket:
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         listener.bind((host, port))

@@ -118,7 +118,7 @@ MUTANTS = {
         put(diagnoses, "inside", lambda folder, relative: folder / relative.replace("\x00", "")),
         "test_a_run_id_never_leaves_the_folder",
     ),
-    "bodies may take for ever": (put(guard, "_arrived", endless_body), "test_a_slow_body_is_given_up"),
+    "bodies may take for ever": (put(guard, "_read_whole_body", endless_body), "test_a_slow_body_is_given_up"),
     "headers are logged": (log_headers, "test_no_secret_is_in_log_database_or_answer"),
     "guessing is free": (
         put(Lockout, "locked_s", lambda *_: 0.0),

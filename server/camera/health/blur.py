@@ -27,7 +27,7 @@ VIEWS_PER_PAIR = 2
 
 
 @njit(cache=True, nogil=True)
-def _sharpness(image: Image, step: int) -> float:
+def _image_sharpness(image: Image, step: int) -> float:
     """Mean square of the Laplacian of 2 x 2 means, at every `step`-th place."""
     total, n = 0.0, 0
     for y in range(2, image.shape[0] - 3, step):
@@ -50,7 +50,7 @@ def sharpness(image: Image) -> float:
     """
     if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 8:
         return 0.0
-    return float(_sharpness(image, SITE_STEP if image.shape[0] >= 30 * SITE_STEP else 2))
+    return float(_image_sharpness(image, SITE_STEP if image.shape[0] >= 30 * SITE_STEP else 2))
 
 
 @njit(cache=True, nogil=True)

@@ -68,13 +68,13 @@ class FrozenMonitor:
         comparable = not pair.first or pair.resumed
         found = [text for text in (self._repeat(name, eye) for name, eye in pair.eyes) if text] if comparable else []
         findings = [Finding(FaultCode.FROZEN, text) for text in found]
-        copied = _copied(pair)
+        copied = _copied_eye_finding(pair)
         return (*findings, copied) if copied is not None else tuple(findings)
 
     def _repeat(self, name: str, eye: EyeCells) -> str:
         if eye.spread_grey < FLAT_STD_GREY:  # black or empty: said elsewhere
             return ""
-        likeness = _likeness(eye.cells, ENERGY_MIN, CELLS_MIN, PLAIN_QUANTILE)
+        likeness = _similarity_to_previous(eye.cells, ENERGY_MIN, CELLS_MIN, PLAIN_QUANTILE)
         same, alike, change_grey, brightness = likeness
         if same == 1.0:
             return f"camera frozen: the {name} image repeats under a new stamp; restart the camera, check its cable"
@@ -92,7 +92,9 @@ class FrozenMonitor:
 
 
 @njit(cache=True, nogil=True)
-def _likeness(cells: Array, energy_min: float, cells_min: int, quantile: float) -> tuple[float, float, float, float]:
+def _similarity_to_previous(
+    cells: Array, energy_min: float, cells_min: int, quantile: float
+) -> tuple[float, float, float, float]:
     """Share of unchanged places; correlation of the fine pattern with the one before in the plainest cells (NaN where
     too few cells have one); mean absolute change; mean grey."""
     found, n, same, change, mean = np.empty(cells.shape[0] * cells.shape[1]), 0, 0.0, 0.0, 0.0
@@ -108,7 +110,7 @@ def _likeness(cells: Array, energy_min: float, cells_min: int, quantile: float) 
     return same / found.size, alike, change / found.size, mean / found.size
 
 
-def _copied(pair: Pair) -> Finding | None:
+def _copied_eye_finding(pair: Pair) -> Finding | None:
     if min(eye.spread_grey for _, eye in pair.eyes) < FLAT_STD_GREY:
         return None
     alike = float(eyes_alike(pair.left.fine, pair.right.fine, ENERGY_MIN, CELLS_MIN, PLAIN_QUANTILE))

@@ -58,11 +58,11 @@ class GarbageMonitor:
                 text = (
                     f"a step through the picture at {100 * row // len(steps)} % of its height that was not there before"
                 )
-            elif _break(bands, self._good[1]):
+            elif _has_corrupt_lower_bands(bands, self._good[1]):
                 text = "its lower part is another picture than just before, its upper part is not"
         self._still = self._still + 1 if text and not cut and bands.max() < BREAK_MIN_GREY else 0
         if text and self._still < SETTLED_PAIRS:
-            return (_garbage(text),)
+            return (_garbage_finding(text),)
         self._still = 0
         return ()
 
@@ -99,7 +99,7 @@ def _band_changes(cells: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _break(bands: Array, before: Array) -> bool:
+def _has_corrupt_lower_bands(bands: Array, before: Array) -> bool:
     """Whether from some band down all changed far more than in the pair before, and those above did not."""
     grown = bands / (before + 1.0)
     for row in range(1, len(bands)):
@@ -109,5 +109,5 @@ def _break(bands: Array, before: Array) -> bool:
     return False
 
 
-def _garbage(text: str) -> Finding:
+def _garbage_finding(text: str) -> Finding:
     return Finding(FaultCode.GARBAGE, f"compressed garbage: {text}; check cable, network and the camera's encoder")

@@ -121,7 +121,9 @@ class JumpMonitor:
                     self._seen[key] = _Seen(found)
                     continue
                 speed = before[key].speed
-                off_px = _off(found, before[key].corners_px + (0.0 if speed is None else speed * interval_ns))
+                off_px = _median_corner_offset(
+                    found, before[key].corners_px + (0.0 if speed is None else speed * interval_ns)
+                )
                 self._seen[key] = _Seen(found, off_px / interval_ns + (0.0 if speed is None else speed))
                 if speed is not None:
                     offs_px.append(off_px)
@@ -139,7 +141,7 @@ class JumpMonitor:
 
 
 @njit(cache=True, nogil=True)
-def _off(found: Array, predicted: Array) -> Array:
+def _median_corner_offset(found: Array, predicted: Array) -> Array:
     """From the predicted corners to the nearest found ones (2,) [px], the median: a board's sets may differ."""
     between = np.empty((2, len(found)))
     for i in range(len(found)):

@@ -29,8 +29,8 @@ class ExposureMonitor:
             return (_one_black("left" if black[0] > BLACK_FRAC else "right", max(black)),)
         white = [float(eye.field(WHITE).mean()) for _, eye in pair.eyes]
         if max(white) > WHITE_FRAC:
-            return (_white("left" if white[0] >= white[1] else "right", white),)
-        return _flat(pair)
+            return (_saturation_finding("left" if white[0] >= white[1] else "right", white),)
+        return _low_contrast_findings(pair)
 
 
 def _black_frac(eye: EyeCells) -> float:
@@ -48,13 +48,13 @@ def _one_black(eye: str, share: float) -> Finding:
     return Finding(FaultCode.EYE_GONE, f"{extent} (limit {100 * BLACK_FRAC:.0f} %); check its lens and cable")
 
 
-def _white(eye: str, white: list[float]) -> Finding:
+def _saturation_finding(eye: str, white: list[float]) -> Finding:
     name = "both eyes are" if min(white) > WHITE_FRAC else f"the {eye} eye is"
     share = f"{100 * max(white):.0f} % of its pixels (limit {100 * WHITE_FRAC:.0f} %)"
     return Finding(FaultCode.SATURATED, f"{name} saturated: {share}; lower the exposure or shade the lamp")
 
 
-def _flat(pair: Pair) -> tuple[Finding, ...]:
+def _low_contrast_findings(pair: Pair) -> tuple[Finding, ...]:
     spread = [eye.spread_grey for _, eye in pair.eyes]
     if max(spread) < FLAT_STD_GREY:
         text = (
@@ -93,11 +93,11 @@ class LightMonitor:
         if pair.first:
             self._gains.clear()
             return ()
-        gain, spread, rough = _gains(pair.left.cells, pair.right.cells)
+        gain, spread, rough = _brightness_change_measures(pair.left.cells, pair.right.cells)
         self._gains.append(gain)
-        return (*self._flicker(), *_uneven(spread, rough))
+        return (*self._flicker_findings(), *_uneven_exposure_findings(spread, rough))
 
-    def _flicker(self) -> tuple[Finding, ...]:
+    def _flicker_findings(self) -> tuple[Finding, ...]:
         step = self._gains[-1]
         if abs(step) > STEP_MAX_FRAC:
             text = (
@@ -120,7 +120,7 @@ class LightMonitor:
 
 
 @njit(cache=True, nogil=True)
-def _gains(left: Array, right: Array) -> tuple[float, float, float]:
+def _brightness_change_measures(left: Array, right: Array) -> tuple[float, float, float]:
     """Change of light as a fraction: median of all cells; spread of the bands' medians; median distance from those."""
     rows, cols = left.shape[0], left.shape[1]
     gains = np.empty((rows, 2 * cols))
@@ -139,7 +139,7 @@ def _gains(left: Array, right: Array) -> tuple[float, float, float]:
     return float(middle), float(bands.max() - bands.min()), float(rough)
 
 
-def _uneven(spread: float, rough: float) -> tuple[Finding, ...]:
+def _uneven_exposure_findings(spread: float, rough: float) -> tuple[Finding, ...]:
     if spread <= UNEVEN_MAX_FRAC or rough > UNEVEN_ROUGH_MAX_FRAC * spread:
         return ()
     text = (

@@ -44,12 +44,12 @@ class MarkerMonitor:
         findings += [over for view in pair.observation.views if view.used for over in _over_exposed(view, pair.frame)]
         for found in (pair.observation.tool, pair.observation.ooi):
             if found.status is PoseStatus.REJECTED:
-                findings.append(_rejected(found.reason))
+                findings.append(_rejected_pose_finding(found.reason))
             elif found.T_cam_object is not None:
-                findings += self._residual(found, pair.observation.views)
+                findings += self._pose_residual_findings(found, pair.observation.views)
         return tuple({finding.text: finding for finding in findings}.values())
 
-    def _residual(self, found: ObjectPose, views: Sequence[MarkerView]) -> tuple[Finding, ...]:
+    def _pose_residual_findings(self, found: ObjectPose, views: Sequence[MarkerView]) -> tuple[Finding, ...]:
         T_cam_object = found.T_cam_object
         used = [view for view in views if view.marker_id in found.marker_ids and view.used]
         alone = len(found.marker_ids) < 2
@@ -60,7 +60,7 @@ class MarkerMonitor:
         if not found.residual_rms_px > limit_px:
             return ()
         if alone:
-            return (_misfit(found, limit_px),)
+            return (_marker_misfit_finding(found, limit_px),)
         worst = max(used, key=lambda view: view.residual_rms_px, default=None)
         which = "" if worst is None else f", most of it at marker {worst.marker_id} ({worst.residual_rms_px:.2f} px)"
         text = (
@@ -117,7 +117,7 @@ def _clipped_frac(image: Image, corners: Array) -> float:
     return most
 
 
-def _misfit(found: ObjectPose, limit_px: float) -> Finding:
+def _marker_misfit_finding(found: ObjectPose, limit_px: float) -> Finding:
     """Both eyes see one target and no pose of its size fits both."""
     text = (
         f"the {found.on}'s marker fits no pose of its size: residual {found.residual_rms_px:.2f} px rms (limit "
@@ -127,7 +127,7 @@ def _misfit(found: ObjectPose, limit_px: float) -> Finding:
     return Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False)
 
 
-def _rejected(reason: str) -> Finding:
+def _rejected_pose_finding(reason: str) -> Finding:
     """Corners that fit no pose: the rig, or else the layout, is not what the machine file says."""
     for words, code in ((EYES_SWAPPED, FaultCode.EYES_SWAPPED), (ROWS_DIFFER, FaultCode.ROWS_DIFFER)):
         if words in reason:

@@ -23,7 +23,7 @@ SECOND_MARGIN = 0.08  # the best place must beat every other that is not its nei
 
 
 @njit(cache=True, nogil=True)
-def _coarse(left: Image, right: Image, i: int, j: int) -> tuple[bool, int, int]:
+def _coarse_patch_shift(left: Image, right: Image, i: int, j: int) -> tuple[bool, int, int]:
     """Row and column shift (right minus left) of the best correlation of a patch; False where it is not clear."""
     rows, cols = right.shape
     n = (2 * HALF + 1) ** 2
@@ -69,7 +69,7 @@ def _coarse(left: Image, right: Image, i: int, j: int) -> tuple[bool, int, int]:
 
 
 @njit(cache=True, nogil=True)
-def _correlation(left: Image, right: Image, y: int, x: int, v: int, u: int, stride: int) -> float:
+def _patch_correlation(left: Image, right: Image, y: int, x: int, v: int, u: int, stride: int) -> float:
     t, q, total, squares, c, n = 0.0, 0.0, 0.0, 0.0, 0.0, 0
     for a in range(-FINE_HALF, FINE_HALF + 1, stride):
         for b in range(-FINE_HALF, FINE_HALF + 1, stride):
@@ -85,7 +85,7 @@ def _correlation(left: Image, right: Image, y: int, x: int, v: int, u: int, stri
 
 
 @njit(cache=True, nogil=True)
-def _peak(low: float, mid: float, high: float) -> float:
+def _parabola_peak_offset(low: float, mid: float, high: float) -> float:
     """Offset of a parabola's top through three equally spaced values."""
     bend = low - 2.0 * mid + high
     return 0.5 * (low - high) / bend if bend < -1e-9 else 0.0
@@ -101,7 +101,7 @@ def match_spot(left: Image, right: Image, thumb_left: Image, thumb_right: Image,
     Returns: u_left, v_left, u_right, v_right [raw px]; NaN where the spot is plain, hidden, or alike to another.
     """
     none = np.full(4, np.nan)
-    clear, row, col = _coarse(thumb_left, thumb_right, i, j)
+    clear, row, col = _coarse_patch_shift(thumb_left, thumb_right, i, j)
     if not clear:
         return none
     y, x = i * step + step // 2, j * step + step // 2
@@ -116,13 +116,13 @@ def match_spot(left: Image, right: Image, thumb_left: Image, thumb_right: Image,
     best, best_v, best_u = -1.0, v, u
     for a in range(-FINE_ROWS + 1, FINE_ROWS, 2):
         for b in range(-FINE_COLS + 1, FINE_COLS, 2):
-            score = _correlation(left, right, y, x, v + a, u + b, 3)
+            score = _patch_correlation(left, right, y, x, v + a, u + b, 3)
             if score > best:
                 best, best_v, best_u = score, v + a, u + b
     around = np.empty((5, 5))
     for a in range(-2, 3):
         for b in range(-2, 3):
-            around[a + 2, b + 2] = _correlation(left, right, y, x, best_v + a, best_u + b, 1)
+            around[a + 2, b + 2] = _patch_correlation(left, right, y, x, best_v + a, best_u + b, 1)
     top, p, q = -1.0, 2, 2
     for a in range(1, 4):
         for b in range(1, 4):
@@ -131,8 +131,8 @@ def match_spot(left: Image, right: Image, thumb_left: Image, thumb_right: Image,
     if top < FINE_MIN:
         return none
     none[0], none[1] = x, y
-    none[2] = best_u + q - 2 + _peak(around[p, q - 1], top, around[p, q + 1])
-    none[3] = best_v + p - 2 + _peak(around[p - 1, q], top, around[p + 1, q])
+    none[2] = best_u + q - 2 + _parabola_peak_offset(around[p, q - 1], top, around[p, q + 1])
+    none[3] = best_v + p - 2 + _parabola_peak_offset(around[p - 1, q], top, around[p + 1, q])
     return none
 
 
@@ -172,19 +172,21 @@ class RigMonitor:
             return ()
         thumbs = _area_thumb(pair.frame.left, pair.step), _area_thumb(pair.frame.right, pair.step)
         spots = [] if self._burst else self._matched(pair, thumbs, SPOTS, SPOTS)
-        if self._burst or any(_odd(spot, self._camera) for spot in spots):
-            return self._examine(pair, thumbs, self._camera)
-        return _bow(self._kept, self._camera) if spots else ()
+        if self._burst or any(_is_misaligned_spot(spot, self._camera) for spot in spots):
+            return self._examine_single_pair(pair, thumbs, self._camera)
+        return _distortion_findings(self._kept, self._camera) if spots else ()
 
-    def _examine(self, pair: Pair, thumbs: tuple[Image, Image], camera: StereoCamera) -> tuple[Finding, ...]:
+    def _examine_single_pair(
+        self, pair: Pair, thumbs: tuple[Image, Image], camera: StereoCamera
+    ) -> tuple[Finding, ...]:
         """Many spots of this pair alone; what was kept from a rig that was another is forgotten."""
         spots = self._matched(pair, thumbs, BURST_TRIES, BURST_ENOUGH)
-        findings = _verdict(spots, camera) if len(spots) >= BURST_NEEDED else ()
+        findings = _misalignment_findings(spots, camera) if len(spots) >= BURST_NEEDED else ()
         self._burst = bool(findings)
         if findings:
             self._kept.clear()
             return findings
-        return _bow(self._kept, camera)
+        return _distortion_findings(self._kept, camera)
 
     def _matched(self, pair: Pair, thumbs: tuple[Image, Image], tries: int, enough: int) -> list[Array]:
         """Rays x, y of the next spots that show themselves in both eyes, left and right (4,)."""
@@ -212,12 +214,12 @@ def _area_thumb(image: Image, step: int) -> Image:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _odd(spot: Array, camera: StereoCamera) -> bool:
+def _is_misaligned_spot(spot: Array, camera: StereoCamera) -> bool:
     swapped = (spot[0] - spot[2]) * camera.fx_px < -SWAPPED_MIN_PX
     return bool(swapped or abs(spot[1] - spot[3]) * camera.fy_px > ROWS_MAX_PX)
 
 
-def _verdict(spots: Sequence[Array], camera: StereoCamera) -> tuple[Finding, ...]:
+def _misalignment_findings(spots: Sequence[Array], camera: StereoCamera) -> tuple[Finding, ...]:
     """Swapped, or rows that differ, by the spots of one pair."""
     rays = np.array(spots)
     disparities = (rays[:, 0] - rays[:, 2]) * camera.fx_px
@@ -235,7 +237,7 @@ def _verdict(spots: Sequence[Array], camera: StereoCamera) -> tuple[Finding, ...
     return (Finding(FaultCode.ROWS_DIFFER, text),)
 
 
-def _bow(kept: Sequence[Array], camera: StereoCamera) -> tuple[Finding, ...]:
+def _distortion_findings(kept: Sequence[Array], camera: StereoCamera) -> tuple[Finding, ...]:
     """A bow k left in the rows: y_left - y_right = k y (x_left^2 - x_right^2), the lens model's first order."""
     if len(kept) < BOW_NEEDED:
         return ()

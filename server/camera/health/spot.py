@@ -30,7 +30,7 @@ BORDER = 4
 
 
 @njit(cache=True, nogil=True)
-def _learn(grey: Thumb, before: Thumb, weight: float, mean: Map, change: Map) -> None:
+def _update_running_averages(grey: Thumb, before: Thumb, weight: float, mean: Map, change: Map) -> None:
     for i in range(grey.shape[0]):
         for j in range(grey.shape[1]):
             mean[i, j] += weight * (0.25 * grey[i, j] - mean[i, j])
@@ -54,7 +54,7 @@ class _Eye:
             self.count = 0
         elif float(eye.field(CHANGE).mean()) > MOVING_MIN_GREY:
             self.count += 1
-            _learn(eye.grey, self.before, max(WEIGHT, 1.0 / self.count), self.mean, self.change)
+            _update_running_averages(eye.grey, self.before, max(WEIGHT, 1.0 / self.count), self.mean, self.change)
         self.before[:] = eye.grey
 
     def suspects(self) -> Image:
@@ -84,23 +84,23 @@ class SpotMonitor:
             self._eyes[name].learn(eye)
         self._number += 1
         if self._number % JUDGE_EVERY == 0:
-            self._verdict = self._judge(pair.step)
+            self._verdict = self._lens_spot_findings(pair.step)
         return self._verdict
 
-    def _judge(self, step: int) -> tuple[Finding, ...]:
+    def _lens_spot_findings(self, step: int) -> tuple[Finding, ...]:
         left, right = self._eyes["left"], self._eyes["right"]
         if min(left.count, right.count) < PAIRS_MIN or left.mean.shape != right.mean.shape:
             return ()
         suspects = {name: eye.suspects() for name, eye in self._eyes.items()}
         findings = []
         for name, other in (("left", "right"), ("right", "left")):
-            spot = _largest(suspects[name], suspects[other], leftwards=name == "left")
+            spot = _largest_unmatched_spot(suspects[name], suspects[other], leftwards=name == "left")
             if spot is not None:
-                findings.append(_dirty(name, spot, step))
+                findings.append(_dirty_lens_finding(name, spot, step))
         return tuple(findings)
 
 
-def _largest(suspect: Image, other: Image, leftwards: bool) -> tuple[int, float, float] | None:
+def _largest_unmatched_spot(suspect: Image, other: Image, leftwards: bool) -> tuple[int, float, float] | None:
     """Area and middle (x, y) of the largest spot that has no partner in the other eye's rows."""
     count, _, stats, middles = cv2.connectedComponentsWithStats(suspect.astype(np.uint8), connectivity=8)
     best: tuple[int, float, float] | None = None
@@ -118,7 +118,7 @@ def _largest(suspect: Image, other: Image, leftwards: bool) -> tuple[int, float,
     return best
 
 
-def _dirty(name: str, spot: tuple[int, float, float], step: int) -> Finding:
+def _dirty_lens_finding(name: str, spot: tuple[int, float, float], step: int) -> Finding:
     area, x, y = spot
     text = (
         f"a spot on the {name} lens at ({x * step:.0f}, {y * step:.0f}) px, {step * area**0.5:.0f} px wide (limit "

@@ -41,27 +41,33 @@ class StampMonitor:
         fresh = before is None or before.connection != frame.connection
         if fresh:
             self._begin(before)
-        found = [found for found in (self._compared(frame, before, fresh), self._starting(frame)) if found is not None]
+        found = [
+            found
+            for found in (self._compare_with_previous(frame, before, fresh), self._new_connection_finding(frame))
+            if found is not None
+        ]
         self._before = frame
         return tuple(found)
 
-    def _compared(self, frame: StereoFrame, before: StereoFrame | None, fresh: bool) -> Finding | None:
+    def _compare_with_previous(self, frame: StereoFrame, before: StereoFrame | None, fresh: bool) -> Finding | None:
         if before is None or (fresh and before.t_exposure_ns != frame.t_exposure_ns):
-            self._learn(frame, None)
+            self._learn_offset_and_period(frame, None)
             return None
-        finding = self._step(before, frame)
+        finding = self._stamp_step_finding(before, frame)
         if finding is not None and finding.code is FaultCode.STAMP_STANDS:
             return finding  # nothing to learn from
-        finding = finding or self._arrival(frame)
+        finding = finding or self._arrival_delay_finding(frame)
         if finding is None:
-            self._learn(frame, (frame.t_exposure_ns - before.t_exposure_ns) // _periods(before, frame))
+            self._learn_offset_and_period(
+                frame, (frame.t_exposure_ns - before.t_exposure_ns) // _exposures_between(before, frame)
+            )
             return None
         self._periods_ns.clear()  # a camera that was short of time and is so no longer is faster from now on
         if finding.code is not FaultCode.LATE:  # a picture that is old says nothing of the clock
             self._clock_was_set(frame)
         return finding
 
-    def _starting(self, frame: StereoFrame) -> Finding | None:
+    def _new_connection_finding(self, frame: StereoFrame) -> Finding | None:
         """A line that was opened just now may give pictures that waited in a buffer, or the last one for ever."""
         self._seen += 1
         if frame.connection == 0 or self._seen > STARTING_PAIRS:
@@ -69,7 +75,7 @@ class StampMonitor:
         text = f"picture {self._seen} of a new connection: the first {STARTING_PAIRS} may have waited in a buffer; wait"
         return Finding(FaultCode.STARTING, text, forbids_odometry=False)
 
-    def _learn(self, frame: StereoFrame, period_ns: int | None) -> None:
+    def _learn_offset_and_period(self, frame: StereoFrame, period_ns: int | None) -> None:
         self._smallest.learn(frame.t_receive_mono_ns, frame.t_receive_mono_ns - frame.t_exposure_ns)
         self._learnt += 1
         if period_ns is not None:
@@ -82,7 +88,7 @@ class StampMonitor:
         self._smallest.begin(now_ns, min(now_ns - frame.t_exposure_ns, most_ns))
         self._learnt = 1
 
-    def _step(self, before: StereoFrame, frame: StereoFrame) -> Finding | None:
+    def _stamp_step_finding(self, before: StereoFrame, frame: StereoFrame) -> Finding | None:
         step_ns = frame.t_exposure_ns - before.t_exposure_ns
         if step_ns == 0:
             text = "camera frozen: its stamp does not advance; restart the camera"
@@ -108,9 +114,9 @@ class StampMonitor:
         """From one to the other as the last ones came; 0 while too few are known."""
         if len(self._periods_ns) < PERIOD_KNOWN_FROM:
             return 0
-        return sorted(self._periods_ns)[len(self._periods_ns) // 2] * _periods(before, frame)
+        return sorted(self._periods_ns)[len(self._periods_ns) // 2] * _exposures_between(before, frame)
 
-    def _arrival(self, frame: StereoFrame) -> Finding | None:
+    def _arrival_delay_finding(self, frame: StereoFrame) -> Finding | None:
         now_ns = frame.t_receive_mono_ns
         later_s = (now_ns - frame.t_exposure_ns - self._smallest.at(now_ns)) * 1e-9
         ahead_max_s = AHEAD_SETTLED_MAX_S if self._learnt >= AHEAD_SETTLED_FROM else AHEAD_MAX_S
@@ -132,7 +138,7 @@ class StampMonitor:
         return None
 
 
-def _periods(before: StereoFrame, frame: StereoFrame) -> int:
+def _exposures_between(before: StereoFrame, frame: StereoFrame) -> int:
     """Exposures from one to the other, those passed over counted; 1 for a camera whose count does not go on."""
     return max(1, frame.sequence - before.sequence)
 

@@ -24,7 +24,7 @@ Thumb = NDArray[np.int16]
 
 
 @njit(cache=True, nogil=True)
-def _sample(image: Image, step: int, grey: Thumb, fine: Thumb) -> None:
+def _fill_thumbnails(image: Image, step: int, grey: Thumb, fine: Thumb) -> None:
     """Sums of 2 x 2 pixels, and their mixed second difference: sensor noise without the picture's own edges."""
     for i in range(grey.shape[0]):
         y = i * step
@@ -37,7 +37,9 @@ def _sample(image: Image, step: int, grey: Thumb, fine: Thumb) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _summarise(grey: Thumb, fine: Thumb, grey_before: Thumb, fine_before: Thumb, white: int, out: Array) -> None:
+def _compute_cell_statistics(
+    grey: Thumb, fine: Thumb, grey_before: Thumb, fine_before: Thumb, white: int, out: Array
+) -> None:
     """Fields of every cell (9, 16, 9): see `EyeCells`."""
     rows, cols = grey.shape
     cell_rows, cell_cols = out.shape[0], out.shape[1]
@@ -95,7 +97,7 @@ def _row_steps(grey: Thumb, out: Array) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _spread(cells: Array) -> float:
+def _grey_standard_deviation(cells: Array) -> float:
     """Between and within cells."""
     n = cells.shape[0] * cells.shape[1]
     total, squares = 0.0, 0.0
@@ -164,15 +166,17 @@ class EyeMemory:
     def look(self, image: Image) -> EyeCells:
         """Take in the next picture; valid until the next but one."""
         if image.shape != self._shape:
-            self._begin((int(image.shape[0]), int(image.shape[1])))
+            self._allocate_buffers((int(image.shape[0]), int(image.shape[1])))
         self._turn = 1 - self._turn
         grey, fine = self._grey[self._turn], self._fine[self._turn]
-        _sample(image, self._step, grey, fine)
-        _summarise(grey, fine, self._grey[1 - self._turn], self._fine[1 - self._turn], 4 * WHITE_GREY, self._cells)
+        _fill_thumbnails(image, self._step, grey, fine)
+        _compute_cell_statistics(
+            grey, fine, self._grey[1 - self._turn], self._fine[1 - self._turn], 4 * WHITE_GREY, self._cells
+        )
         one_grey = _row_steps(grey, self._rows)
-        return EyeCells(grey, fine, self._cells, self._rows, one_grey, _spread(self._cells))
+        return EyeCells(grey, fine, self._cells, self._rows, one_grey, _grey_standard_deviation(self._cells))
 
-    def _begin(self, shape: tuple[int, int]) -> None:
+    def _allocate_buffers(self, shape: tuple[int, int]) -> None:
         self._shape = shape
         self._step = max(1, shape[0] // THUMB_ROWS)
         size = (shape[0] - 2) // self._step + 1, (shape[1] - 2) // self._step + 1

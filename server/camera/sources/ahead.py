@@ -75,7 +75,7 @@ class AheadSource:
         self._thread.join(2.0 * STEP_S + 1.0)
 
     def _run(self) -> None:
-        while self._turn():
+        while self._wait_until_due():
             began_s = mono_s()
             try:
                 frame, failure = self._source.read(STEP_S), None
@@ -87,7 +87,7 @@ class AheadSource:
                 self._ready, self._failure = frame, failure
                 self._changed.notify_all()
 
-    def _turn(self) -> bool:
+    def _wait_until_due(self) -> bool:
         """Wait until a pair is due; False at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._stop or (self._ready is None and self._failure is None))

@@ -83,7 +83,7 @@ class DeviceStereoSource(CapturedSource):
         if picture.ndim == 2 and 1 in picture.shape:  # a JPEG's bytes
             left, right = decode_side_by_side(np.ascontiguousarray(picture, np.uint8).reshape(-1))
         else:
-            left, right = split_side_by_side(_luminance(picture))
+            left, right = split_side_by_side(_extract_luminance(picture))
         if left.shape != (wanted.height_px, wanted.width_px // 2):
             raise StreamError(
                 f"a picture of {2 * left.shape[1]} x {left.shape[0]} px came; unplug the camera and plug it in"
@@ -91,7 +91,7 @@ class DeviceStereoSource(CapturedSource):
         return left, right
 
 
-def _luminance(picture: Picture) -> NDArray[np.uint8]:
+def _extract_luminance(picture: Picture) -> NDArray[np.uint8]:
     """Grey (h, w) of YUYV (h, w, 2), or a picture that was converted after all."""
     if picture.ndim == 3 and picture.shape[2] == 2:
         return np.asarray(cv2.extractChannel(picture, 0), np.uint8)

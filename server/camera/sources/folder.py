@@ -25,7 +25,7 @@ class EurocStereoSource(StampedStereoSource):
     """Pairs of equal stamp; pictures without the other eye are left out and counted in `skipped`."""
 
     def __init__(self, settings: EurocSource) -> None:
-        root = _root(Path(settings.path))
+        root = _dataset_root(Path(settings.path))
         lefts, rights = (_files_by_stamp(root / eye) for eye in ("cam0", "cam1"))
         stamps = sorted(lefts.keys() & rights.keys())
         if not stamps:
@@ -33,16 +33,16 @@ class EurocStereoSource(StampedStereoSource):
                 f"data set {root}: no stamp of cam0 ({len(lefts)} pictures) is also in cam1 ({len(rights)}); the eyes "
                 "must be synchronised"
             )
-        pairs = (_pair(stamp, lefts[stamp], rights[stamp]) for stamp in stamps)
+        pairs = (_stored_pair(stamp, lefts[stamp], rights[stamp]) for stamp in stamps)
         super().__init__(f"data set {root}", pairs, settings.speed)
         self.skipped = len(lefts) + len(rights) - 2 * len(stamps)
 
 
-def _pair(stamp_ns: int, left: Path, right: Path) -> StoredPair:
+def _stored_pair(stamp_ns: int, left: Path, right: Path) -> StoredPair:
     return StoredPair(stamp_ns, lambda: (read_grey(str(left)), read_grey(str(right))))
 
 
-def _root(path: Path) -> Path:
+def _dataset_root(path: Path) -> Path:
     """The folder that holds cam0: the data set's mav0, or the folder given."""
     for root in (path / "mav0", path):
         if (root / "cam0").is_dir():
@@ -71,7 +71,7 @@ class FolderStereoSource:
     """Pairs of equal name, that is what the patterns' wildcards stand for; played once at the given rate."""
 
     def __init__(self, settings: FolderSource) -> None:
-        lefts, rights = _listed(settings.left_glob), _listed(settings.right_glob)
+        lefts, rights = _files_by_wildcard_name(settings.left_glob), _files_by_wildcard_name(settings.right_glob)
         by = f"by '{settings.left_glob}'", f"by '{settings.right_glob}'"
         names = paired_names(lefts, rights, by, "; the wildcards must stand for what the names of both eyes share")
         stamps = stamps_ns(names, settings.stamp_unit, settings.rate_hz)
@@ -137,7 +137,7 @@ def _whole_ns(number: str, unit_ns: int) -> int:
     return int(whole) * unit_ns + (int(fraction) * unit_ns // 10 ** len(fraction) if fraction else 0)
 
 
-def _listed(pattern: str) -> dict[str, str]:
+def _files_by_wildcard_name(pattern: str) -> dict[str, str]:
     """Name -> file of all that the pattern finds; the name is what its wildcards stand for, without the ending."""
     parts = WILDCARDS.split(pattern)
     kinds = {"**/": "(?:(.*)/)?", "**": "(.*)", "*": "([^/]*)", "?": "([^/])"}

@@ -28,7 +28,7 @@ TakeSocket = Callable[[socket.socket], None]
 
 def require_address(url: str) -> None:
     """Raises: CameraError: not an address of the form http://[user:password@]host[:port]/path."""
-    if _split(url) is None:
+    if _parse_http_url(url) is None:
         raise CameraError(f"camera url '{without_password(url)}' is not http://[user:password@]host[:port]/path")
 
 
@@ -42,28 +42,28 @@ def open_stream(url: str, timeout_s: float, take_socket: TakeSocket) -> Iterator
     """
     authorization, n_moved = "", 0
     while True:
-        address = _split(url)
+        address = _parse_http_url(url)
         if address is None:
             raise StreamError(f"redirected to {without_password(url)}, which is not http://host[:port]/path")
         connection = http.client.HTTPConnection(address.hostname or "", address.port or 80, timeout=timeout_s)
         with (
             contextlib.closing(connection),
-            contextlib.closing(_get(connection, address, authorization, take_socket)) as got,
+            contextlib.closing(_send_get_request(connection, address, authorization, take_socket)) as got,
         ):
             if got.status == http.client.OK:
                 yield got
                 return
             if got.status in MOVED and (place := got.headers.get("Location")):
-                url, authorization, n_moved = _moved(url, address, place), "", n_moved + 1
+                url, authorization, n_moved = _redirected_url(url, address, place), "", n_moved + 1
             elif got.status == http.client.UNAUTHORIZED and address.password is not None and not authorization:
-                authorization = _authorization(address, got)
+                authorization = _authorization_header(address, got)
             else:
-                raise StreamError(f"HTTP status {got.status} {got.reason}{_remedy(got.status, address)}")
+                raise StreamError(f"HTTP status {got.status} {got.reason}{_authentication_remedy(got.status, address)}")
         if n_moved > REDIRECTS_MAX:
             raise StreamError(f"redirected more than {REDIRECTS_MAX} times; give the stream's own address")
 
 
-def _split(url: str) -> SplitResult | None:
+def _parse_http_url(url: str) -> SplitResult | None:
     try:
         address = urlsplit(url)
         fits = address.scheme == "http" and address.hostname and (address.port is None or address.port > 0)
@@ -72,23 +72,23 @@ def _split(url: str) -> SplitResult | None:
     return address if fits else None
 
 
-def _get(
+def _send_get_request(
     connection: http.client.HTTPConnection, address: SplitResult, authorization: str, take_socket: TakeSocket
 ) -> http.client.HTTPResponse:
     headers = {"Connection": "close"} | ({"Authorization": authorization} if authorization else {})
-    connection.request("GET", _target(address), headers=headers)
+    connection.request("GET", _request_target(address), headers=headers)
     take_socket(connection.sock)  # the response takes it over
     return connection.getresponse()
 
 
-def _target(address: SplitResult) -> str:
+def _request_target(address: SplitResult) -> str:
     return (address.path or "/") + (f"?{address.query}" if address.query else "")
 
 
-def _moved(url: str, before: SplitResult, place: str) -> str:
+def _redirected_url(url: str, before: SplitResult, place: str) -> str:
     """The new address; at the same host and port the user stays."""
     moved = urljoin(url, place)
-    address = _split(moved)
+    address = _parse_http_url(moved)
     if address is None or address.username is not None or before.username is None:
         return moved
     if (address.hostname, address.port or 80) != (before.hostname, before.port or 80):
@@ -96,7 +96,7 @@ def _moved(url: str, before: SplitResult, place: str) -> str:
     return address._replace(netloc=f"{before.netloc.rpartition('@')[0]}@{address.netloc}").geturl()
 
 
-def _authorization(address: SplitResult, refused: http.client.HTTPResponse) -> str:
+def _authorization_header(address: SplitResult, refused: http.client.HTTPResponse) -> str:
     """What the header Authorization is to say; Digest where the camera offers it. Raises: StreamError: neither."""
     user, password = unquote(address.username or ""), unquote(address.password or "")
     challenges = refused.headers.get_all("WWW-Authenticate") or []
@@ -104,7 +104,7 @@ def _authorization(address: SplitResult, refused: http.client.HTTPResponse) -> s
     if "digest" in kinds:
         import httpx  # a quarter of a second, needed here only
 
-        asked = httpx.Request("GET", f"http://{address.hostname}:{address.port or 80}{_target(address)}")
+        asked = httpx.Request("GET", f"http://{address.hostname}:{address.port or 80}{_request_target(address)}")
         flow = httpx.DigestAuth(user, password).sync_auth_flow(asked)
         next(flow)
         headers = [("WWW-Authenticate", challenge) for challenge in challenges]
@@ -117,7 +117,7 @@ def _authorization(address: SplitResult, refused: http.client.HTTPResponse) -> s
     raise StreamError(f"the camera asks for a password in a way that is not known: {', '.join(kinds) or 'none'}")
 
 
-def _remedy(status: int, address: SplitResult) -> str:
+def _authentication_remedy(status: int, address: SplitResult) -> str:
     if status != http.client.UNAUTHORIZED:
         return ""
     if address.password is None:

@@ -52,12 +52,12 @@ def damage_of(jpeg: Bytes) -> str:
     Source:  ITU-T T.81, F.1.2 (code words, padding), E.1.4 (restart), K.3.3 (the standard's tables).
     """
     try:
-        return _damage(jpeg)
+        return _find_jpeg_damage(jpeg)
     except (IndexError, ValueError):
         return "its header is cut or contradicts itself"
 
 
-def _damage(jpeg: Bytes) -> str:
+def _find_jpeg_damage(jpeg: Bytes) -> str:
     frame, tables, interval, position = _Frame(), b"", 0, 2
     missing: set[int] = set()
     while True:
@@ -69,7 +69,7 @@ def _damage(jpeg: Bytes) -> str:
             continue
         if marker == END:
             return "its data are missing"
-        content = jpeg[position + 4 : position + 2 + _word(jpeg, position + 2)]
+        content = jpeg[position + 4 : position + 2 + _big_endian_uint16(jpeg, position + 2)]
         position += 4 + len(content)
         if marker in OTHER_FRAMES:
             return "it is not a baseline JPEG, and cannot be checked for damage; set its encoder to baseline"
@@ -79,10 +79,12 @@ def _damage(jpeg: Bytes) -> str:
         elif marker == TABLES:
             tables += content.tobytes()
         elif marker == INTERVAL:
-            interval = _word(content, 0)
+            interval = _big_endian_uint16(content, 0)
         elif marker == SCAN:
-            seen, dc, ac, n_units = _layout(content, frame)
-            fault, unit, position = _read(jpeg, position, _codes(tables or _standard()), dc, ac, n_units, interval)
+            seen, dc, ac, n_units = _scan_layout(content, frame)
+            fault, unit, position = _read(
+                jpeg, position, _huffman_lookup_tables(tables or _standard_huffman_tables()), dc, ac, n_units, interval
+            )
             if fault != _FINE:
                 return f"{FAULTS[fault]} at block {unit} of {n_units}"
             missing -= seen
@@ -90,7 +92,7 @@ def _damage(jpeg: Bytes) -> str:
                 return ""
 
 
-def _word(content: Bytes, at: int) -> int:
+def _big_endian_uint16(content: Bytes, at: int) -> int:
     return int(content[at]) << 8 | int(content[at + 1])
 
 
@@ -101,11 +103,11 @@ def _frame_of(content: Bytes) -> _Frame:
     }
     if not factors or not all(1 <= factor <= 4 for pair in factors.values() for factor in pair):
         raise ValueError("sampling factors outside 1..4")
-    return _Frame(_word(content, 3), _word(content, 1), factors)
+    return _Frame(_big_endian_uint16(content, 3), _big_endian_uint16(content, 1), factors)
 
 
-def _layout(content: Bytes, frame: _Frame) -> tuple[set[int], NDArray[np.int64], NDArray[np.int64], int]:
-    """Components of a scan; rows of `_codes` for each block of a unit, DC and AC; number of units."""
+def _scan_layout(content: Bytes, frame: _Frame) -> tuple[set[int], NDArray[np.int64], NDArray[np.int64], int]:
+    """Components of a scan; rows of `_huffman_lookup_tables` for each block of a unit, DC and AC; number of units."""
     chosen = {int(content[at]): int(content[at + 1]) for at in range(1, 1 + 2 * int(content[0]), 2)}
     if not chosen or not chosen.keys() <= frame.sampling.keys() or max(choice >> 4 for choice in chosen.values()) > 3:
         raise ValueError("a scan of components that the frame does not have")
@@ -122,7 +124,7 @@ def _layout(content: Bytes, frame: _Frame) -> tuple[set[int], NDArray[np.int64],
 
 
 @lru_cache(4)  # a camera has one set for all its pictures
-def _codes(tables: bytes) -> Codes:
+def _huffman_lookup_tables(tables: bytes) -> Codes:
     """What the next 16 bits begin with: bits of word and value together << 8 | symbol; 0 for no word of the table.
 
     Args:    tables: the contents of all DHT segments. Returns: (8, 65536), four tables for DC, then four for AC.
@@ -147,12 +149,12 @@ def _codes(tables: bytes) -> Codes:
 
 
 @lru_cache(1)
-def _standard() -> bytes:
+def _standard_huffman_tables() -> bytes:
     """The tables of T.81 K.3.3, as libjpeg writes them for a colour picture by default."""
     jpeg = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].reshape(-1)
     tables, position = b"", 2
     while jpeg[position + 1] != SCAN:
-        size = _word(jpeg, position + 2)
+        size = _big_endian_uint16(jpeg, position + 2)
         tables += jpeg[position + 4 : position + 2 + size].tobytes() if jpeg[position + 1] == TABLES else b""
         position += 2 + size
     return tables

@@ -51,7 +51,7 @@ class Heartbeat:
 
     def was_held_up(self) -> bool:
         """Whether it was since the last call."""
-        self._beat()
+        self._record_heartbeat()
         with self._lock:
             held_up, self._held_up = self._held_up, False
         return held_up
@@ -60,7 +60,7 @@ class Heartbeat:
         """End its thread."""
         self._stop.set()
 
-    def _beat(self) -> None:
+    def _record_heartbeat(self) -> None:
         with self._lock:
             now_ns = mono_ns()
             self._held_up |= now_ns - self._last_ns > HELD_UP_NS
@@ -68,7 +68,7 @@ class Heartbeat:
 
     def _run(self) -> None:
         while not self._stop.wait(BEAT_S):
-            self._beat()
+            self._record_heartbeat()
 
 
 class LiveSource(ABC, Generic[Item]):

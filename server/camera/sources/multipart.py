@@ -37,7 +37,7 @@ class _Header:
     t_ns: int | None
 
 
-def _number(fields: dict[bytes, bytes], name: bytes) -> int | None:
+def _integer_header(fields: dict[bytes, bytes], name: bytes) -> int | None:
     text = fields.get(name)
     if text is None:
         return None
@@ -52,10 +52,10 @@ def _parse_header(block: bytes, boundary: bytes, t_ns: int) -> _Header:
         raise StreamError(f"camera stream: expected a boundary, found {block[:40]!r}; is this a multipart stream?")
     pairs = [line.partition(b":") for line in lines[1:]]
     fields = {name.strip().lower(): value.strip() for name, _, value in pairs}
-    length = _number(fields, b"content-length")
+    length = _integer_header(fields, b"content-length")
     if length is not None and not 0 < length <= BODY_LIMIT_BYTES:
         raise StreamError(f"camera stream: Content-Length {length} (limit 1..{BODY_LIMIT_BYTES} bytes)")
-    stamps = _number(fields, b"x-exposure-ns"), _number(fields, b"x-sequence")
+    stamps = _integer_header(fields, b"x-exposure-ns"), _integer_header(fields, b"x-sequence")
     return _Header(lines[0], length, *stamps, None if length is None else t_ns)
 
 
@@ -107,19 +107,19 @@ class MultipartParser:
     def _take_body(self, header: _Header) -> bytes | None:
         """The body once it is whole, taken off the buffer."""
         if header.length is not None:
-            return self._taken(header.length) if len(self._buffer) >= header.length else None
+            return self._pop_buffered_bytes(header.length) if len(self._buffer) >= header.length else None
         delimiter = b"\n" + header.delimiter
         end = self._buffer.find(delimiter, self._searched)
         if end >= 0:
-            return self._taken(end).removesuffix(b"\r")
+            return self._pop_buffered_bytes(end).removesuffix(b"\r")
         self._searched = max(0, len(self._buffer) - len(delimiter))
         if self._buffer.startswith(JPEG_START) and self._buffer[-4:].rstrip(b"\r\n").endswith(JPEG_END):
-            return self._taken(len(self._buffer)).rstrip(b"\r\n")
+            return self._pop_buffered_bytes(len(self._buffer)).rstrip(b"\r\n")
         if len(self._buffer) > BODY_LIMIT_BYTES:
             raise StreamError(f"camera stream: no boundary within {BODY_LIMIT_BYTES} bytes of a part without a length")
         return None
 
-    def _taken(self, length: int) -> bytes:
+    def _pop_buffered_bytes(self, length: int) -> bytes:
         body = bytes(self._buffer[:length])
         del self._buffer[:length]
         return body

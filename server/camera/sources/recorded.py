@@ -97,7 +97,7 @@ class RecordingStereoSource(StampedStereoSource):
         self._topics = (settings.pair_topic,) if settings.pair_topic else (settings.left_topic, settings.right_topic)
         path = Path(settings.path)
         _check_topics(path, self._topics)
-        images = _images(path, self._topics)
+        images = _read_topic_images(path, self._topics)
         pairs = _side_by_side(images) if settings.pair_topic else self._matched(images)
         super().__init__(f"recording {path}", pairs, settings.speed)
 
@@ -118,10 +118,10 @@ class RecordingStereoSource(StampedStereoSource):
             for eye, until_ns in ((is_left, image.t_ns), (not is_left, other.t_ns)):
                 self.skipped += sum(image.t_ns < until_ns for image in waiting[eye])
                 waiting[eye] = [image for image in waiting[eye] if image.t_ns > until_ns]
-            yield _pair(*((image, other) if is_left else (other, image)))
+            yield _stored_pair(*((image, other) if is_left else (other, image)))
 
 
-def _pair(left: StoredImage, right: StoredImage) -> StoredPair:
+def _stored_pair(left: StoredImage, right: StoredImage) -> StoredPair:
     return StoredPair(left.t_ns, lambda: (left.decode(), right.decode()))
 
 
@@ -130,7 +130,7 @@ def _side_by_side(images: Iterator[tuple[str, StoredImage]]) -> Iterator[StoredP
         yield StoredPair(image.t_ns, lambda image=image: split_side_by_side(image.decode()))
 
 
-def _images(path: Path, topics: tuple[str, ...]) -> Iterator[tuple[str, StoredImage]]:
+def _read_topic_images(path: Path, topics: tuple[str, ...]) -> Iterator[tuple[str, StoredImage]]:
     """The pictures of these topics in the file's order."""
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}

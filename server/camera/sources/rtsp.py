@@ -28,12 +28,12 @@ def open_ffmpeg(url: int | str, timeout_s: float) -> Capture:
     """The stream; every wait in it is bounded."""
     limit_ms = round(1e3 * timeout_s)
     limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit_ms]
-    with _OPENING, _options():
+    with _OPENING, _temporary_ffmpeg_options():
         return cv2.VideoCapture(str(url), cv2.CAP_FFMPEG, limits)
 
 
 @contextlib.contextmanager
-def _options() -> Iterator[None]:
+def _temporary_ffmpeg_options() -> Iterator[None]:
     """FFmpeg's options while a stream is opened, and only then: a video file would lose its first frames by them."""
     before = os.environ.get(FFMPEG_VARIABLE)
     if before is None:  # otherwise the user has set it

@@ -63,22 +63,22 @@ def check_driven(ctx: PlanContext, trajectory: JointTrajectory) -> None:
     _, motion = sample_trajectory(trajectory, 0.02)
     beyond = range_refusal(ctx.machine, motion.q, drive_settings(ctx).joint_margin_rad)
     if beyond is not None:
-        raise _refused(beyond)
+        raise _refusal_error(beyond)
     nearer_m = 0.0 if ctx.wall is None else stall_reach(ctx.chain, motion.q, ctx.stall, ctx.wall)
     _, hit = wall_refusal(tcp_poses(ctx.chain, motion.q), ctx.machine.T_tcp_tool, ctx.wall, nearer_m)
     if hit is not None:
-        raise _refused(hit)
-    _gate(ctx, trajectory)
+        raise _refusal_error(hit)
+    _check_motion_gate(ctx, trajectory)
 
 
-def _gate(ctx: PlanContext, trajectory: JointTrajectory) -> None:
+def _check_motion_gate(ctx: PlanContext, trajectory: JointTrajectory) -> None:
     knots = knots_of(trajectory, ctx.chain.n)
     refused = check_trajectory(knots_from(knots), axes8(knots[0][1]), limits_of(ctx.machine.joints))
     if refused:
         raise JobFailedError(f"{refusals_text(refused)}", "plan_gate")
 
 
-def _refused(refusal: Refusal) -> JobFailedError:
+def _refusal_error(refusal: Refusal) -> JobFailedError:
     return JobFailedError(f"{refusal.reason}", f"plan_{refusal.status.value}")
 
 

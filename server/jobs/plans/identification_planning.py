@@ -87,7 +87,9 @@ def planned_drive(ctx: PlanContext, drive: Drive, q_ref: Array, t_now_ns: int) -
     here = np.asarray(q_ref, dtype=float)
     for part in (part for part in PARTS if part.name not in drive.done):
         try:
-            planned = _motion_part(ctx, replace(part, seconds=_seconds(part, drive.share)), here, drive.q_home)
+            planned = _motion_part(
+                ctx, replace(part, seconds=_scaled_duration_s(part, drive.share)), here, drive.q_home
+            )
         except JobFailedError as error:
             cannot.append(f"{part.name} is left out, so {', '.join(part.shows)} may stay open: {error}")
             continue
@@ -105,7 +107,7 @@ def planned_drive(ctx: PlanContext, drive: Drive, q_ref: Array, t_now_ns: int) -
     return PlannedIdentification(tuple(parts), tuple(cannot), steps_hash(steps), start, t_now_ns, expires_ns)
 
 
-def _seconds(part: MotionPart, share: float) -> float:
+def _scaled_duration_s(part: MotionPart, share: float) -> float:
     return max(SHORTEST_S, share * part.seconds)
 
 
@@ -127,12 +129,12 @@ def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array)
             refused = error
             continue
         step = Step(fitted, part.name, marks=part_marks(part))
-        summary = DriveSegment(part.name, _duration((*way, step)), part.shows, _small(size))
+        summary = DriveSegment(part.name, _total_duration_s((*way, step)), part.shows, _reduced_size_note(size))
         return PlannedPart(summary, (*way, step))
     raise refused or JobFailedError("no size of it fits", "plan_too_fast")
 
 
-def _small(size: float) -> str:
+def _reduced_size_note(size: float) -> str:
     return "" if size == 1.0 else f"{100 * size:.0f} % of its size, to fit the free space: it identifies less"
 
 
@@ -150,7 +152,7 @@ def _looks_part(ctx: PlanContext, drive: Drive, here: Array) -> tuple[PlannedPar
     back = way_to(ctx, steps[-1].trajectory.q[-1], drive.q_home, "back to where the drive began")
     why = [dropped] if dropped else []
     why += _stay_open(found)
-    summary = DriveSegment(LOOKS, _duration((*steps, *back)), LOOKS_SHOW, dropped)
+    summary = DriveSegment(LOOKS, _total_duration_s((*steps, *back)), LOOKS_SHOW, dropped)
     return PlannedPart(summary, (*steps, *back)), why
 
 
@@ -177,17 +179,17 @@ def _look_steps(ctx: PlanContext, postures: Array, here: Array) -> tuple[tuple[S
 
 def _stay_open(found: Postures) -> list[str]:
     """Numbers that looks from these postures leave about as open as they were."""
-    left = [_word(name, joint) for name, joint, ratio in found.known if ratio > OPEN_SHARE]
+    left = [_parameter_label(name, joint) for name, joint, ratio in found.known if ratio > OPEN_SHARE]
     return (
         [f"the looks cannot separate {', '.join(dict.fromkeys(left))} from where object and camera are"] if left else []
     )
 
 
-def _word(name: str, joint: int | None) -> str:
+def _parameter_label(name: str, joint: int | None) -> str:
     return name if joint is None else f"{name} of joint {joint}"
 
 
-def _duration(steps: Iterable[Step]) -> float:
+def _total_duration_s(steps: Iterable[Step]) -> float:
     return round(sum(step.trajectory.duration_s + (LOOK_S if step.then == "look" else 0.5) for step in steps), 1)
 
 

@@ -89,7 +89,7 @@ def drive_identification(
     for number, part in enumerate(planned.parts, start=1):
         text = f"{part.name}: {part.summary.duration_s:.0f} s, shows {', '.join(part.summary.shows)}"
         yield Progress("identify", number, len(planned.parts), "parts", text)
-        good += yield from _part(part)
+        good += yield from _execute_part(part)
         drive.done.add(part.name)
     return IdentificationDriven(
         plan_hash=planned.plan_hash,
@@ -100,7 +100,7 @@ def drive_identification(
     )
 
 
-def _part(part: PlannedPart) -> Generator[Request, object, int]:
+def _execute_part(part: PlannedPart) -> Generator[Request, object, int]:
     good = missed = 0
     if part.name == LOOKS:  # one segment over all of them: the motion between two looks shows the way to each posture
         yield BeginSegment(LOOKS, "static")

@@ -81,16 +81,16 @@ def joint_estimate(ctx: PlanContext) -> JointEstimate | None:
     if not known.runs or not known.looks:
         return None
     if known.joint is None:
-        known.joint = _estimated(ctx)
+        known.joint = _combined_estimate(ctx)
         for older in (known.looks, known.runs):
             if known.joint.status is CalibrationStatus.POOR_FIT and len(older) > 1:
                 del older[:-1]
-                known.joint = _estimated(ctx)
+                known.joint = _combined_estimate(ctx)
         note_lens(ctx, known.joint)
     return known.joint
 
 
-def _estimated(ctx: PlanContext) -> JointEstimate:
+def _combined_estimate(ctx: PlanContext) -> JointEstimate:
     """From the nominal machine and its class's prior, or from the diagnosed machine where the settings name one."""
     known, diagnosed = ctx.knowledge, ctx.compensation
     machine = ctx.machine if diagnosed is None else diagnosed.believed_machine()

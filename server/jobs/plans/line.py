@@ -55,12 +55,12 @@ def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Request, objec
     taken = yield from good_look(ctx)
     oriented = yield from orient(ctx, taken)
     watched = yield from drive_circle(ctx)
-    T_ref, direction, note = _reference(ctx, watched, variant)
+    T_ref, direction, note = _reference_and_direction(ctx, watched, variant)
     moved = yield from _move_and_look(ctx, T_ref, "line-equation move")
     looks = [("oriented", oriented), ("move", moved)]
     if variant == "paper servo":
         try:
-            yield from _servo(ctx, direction, moved, looks)
+            yield from _servo_along_line(ctx, direction, moved, looks)
         except JobFailedError as error:  # the first move stands; the servo's end is reported
             note = f"{note}; servo: {error}"
     return LineResult(variant, note, tuple(_line_look(name, taken) for name, taken in looks))
@@ -92,7 +92,9 @@ def drive_circle(ctx: PlanContext) -> Generator[Request, object, WatchedCircle]:
     return WatchedCircle(T_init, encoder, sighted)
 
 
-def _reference(ctx: PlanContext, watched: WatchedCircle, variant: LineVariant) -> tuple[Array, Array, str]:
+def _reference_and_direction(
+    ctx: PlanContext, watched: WatchedCircle, variant: LineVariant
+) -> tuple[Array, Array, str]:
     """T_base_tcp_ref, direction (3,) and a note of the variant."""
     if variant in ("paper", "paper servo"):
         return _by_minimum(watched)
@@ -136,7 +138,7 @@ def _move_and_look(ctx: PlanContext, T_ref: Array, purpose: str) -> Generator[Re
     return (yield from good_look(ctx))
 
 
-def _servo(
+def _servo_along_line(
     ctx: PlanContext, direction: Array, moved: LookTaken, looks: list[tuple[str, LookTaken]]
 ) -> Generator[Request, object, None]:
     """Further steps of eq. 16 until the stepper ends them."""

@@ -28,7 +28,7 @@ def take_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, obje
     paper = ctx.method == "paper"
     pairs = 1 if paper else ctx.settings.look.pairs * pairs_share
     look = expect_reply((yield TakeLook(pairs=pairs, source="mono" if paper else "stereo")), Look)
-    taken = _taken(ctx, look, reading)
+    taken = _evaluated_look(ctx, look, reading)
     ctx.knowledge.last_look = taken
     ctx.knowledge.previewed = None  # it was made from an older look
     if taken.error is not None:
@@ -80,12 +80,12 @@ def ooi_in_base(ctx: PlanContext, taken: LookTaken) -> Array:
 
 def against_goal(ctx: PlanContext, taken: LookTaken) -> LookTaken:
     """The same look, its error judged against the context's goal: after the operator has set another one."""
-    return _taken(ctx, taken.raw, taken.reading)
+    return _evaluated_look(ctx, taken.raw, taken.reading)
 
 
-def _taken(ctx: PlanContext, raw: Look, reading: MachineReading) -> LookTaken:
+def _evaluated_look(ctx: PlanContext, raw: Look, reading: MachineReading) -> LookTaken:
     look = corrected_look(ctx, raw)
-    error = _error(ctx, look)
+    error = _goal_error_mm(ctx, look)
     record = LookRecord(
         status=look.status.value,
         reason=look.reason,
@@ -98,7 +98,7 @@ def _taken(ctx: PlanContext, raw: Look, reading: MachineReading) -> LookTaken:
     return LookTaken(look=look, reading=reading, error=error, record=record, raw=raw)
 
 
-def _error(ctx: PlanContext, look: Look) -> ErrorMm | None:
+def _goal_error_mm(ctx: PlanContext, look: Look) -> ErrorMm | None:
     if look.status is not LookStatus.OK:
         return None
     if look.T_cam_tool is None or look.T_cam_ooi is None:

@@ -39,7 +39,7 @@ def orient(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, Loo
         record = MoveRecord(
             number=step,
             kind="orientation",
-            before=_error(before),
+            before=_require_look_error(before),
             after=taken.error,
             predicted_sigma_mm=(0.0, 0.0, 0.0),
             length_mm=plan.length_m * 1e3,
@@ -72,7 +72,7 @@ def orientation_goal(ctx: PlanContext, taken: LookTaken) -> Array:
     return pose(R_ref, np.asarray(p_base_tool - R_ref @ p_tcp_tool))
 
 
-def _error(taken: LookTaken):
+def _require_look_error(taken: LookTaken):
     if taken.error is None:
         raise JobFailedError(f"look failed: {taken.record.reason}", "look_rejected")
     return taken.error

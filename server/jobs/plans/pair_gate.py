@@ -22,7 +22,7 @@ class PairGate:
         if seen.fault:
             return seen.fault
         for found, name in ((seen.tool, "tool"), (seen.ooi, "object of interest")):
-            reason = _unfit(found)
+            reason = _unfit_pose_reason(found)
             if reason:
                 return f"{name}: {reason}"
         if seen.q_rad is None:
@@ -42,7 +42,7 @@ class PairGate:
             return float("inf")
 
 
-def _unfit(found: ObjectPose | None) -> str:
+def _unfit_pose_reason(found: ObjectPose | None) -> str:
     if found is None:
         return "not looked for"
     if found.status is PoseStatus.OK and found.T_cam_object is not None:

@@ -33,7 +33,7 @@ def position(
     watch.lap("look")
     if is_look_inside_tolerance(ctx, taken):
         ctx.knowledge.moves.clear()
-        return _result(ctx, first, taken, ctx.knowledge.calibration, watch)
+        return _position_result(ctx, first, taken, ctx.knowledge.calibration, watch)
     if not recalibrate:
         yield from _drop_expired(ctx, taken)
     elif error_of(taken).rotation_deg < GOOD_ENOUGH_DEG:
@@ -47,7 +47,7 @@ def position(
         taken = yield from good_look(ctx)
         watch.lap("look after calibration")
     taken = yield from _move_until_inside(ctx, taken, watch, clock_ns)
-    return _result(ctx, first, taken, ctx.knowledge.calibration, watch)
+    return _position_result(ctx, first, taken, ctx.knowledge.calibration, watch)
 
 
 def _begin_run(ctx: PlanContext, taken: LookTaken, recalibrate: bool) -> None:
@@ -88,7 +88,7 @@ def _move_until_inside(
     return taken
 
 
-def _result(
+def _position_result(
     ctx: PlanContext, first: LookTaken, last: LookTaken, calibration: CalibrationRecord | None, watch: "_StopWatch"
 ) -> PositionResult:
     goal = ctx.settings.position

@@ -56,7 +56,7 @@ def reach_preview(
     taken = _as_if_looked(reading, tool, target, T_cam_target)
     ctx.knowledge.T_base_ooi = ooi_in_base(ctx, taken)
     try:
-        taken = _oriented(ctx, taken)
+        taken = _look_after_orienting(ctx, taken)
         _as_if_calibrated(ctx, taken)
         _to_goal(ctx, taken)
         require_judgeable(ctx, taken)
@@ -93,7 +93,7 @@ def _as_if_looked(
     return LookTaken(look=look, reading=reading, error=None, record=record, raw=look)
 
 
-def _oriented(ctx: PlanContext, taken: LookTaken) -> LookTaken:
+def _look_after_orienting(ctx: PlanContext, taken: LookTaken) -> LookTaken:
     """As it would be seen after the orientation step; the same where none is needed."""
     look = taken.look
     if look.T_cam_tool is None or look.T_cam_ooi is None:
@@ -101,7 +101,7 @@ def _oriented(ctx: PlanContext, taken: LookTaken) -> LookTaken:
     if np.rad2deg(geodesic_angle(look.T_cam_tool[:3, :3], look.T_cam_ooi[:3, :3])) < GOOD_ENOUGH_DEG:
         return taken
     T_before = ctx.tcp(taken.reading.q_rad)
-    plan = _planned(plan_to(ctx, taken.reading, orientation_goal(ctx, taken)), "turning to the target")
+    plan = _require_plan(plan_to(ctx, taken.reading, orientation_goal(ctx, taken)), "turning to the target")
     T_after = ctx.tcp(plan.q_end)
     T_tcp_tool = ctx.machine.T_tcp_tool
     moved = inverse_pose(T_after @ T_tcp_tool) @ T_before @ T_tcp_tool  # T_tool-after_tool-before
@@ -115,8 +115,8 @@ def _to_goal(ctx: PlanContext, taken: LookTaken) -> PathPlan:
     if look.T_cam_tool is None or look.T_cam_ooi is None:
         raise ValueError("a look without poses")
     T_goal = goal_from_look(ctx, taken.reading.q_rad, mount_rotation(ctx, taken), look.T_cam_tool, look.T_cam_ooi)
-    plan = _planned(plan_to(ctx, taken.reading, T_goal), "move to the target")
-    found = validity_at(ctx, taken.reading, plan.q_end, _farther(ctx, taken, T_goal))
+    plan = _require_plan(plan_to(ctx, taken.reading, T_goal), "move to the target")
+    found = validity_at(ctx, taken.reading, plan.q_end, _farther_goal(ctx, taken, T_goal))
     if not found.ok:
         raise JobFailedError(
             f"too far from here: at the goal {found.reason}. Move the tool nearer first, or choose a nearer place",
@@ -125,7 +125,7 @@ def _to_goal(ctx: PlanContext, taken: LookTaken) -> PathPlan:
     return plan
 
 
-def _farther(ctx: PlanContext, taken: LookTaken, T_goal: Array) -> Array:
+def _farther_goal(ctx: PlanContext, taken: LookTaken, T_goal: Array) -> Array:
     """The goal a little farther away: the calibration will correct the mount, which moves the end of a long way."""
     T_now = ctx.tcp(taken.reading.q_rad)
     away = T_goal[:3, 3] - T_now[:3, 3]
@@ -173,7 +173,7 @@ def _require_judgeable_angle(ctx: PlanContext, taken: LookTaken) -> None:
         )
 
 
-def _planned(plan: PathPlan, purpose: str) -> PathPlan:
+def _require_plan(plan: PathPlan, purpose: str) -> PathPlan:
     if plan.status is not PlanStatus.OK:
         raise JobFailedError(f"{purpose}: {plan.reason}", f"plan_{plan.status.value}")
     return plan

@@ -68,13 +68,13 @@ def servo(ctx: PlanContext, clock_ns: Callable[[], int] = mono_ns) -> Generator[
         require_valid(
             calibration_validity(ctx, taken.reading), "closed loop"
         )  # each look may show that the camera has slipped
-        yield from _reliable(ctx)
+        yield from _wait_for_reliable_pairs(ctx)
         before = error_of(taken)
         steered = yield from _one_pass(ctx, taken, passes)
         taken = yield from good_look(ctx)
-        yield Record(_remembered(ctx, passes, before, taken, steered.current))
+        yield Record(_record_move(ctx, passes, before, taken, steered.current))
         pairs, corrections = pairs + steered.pairs, corrections + steered.corrections
-    return _result(ctx, first, taken, passes, pairs, corrections, (clock_ns() - started_ns) * 1e-9)
+    return _servo_result(ctx, first, taken, passes, pairs, corrections, (clock_ns() - started_ns) * 1e-9)
 
 
 def _require_permitted(ctx: PlanContext) -> None:
@@ -86,7 +86,7 @@ def _require_permitted(ctx: PlanContext) -> None:
         raise JobFailedError("closed-loop control needs a local calibration; calibrate first", "not_calibrated")
 
 
-def _reliable(ctx: PlanContext) -> Generator[Request, object, None]:
+def _wait_for_reliable_pairs(ctx: PlanContext) -> Generator[Request, object, None]:
     """Good pairs in a row, at rest, before anything moves by them."""
     wanted, tries = ctx.settings.closed_loop.pairs_in_a_row, 0
     gate, in_a_row, number, fault = PairGate(ctx), 0, 0, ""
@@ -114,11 +114,11 @@ def _one_pass(ctx: PlanContext, taken: LookTaken, number: int) -> Generator[Requ
     goal = SeenGoal(T_goal)
     yield Arm()
     q_before = joints_near(ctx, T_goal, reading.q_rad) - play_rad
-    before = _begun(ctx, goal, reading, q_before, corrects=False)
-    yield from _driven(ctx, before, f"closed loop, pass {number}: to just before the goal")
+    before = _plan_steered_path(ctx, goal, reading, q_before, corrects=False)
+    yield from _drive_steered_path(ctx, before, f"closed loop, pass {number}: to just before the goal")
     reading = expect_reply((yield ReadMachine()), MachineReading)
-    steered = _begun(ctx, goal, reading, joints_near(ctx, goal.pose, reading.q_rad), corrects=True)
-    yield from _driven(ctx, steered, f"closed loop, pass {number}: in")
+    steered = _plan_steered_path(ctx, goal, reading, joints_near(ctx, goal.pose, reading.q_rad), corrects=True)
+    yield from _drive_steered_path(ctx, steered, f"closed loop, pass {number}: in")
     rested = expect_reply((yield Settle()), MachineReading)
     direction = last_direction(steered.current)
     ctx.knowledge.stall_rad, _ = updated_stall(ctx.stall, rested.q_ref_rad, rested.q_rad, direction, play_rad)
@@ -140,7 +140,9 @@ def _goal_at_rest(ctx: PlanContext, taken: LookTaken, reading: MachineReading) -
     return goal_of(ctx, taken, reading.q_rad, look.T_cam_tool, look.T_cam_ooi)
 
 
-def _begun(ctx: PlanContext, goal: SeenGoal, reading: MachineReading, q_goal: Array, corrects: bool) -> SteeredPath:
+def _plan_steered_path(
+    ctx: PlanContext, goal: SeenGoal, reading: MachineReading, q_goal: Array, corrects: bool
+) -> SteeredPath:
     start = at_rest(reading.q_ref_rad)
     tail = path_onto_reference(ctx, start, reading, q_goal, 1.0)
     if isinstance(tail, Refusal):
@@ -148,14 +150,14 @@ def _begun(ctx: PlanContext, goal: SeenGoal, reading: MachineReading, q_goal: Ar
     return SteeredPath(goal, goal.pose, with_start(tail, start), reading, corrects)
 
 
-def _driven(ctx: PlanContext, steered: SteeredPath, purpose: str) -> Generator[Request, object, None]:
+def _drive_steered_path(ctx: PlanContext, steered: SteeredPath, purpose: str) -> Generator[Request, object, None]:
     yield Progress("servo", 0.0, steered.current.duration_s, "s", purpose)
     yield StartMove(steered.current, purpose)
-    yield from _follow(ctx, steered)
+    yield from _process_pairs_until_end(ctx, steered)
     yield EndMove()
 
 
-def _follow(ctx: PlanContext, steered: SteeredPath) -> Generator[Request, object, None]:
+def _process_pairs_until_end(ctx: PlanContext, steered: SteeredPath) -> Generator[Request, object, None]:
     """Pair by pair until the path is at its end; the first fault stops the motion and the job."""
     gate, number = PairGate(ctx), 0
     while True:
@@ -174,7 +176,7 @@ def _follow(ctx: PlanContext, steered: SteeredPath) -> Generator[Request, object
             yield correction
 
 
-def _remembered(ctx: PlanContext, number: int, before: ErrorMm, taken: LookTaken, path: JointTrajectory) -> MoveRecord:
+def _record_move(ctx: PlanContext, number: int, before: ErrorMm, taken: LookTaken, path: JointTrajectory) -> MoveRecord:
     T = ctx.tcp(path.q[0]), ctx.tcp(path.q[-1])
     record = MoveRecord(
         number=number,
@@ -191,7 +193,7 @@ def _remembered(ctx: PlanContext, number: int, before: ErrorMm, taken: LookTaken
     return record
 
 
-def _result(
+def _servo_result(
     ctx: PlanContext, first: LookTaken, last: LookTaken, passes: int, pairs: int, corrections: int, duration_s: float
 ) -> ServoResult:
     goal, reached = ctx.settings.position, is_look_inside_tolerance(ctx, last)

@@ -12,7 +12,7 @@ from machine.poses import pose
 from server.api.panel import setting_rows
 from server.api.panel_view import EDGES_MS, link_figures, loss_pct, safety_view
 from server.api.state_view import step_refusals
-from server.api.video import _cross
+from server.api.video import _axes_overlay
 from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.link.contracts import LinkHealth, LinkPhase
@@ -91,7 +91,7 @@ def test_settings_carry_their_units():
 
 def test_a_cross_stands_where_the_pinhole_puts_it_and_nowhere_behind_the_camera():
     camera = replace(read_machine("hiab033").camera, distortion=(0.0,) * 5)
-    cross = _cross(camera, pose(np.eye(3), np.array([0.1, 0.0, 1.0])))
+    cross = _axes_overlay(camera, pose(np.eye(3), np.array([0.1, 0.0, 1.0])))
     assert cross.origin_px == [pytest.approx(camera.cx_px + 0.1 * camera.fx_px, abs=0.1), camera.cy_px]
     assert cross.axes_px[0][0] - cross.origin_px[0] == pytest.approx(0.05 * camera.fx_px, abs=0.1)
-    assert _cross(camera, pose(np.eye(3), np.array([0.0, 0.0, -1.0]))) is None
+    assert _axes_overlay(camera, pose(np.eye(3), np.array([0.0, 0.0, -1.0]))) is None

@@ -20,7 +20,7 @@ NONE = (NAN, NAN)
 
 def told(monkeypatch: pytest.MonkeyPatch, messages: list[tuple[str, int, bytes]]):
     made = [(topic, SimpleNamespace(log_time=t_ns, data=data)) for topic, t_ns, data in messages]
-    monkeypatch.setattr(panel_replay_reading, "_messages", lambda _path: iter(made))
+    monkeypatch.setattr(panel_replay_reading, "_wanted_messages", lambda _path: iter(made))
     return replay_of(Path("run.mcap"))
 
 

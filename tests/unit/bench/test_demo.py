@@ -42,13 +42,15 @@ def test_what_has_ended_will_never_be_ready_and_is_told_at_once(monkeypatch: pyt
 def test_while_it_waits_it_says_for_what() -> None:
     status = Status("starting", console=Console(quiet=True))
     with JobClient(Started.url) as client, pytest.raises(JobRefusedError, match="not ready after 1 s"):
-        client.wait_ready(1.0, lambda waited_s, why: demo._starting(Started().processes, status, waited_s, why))
+        client.wait_ready(
+            1.0, lambda waited_s, why: demo._show_startup_status(Started().processes, status, waited_s, why)
+        )
     assert "the server is not up yet" in str(status.status)
 
 
 def test_nobody_is_sent_to_look_for_a_cable_while_a_simulated_camera_is_compiled() -> None:
     status = Status("starting", console=Console(quiet=True))
-    demo._starting(Started().processes, status, 40.0, camera_reason(None) or "")
+    demo._show_startup_status(Started().processes, status, 40.0, camera_reason(None) or "")
     assert str(status.status) == "starting, 40 s: no image from the simulated camera yet"
 
 
@@ -83,4 +85,4 @@ def test_the_command_that_it_names_can_be_entered_as_it_is(
 ) -> None:
     monkeypatch.setattr(demo.shutil, "which", lambda _name: None)
     monkeypatch.setattr(sys, "argv", [started])
-    assert demo._command() == (called or started)
+    assert demo._longreach_command() == (called or started)

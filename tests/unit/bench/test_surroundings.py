@@ -245,7 +245,7 @@ def test_under_nohup_a_closed_terminal_ends_nothing() -> None:
 def test_the_python_api_has_a_place_for_compiled_code_where_nothing_can_be_written(tmp_path: Path) -> None:
     code = (
         "import os, tempfile; from pathlib import Path; import longreach.cli as cli\n"
-        "cli._writable = lambda folder: False\n"
+        "cli._is_folder_writable = lambda folder: False\n"
         "import numba, longreach; longreach.tcp_pose\n"
         "assert os.environ[cli.CACHE] == numba.config.CACHE_DIR != '', numba.config.CACHE_DIR\n"
     )

@@ -49,11 +49,11 @@ def test_contradictions_are_not_taken_for_scatter():
 def test_a_step_that_takes_back_the_last_one_is_halved_and_others_are_not():
     sigmas = np.ones(5)
     first = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
-    change, last = chord_rotation._calmed(first, np.zeros(5), sigmas)
+    change, last = chord_rotation._damp_oscillating_step(first, np.zeros(5), sigmas)
     assert np.array_equal(change, first)
-    change, _ = chord_rotation._calmed(-0.92 * first, last, sigmas)
+    change, _ = chord_rotation._damp_oscillating_step(-0.92 * first, last, sigmas)
     assert np.allclose(change, -0.46 * first)
-    change, _ = chord_rotation._calmed(0.92 * first, last, sigmas)
+    change, _ = chord_rotation._damp_oscillating_step(0.92 * first, last, sigmas)
     assert np.allclose(change, 0.92 * first)
 
 

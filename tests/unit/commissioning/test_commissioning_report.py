@@ -11,7 +11,7 @@ import pytest
 from commissioning_states import MACHINE
 from rich.console import Console
 
-from longreach.commission_command import _carried, _require_free_port, _require_same_plc, chosen_steps
+from longreach.commission_command import _earlier_results, _require_free_port, _require_same_plc, chosen_steps
 from longreach.commission_operator import TerminalOperator, read_answers
 from server.commissioning.contracts import Figure, ReportTable, StepResult, Verdict
 from server.commissioning.report import Report, exit_code, from_json, to_json, to_markdown
@@ -173,10 +173,10 @@ def test_a_taken_port_names_the_server():
 
 
 def test_a_report_of_another_machine_file_is_not_gone_on_from():
-    assert _carried(None, MACHINE, "ab") == ()
-    assert _carried(report(), MACHINE, "ab") == RESULTS
+    assert _earlier_results(None, MACHINE, "ab") == ()
+    assert _earlier_results(report(), MACHINE, "ab") == RESULTS
     with pytest.raises(SettingsError, match="another machine file"):
-        _carried(report(), MACHINE, "cd")
+        _earlier_results(report(), MACHINE, "cd")
 
 
 @pytest.mark.parametrize("later", [Verdict.SKIPPED, Verdict.INCONCLUSIVE])

@@ -16,10 +16,10 @@ def proposed(monkeypatch: pytest.MonkeyPatch, nats: dict[str, tuple[float, float
     cell = SimpleNamespace(stage="actuator", joint=1)
     pairs = [SimpleNamespace(names=two, weight=w, cell=cell) for two, w in zip(NAMES, (0.2, 0.19, 0.18), strict=True)]
     library = tuple(Motion(name, "steps", np.zeros((100, 1))) for name in nats)
-    monkeypatch.setattr(choice, "_library", lambda *_: library)
-    monkeypatch.setattr(choice, "_nats", lambda _, pair, one: nats[one.name][pairs.index(pair)])
+    monkeypatch.setattr(choice, "_possible_experiments", lambda *_: library)
+    monkeypatch.setattr(choice, "_expected_nats", lambda _, pair, one: nats[one.name][pairs.index(pair)])
     found: Any = None
-    return choice._proposed(found, SimpleNamespace(sliding=(False,)), pairs)  # type: ignore[arg-type]
+    return choice._best_experiment(found, SimpleNamespace(sliding=(False,)), pairs)  # type: ignore[arg-type]
 
 
 def test_what_settles_two_of_three_pairs_is_no_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,6 +67,6 @@ def test_sizes_and_overhead_fit_one_frame() -> None:
 
 def test_a_gap_in_the_table_is_refused() -> None:
     with pytest.raises(ValueError, match="the field before ends at 4"):
-        layout._block("x", 12, layout.Field(0, "UDINT", "a"), layout.Field(8, "UDINT", "b"))
+        layout._contiguous_block("x", 12, layout.Field(0, "UDINT", "a"), layout.Field(8, "UDINT", "b"))
     with pytest.raises(ValueError, match="must end at 8"):
-        layout._block("x", 8, layout.Field(0, "UDINT", "a"))
+        layout._contiguous_block("x", 8, layout.Field(0, "UDINT", "a"))

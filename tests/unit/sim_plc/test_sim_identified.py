@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from longreach.sim_command import _simulated
+from longreach.sim_command import _keep_simulated_effects
 from machine.description import parse_machine_toml
 from server.settings import read_machine_text
 from sim_plc.diagnosed import with_effects
@@ -16,11 +16,11 @@ TILT = '\n[[effect]]\nname = "base_tilt"\nparameters = { tilt_rad = 0.003 }\n'
 
 
 def test_the_files_effects_and_no_others_are_simulated():
-    text, left_out = _simulated(TEXT + SAG + DEAD + TILT)
+    text, left_out = _keep_simulated_effects(TEXT + SAG + DEAD + TILT)
     assert left_out == ("base_tilt",)  # said on the screen
     plant = with_effects(draw_world(parse_machine_toml(text), "nominal", 1)).plant
     assert 1.0 / plant.flex.stiffness_nm_rad[0] == pytest.approx(1e-6, rel=0.05)
     assert (1.0 / plant.flex.stiffness_nm_rad[1:] < 5e-8).all()
     assert np.allclose(plant.valve.dead_band_frac, [0.0, 0.0, 0.02, 0.0, 0.0, 0.0])
     assert not plant.kinematics.backlash_rad.any()
-    assert _simulated(TEXT) == (TEXT, None)
+    assert _keep_simulated_effects(TEXT) == (TEXT, None)

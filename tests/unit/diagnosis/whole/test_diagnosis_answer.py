@@ -12,7 +12,7 @@ from diagnosis_cases import likely
 from foreign_plant import Fault, write
 from typer.testing import CliRunner
 
-from diagnosis.answer import _number, _vector, answer_json
+from diagnosis.answer import _size_and_direction, _value_with_limits, answer_json
 from diagnosis.budget import Budget, budget_of
 from diagnosis.fleet.summary import equals_of
 from diagnosis.reading.read import read_for_diagnosis
@@ -83,7 +83,7 @@ def test_the_example_of_rest_has_the_fields_of_an_answer() -> None:
 
 @pytest.mark.parametrize("limit", [0.00123456789, -0.00123456789, 123456.7, 0.99999999, -5e-9, 0.0])
 def test_a_printed_limit_leaves_nothing_out(limit: float) -> None:
-    told = _number(np.array([limit, limit, limit]), "1")
+    told = _value_with_limits(np.array([limit, limit, limit]), "1")
     assert told["low"] <= limit <= told["high"]
     assert told["high"] - told["low"] <= 1.01e-5 * abs(limit)
 
@@ -92,7 +92,7 @@ def test_a_base_is_tilted_about_level_axes_only() -> None:
     (tilt,) = candidates_of_effects(("base_tilt",), ())
     assert [slot.index for slot in tilt.slots] == [0, 1]  # about the upright it is the bias of the first encoder
     direction = effect_named("base_tilt").direction
-    told = _vector("tilt_rad", "rad", direction, np.array([[3e-3, 2e-3, 4e-3], [-4e-3, -5e-3, -3e-3]]))
+    told = _size_and_direction("tilt_rad", "rad", direction, np.array([[3e-3, 2e-3, 4e-3], [-4e-3, -5e-3, -3e-3]]))
     assert told["axis"]["value"] == [0.6, -0.8, 0.0]
     assert told["tilt_rad"]["value"] == pytest.approx(5e-3)
 
