@@ -57,6 +57,7 @@ EyeSize = Annotated[str | None, typer.Option(help="one eye's size, such as 1226x
 MachineFile = Annotated[str | None, typer.Option("--machine", help="machine file, or the name of a shipped one")]
 Seconds = Annotated[float, typer.Option(min=1.0, max=600.0, help="duration of the check [s]")]
 Pairs = Annotated[int, typer.Option(min=1, max=200, help="number of pairs analysed in detail")]
+HIDDEN_DAMAGE = "the decoder of an RTSP stream hides damage until the next key frame, so looks cannot exclude it"
 AsJson = Annotated[bool, typer.Option("--json", help="print the findings only, as JSON")]
 
 
@@ -206,6 +207,12 @@ def _camera_check_findings(
             lambda: progress.advance(task),
             None if tape_mm is None else Tape(1e-3 * tape_mm),
             masks,
+        )
+    if isinstance(plain, RtspSource):
+        findings.append(
+            CheckFinding(
+                "coding", Level.WARN, HIDDEN_DAMAGE, "use a camera with MJPEG, or keep its network free of loss"
+            )
         )
     if stereo.state and not gathering.n:
         findings.insert(0, CheckFinding("source", Level.FAIL, stereo.state, "fix what this line states"))

@@ -18,6 +18,7 @@ from benchmarks.vision.evidence import (
     tag_figures,
 )
 from machine.description import StereoCamera
+from server.camera.sources.folder import natural_order
 from server.vision.contracts import Image
 
 
@@ -94,5 +95,5 @@ def kitti_camera(folder: Path) -> StereoCamera:
 
 def kitti_pairs(folder: Path) -> Iterator[tuple[Image, Image]]:
     """The rectified grey pairs of the clip in order."""
-    for left in sorted((folder / "image_l").glob("*.png")):
+    for left in map(Path, natural_order(str(file) for file in (folder / "image_l").glob("*.png"))):
         yield _grey(left), _grey(folder / "image_r" / left.name)

@@ -22,6 +22,7 @@ FAULT_CODES: tuple[tuple[FaultBit, str], ...] = (
     (FaultBit.OIL_TEMPERATURE, "plc_oil_temperature"),
     (FaultBit.CYCLE_OVERRUN | FaultBit.LAYOUT, "plc_program"),
 )
+PLC_FAULTS = frozenset(code for _, code in FAULT_CODES)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 from recording.clock import mono_ns, mono_s
 from server.api.hold_rule import mode_of
 from server.api.panel_alarm_catalogue import CATALOGUE
-from server.api.panel_alarms import Alarm, AlarmBook, Surroundings, active_alarms, unknown_alarms
+from server.api.panel_alarms import PLC_FAULTS, Alarm, AlarmBook, Surroundings, active_alarms, unknown_alarms
 from server.api.panel_view import (
     AlarmView,
     GoalView,
@@ -82,7 +82,7 @@ class PanelMemory:
         service = self.service
         cell, goal = service.cell, service.context.settings.position
         alarms = [_alarm_view(alarm) for alarm in self.book.alarms]
-        faults = [alarm.title for alarm in alarms if alarm.code.startswith("plc_") and alarm.ended_unix_s is None]
+        faults = [alarm.title for alarm in alarms if alarm.code in PLC_FAULTS and alarm.ended_unix_s is None]
         return PanelView(
             unix_s=round(time.time(), 3),
             mono_ms=round(mono_ns() * 1e-6, 1),

@@ -2,6 +2,7 @@
 
 import asyncio
 import importlib
+import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -116,6 +117,7 @@ def _rounded_degrees(radians: float) -> float:
 
 
 NAMESPACE = "urn:longreach:robotics"  # the names are those of http://opcfoundation.org/UA/Robotics/, the nodes our own
+CONNECTIONS = "asyncua.server.binary_server_asyncio"
 PERIOD_S = 0.2
 STOP_S = 3.0
 SPACE = "asyncua.server.standard_address_space.standard_address_space"  # 9 MB of source, seconds to import
@@ -202,6 +204,7 @@ def load_library() -> Any:
     Raises: SettingsError: it is not installed.
     """
     library = import_extra("opcua", "asyncua", "asyncua")
+    logging.getLogger(CONNECTIONS).setLevel(logging.ERROR)  # a warning for each refused connection would flood the log
     with suppress(ImportError):  # a version that keeps it elsewhere is only slower to start
         importlib.import_module(SPACE)
     return library
