@@ -10,7 +10,7 @@ from diagnosis.budget import Budget
 from diagnosis.cells.points import left_out
 from diagnosis.experiments.choice import Key, Pair, experiment_for
 from diagnosis.experiments.prediction import hypothesis_at_fit
-from diagnosis.hypotheses import hypotheses_of, sized
+from diagnosis.hypotheses import hypotheses_of, sized_effect_of_line
 from diagnosis.localise import Place, merged_stages, totals_of
 from diagnosis.search.candidates import Candidate
 from diagnosis.search.fit import Fit
@@ -127,7 +127,7 @@ def _effect_line_json(line: EffectLine, machine: tuple[EffectTerm, ...]) -> dict
     evidence = line.evidence
     used = next((term for term in machine if term.effect == evidence.term.effect), None)
     return {
-        **_effect_table(*sized(line)),
+        **_effect_table(*sized_effect_of_line(line)),
         "column": line.column,
         "tool_mm": _rounded_mm(line.mm),
         "tool_low_mm": _rounded_mm(line.low_mm),

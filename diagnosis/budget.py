@@ -93,15 +93,15 @@ def budget_of(whole: Read, progress: Progress = no_progress, left_out: tuple[str
     """The budget of a recording that is usable. `left_out`: effects taken out of the library, to test refusals."""
     work = WorkProgress(progress)
     fits = fit_machine(whole, work, left_out)
-    work.conclude("weighing", 0.0)
+    work.report_concluding_progress("weighing", 0.0)
     weighed = [found for fit in fits for found in _evidence_with_probability(fit)]
     evidence = [found for found, _ in weighed]
     chance = {id(found.term): likely for found, likely in weighed}
     sure, machine = (_machine_of(fits, chance, least) for least in (CONFIRMED, LIKELY))
     errors = tool_errors(whole, [found.term for found in evidence], [fit.cell for fit in fits], sure)
-    work.conclude("localising", 0.6)
+    work.report_concluding_progress("localising", 0.6)
     before, after = localise(whole), localise(_with_effects(whole, entries_of(sure)))
-    work.conclude("held-out data", 0.8)
+    work.report_concluding_progress("held-out data", 0.8)
     predicted = tuple(held_out(fit.cell, fit_of(fit.best.terms, fit.best.lin)) for fit in fits)
     closing = tuple(tuple(gaps_closed(prediction)) for prediction in predicted)
     columns = tuple(_budget_column(whole, error, chance, after, fits, closing) for error in errors)

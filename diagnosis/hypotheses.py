@@ -28,7 +28,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, slots=True)
-class _Change:
+class _HypothesisChange:
     """What differs from the effects that are more likely there than not, and its odds against them (0 to 1)."""
 
     odds: float
@@ -42,7 +42,7 @@ def hypotheses_of(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> list
     Model: changes are independent. An effect of the budget may be absent, or its best rival in its place, by its
            probability; each other effect of the catalogue may be there, by the posterior odds of the best set with it.
     """
-    likely = [sized(line) for line in lines if line.status != "doubtful"]
+    likely = [sized_effect_of_line(line) for line in lines if line.status != "doubtful"]
     changes = sorted((*_of_lines(lines, fits), *_absent_effect_changes(fits)), key=lambda change: -change.odds)
     standing = float(np.prod([1.0 / (1.0 + change.odds) for change in changes]))
     out: list[Hypothesis] = []
@@ -58,7 +58,7 @@ def hypotheses_of(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> list
     return out
 
 
-def sized(line: EffectLine) -> SizedEffect:
+def sized_effect_of_line(line: EffectLine) -> SizedEffect:
     """The effect of a line with its numbers."""
     return _sized_effect(line.evidence.term, *line.evidence.limits)
 
@@ -67,13 +67,13 @@ def _sized_effect(term: EffectTerm, low: Array, high: Array) -> SizedEffect:
     return term.effect, np.stack([term.theta, low, high], axis=1)
 
 
-def _of_lines(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> Iterator[_Change]:
+def _of_lines(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> Iterator[_HypothesisChange]:
     for line in lines:
         term, p = line.evidence.term, min(line.probability, EVEN)
         if line.status == "doubtful":
-            yield _Change(p / (1.0 - p), (), (sized(line),))
+            yield _HypothesisChange(p / (1.0 - p), (), (sized_effect_of_line(line),))
         else:
-            yield _Change(min((1.0 - p) / p, EVEN), (term.effect.key,), _replacing_effects(term, fits))
+            yield _HypothesisChange(min((1.0 - p) / p, EVEN), (term.effect.key,), _replacing_effects(term, fits))
 
 
 def _replacing_effects(term: EffectTerm, fits: Sequence[WholeFit]) -> tuple[SizedEffect, ...]:
@@ -86,7 +86,7 @@ def _replacing_effects(term: EffectTerm, fits: Sequence[WholeFit]) -> tuple[Size
     return ()
 
 
-def _absent_effect_changes(fits: Sequence[WholeFit]) -> Iterator[_Change]:
+def _absent_effect_changes(fits: Sequence[WholeFit]) -> Iterator[_HypothesisChange]:
     """Every absent effect, by the linear model of its part."""
     for fit in fits:
         problem, present, first = fit.best.problem, fit.best.present, fit.best.lin.first
@@ -102,10 +102,10 @@ def _absent_effect_changes(fits: Sequence[WholeFit]) -> Iterator[_Change]:
             theta, half = term.theta.copy(), np.zeros_like(term.theta)
             theta[: term.sizes], half[: term.sizes] = x[own], QUANTILE_95 * np.sqrt(np.diag(S)[own])
             odds = min(float(np.exp(min(problem.score(members) - score, 0.0))), EVEN)
-            yield _Change(odds, (), ((term.effect, np.stack([theta, theta - half, theta + half], axis=1)),))
+            yield _HypothesisChange(odds, (), ((term.effect, np.stack([theta, theta - half, theta + half], axis=1)),))
 
 
-def _in_order(changes: Sequence[_Change]) -> Iterator[tuple[float, tuple[_Change, ...]]]:
+def _in_order(changes: Sequence[_HypothesisChange]) -> Iterator[tuple[float, tuple[_HypothesisChange, ...]]]:
     """Sets of changes with the product of their odds, largest first; changes come sorted by theirs."""
     costs = [-float(np.log(max(change.odds, 1e-300))) for change in changes]
     yield 1.0, ()

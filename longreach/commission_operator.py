@@ -41,7 +41,7 @@ def read_answers(path: Path | None) -> dict[str, str]:
     return answers
 
 
-class _Lines:
+class _StdinLineReader:
     """Standard input read line by line in a thread; an unfinished read never blocks the exit."""
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class TerminalOperator:
 
     def __init__(self, console: Console, answers: dict[str, str], assume_yes: bool, move: bool) -> None:
         self._console, self._answers, self._assume_yes, self._move = console, answers, assume_yes, move
-        self._lines = _Lines()
+        self._lines = _StdinLineReader()
         self._asked: set[str] = set()
         self._progress: Progress | None = None
         self._task: TaskID | None = None

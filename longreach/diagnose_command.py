@@ -79,13 +79,13 @@ class Outlook:
         rest = in_words(left_s(done, total, elapsed_s)) if share >= KNOWN_FROM else "remaining time unknown"
         self.say(f"{text}: {100.0 * share:.0f} % done, {rest}", share, elapsed_s)
 
-    def also(self, text: str) -> None:
+    def report_final_step(self, text: str) -> None:
         """What comes when all searches are done."""
         self.say(f"{text}: {100.0 * self._furthest:.0f} % done", self._furthest, self.now_s() - self._begun_s)
 
 
 @contextmanager
-def outlook(screen: Console, now_s: Callable[[], float] = time.monotonic) -> Iterator[Outlook]:
+def console_progress(screen: Console, now_s: Callable[[], float] = time.monotonic) -> Iterator[Outlook]:
     """On this console."""
     if not screen.is_terminal:
         yield Outlook(_rate_limited_printer(screen), now_s)
@@ -227,9 +227,9 @@ def _fit_baseline(recordings: list[Path], machine_file: Path | None, out: Path |
 def _run_diagnosis(
     whole: Read, screen: Console, left_out: tuple[str, ...]
 ) -> tuple[Budget, dict[str, Any], tuple[CellCurves, ...]]:
-    with outlook(screen) as shown:
+    with console_progress(screen) as shown:
         found = budget_of(whole, shown.heard, left_out)
-        shown.also("next experiment")
+        shown.report_final_step("next experiment")
         sliding = () if whole.nominal is None else whole.nominal.sliding
         return found, answer_json(found), curves_of(found.held_out, sliding)
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from machine.description import Machine
 from protocol.errors import LocalProtocolError
 from protocol.framing import parse_net_id
-from protocol.twincat.bundle import bundle
+from protocol.twincat.bundle import build_bundle_files
 from protocol.twincat.parameters import PlcParameters
 from server.settings import read_machine
 from sim_plc.plc import settings
@@ -72,7 +72,7 @@ def export_plc(
     _require_net_ids({"--pc-net-id": pc_net_id, "--plc-net-id": plc_net_id})
     _require_addresses({"--pc-address": pc_address, "--plc-address": plc_address})
     ends = (pc_net_id, plc_net_id, pc_address, plc_address)
-    written = bundle(plc_parameters(read_machine(machine), *ends), st_sources())
+    written = build_bundle_files(plc_parameters(read_machine(machine), *ends), st_sources())
     try:
         _write(folder, written)
     except OSError as error:

@@ -42,7 +42,7 @@ def convert_log(
         show(found, assembled, screen)
         if mapping_out is not None:
             _write_mapping(mapping_out, found.proposal)
-        if yes or not found.guesses:
+        if yes or not found.guessed_entries:
             return True
         return sys.stdin.isatty() and typer.confirm("Are the guesses right?", default=False, err=True)
 

@@ -16,11 +16,11 @@ from longreach.hand_eye_poses import (
     HandEyeError,
     Mount,
     PoseTable,
-    paired,
+    matching_label_rows,
+    mount_sigmas,
     poses_of_pictures,
     read_lens,
     read_poses,
-    sigmas,
     write_mount,
 )
 from longreach.target_sources import board_of
@@ -210,7 +210,7 @@ def hand_eye(
     if bag is None:
         assert hand is not None  # asked above
         hand_table = read_poses(hand)
-    solved = solve(hand_table, seen, eye_to_hand, covariances)
+    solved = solve_hand_eye(hand_table, seen, eye_to_hand, covariances)
     found = solved.estimate
     alike = alike_poses(solved.hand) if len(solved.hand) <= 200 else []
     answer: dict[str, Any] = {
@@ -239,7 +239,7 @@ def hand_eye(
         screen.print("written: " + escape(", ".join(str(path) for path in written)), soft_wrap=True)
 
 
-def solve(hand: PoseTable, seen: PoseTable, eye_to_hand: bool, covariances: Array | None = None) -> Solved:
+def solve_hand_eye(hand: PoseTable, seen: PoseTable, eye_to_hand: bool, covariances: Array | None = None) -> Solved:
     """A X = Y B, by pairs of equal labels, else by two streams whose clocks differ.
 
     Model:   eye in hand: A = base from hand, B = target from camera, X = hand from camera, Y = base from target. Eye to
@@ -247,7 +247,7 @@ def solve(hand: PoseTable, seen: PoseTable, eye_to_hand: bool, covariances: Arra
     Args:    seen: the target in the camera; covariances: of it (n, 6, 6), used with the eye in hand.
     Raises:  HandEyeError: neither equal labels nor times.
     """
-    pairs = paired(hand, seen)
+    pairs = matching_label_rows(hand, seen)
     if pairs is not None:
         As, Ts_cam_target = hand.Ts[pairs[0]], seen.Ts[pairs[1]]
         labels = tuple(seen.labels[k] for k in pairs[1])
@@ -283,7 +283,7 @@ def _mount_from_estimate(found: HandEyeEstimate, eye_to_hand: bool, names: tuple
 
 
 def _show_mount(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solved: Solved, screen: Console) -> None:
-    turned, moved = sigmas(mount)
+    turned, moved = mount_sigmas(mount)
     T = mount.T_parent_cam
     table = Table(title=f"{mount.camera_frame} in {mount.parent_frame}", title_justify="left", show_header=False)
     table.add_row(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from longreach.target_sources import SUFFIXES, corners_of, grey_picture
 from machine.poses import pose
 from machine.rotations import Array, quat_wxyz_from_rotation, rotation_from_quat_wxyz, rotation_from_rotvec, skew
-from machine.urdf_shapes import origin
+from machine.urdf_shapes import origin_element
 from recording.files import read_text, write_durably
 from server.camera.rectification_formats import parse_eye
 from server.camera.rectification_rig import EyeCalibration, check_eye
@@ -89,7 +89,7 @@ def _pose_from_numbers(values: list[float], where: str) -> Array:
     return T
 
 
-def paired(hand: PoseTable, camera: PoseTable) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+def matching_label_rows(hand: PoseTable, camera: PoseTable) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
     """Rows of equal labels in both tables, in the camera's order; None where they are streams with clocks of their own.
 
     A hand's label may be a picture's file name.
@@ -127,7 +127,7 @@ class Lens:
     eye: EyeCalibration
     size_px: tuple[int, int] | None
 
-    def require(self, picture: Path, size_px: tuple[int, int]) -> None:
+    def check_picture_size(self, picture: Path, size_px: tuple[int, int]) -> None:
         """Raises: HandEyeError, CalibrationFileError: it is not the lens of a picture of this size."""
         if self.size_px is not None and size_px != self.size_px:
             raise HandEyeError(
@@ -165,7 +165,7 @@ def poses_of_pictures(folder: Path, board: "cv2.aruco.CharucoBoard", lens: Lens)
     labels, Ts, covariances, skipped = list[str](), list[Array](), list[Array](), list[tuple[str, str]]()
     for file in files:
         picture = grey_picture(file)
-        lens.require(file, (picture.shape[1], picture.shape[0]))
+        lens.check_picture_size(file, (picture.shape[1], picture.shape[0]))
         seen = corners_of(detector, points, picture)
         if seen is None or len(seen[0]) < CORNERS_MIN:
             count = 0 if seen is None else len(seen[0])
@@ -282,7 +282,7 @@ def as_urdf_joint(mount: Mount) -> str:
     return (
         f'<link name="{mount.camera_frame}"/>\n<joint name="{mount.camera_frame}_mount" type="fixed">\n'
         f'  <parent link="{mount.parent_frame}"/>\n  <child link="{mount.camera_frame}"/>\n'
-        f"  {origin(mount.T_parent_cam)}\n</joint>\n"
+        f"  {origin_element(mount.T_parent_cam)}\n</joint>\n"
     )
 
 
@@ -292,7 +292,7 @@ def as_machine_section(mount: Mount) -> str:
     return f"# the line of [camera]; the tcp is {json.dumps(mount.hand_frame)}\nT_tcp_cam_left = [\n  {rows},\n]\n"
 
 
-def sigmas(mount: Mount) -> tuple[Array, Array]:
+def mount_sigmas(mount: Mount) -> tuple[Array, Array]:
     """Standard deviations of the rotation (3,) [deg] and the translation (3,) [mm]."""
     all_of = np.sqrt(np.maximum(np.diag(mount.covariance), 0.0))
     return np.rad2deg(all_of[:3]), 1e3 * all_of[3:6]

@@ -28,7 +28,7 @@ NAMES = {1: ("camera",), 2: ("left", "right")}
 def write_lens(fit: LensFit, folder: Path) -> tuple[list[Path], list[str]]:
     """Write all forms that can hold it; the files, and why another is not written. Raises: OSError."""
     texts = {f"{name}.yaml": camera_info(fit, eye) for eye, name in enumerate(NAMES[len(fit.lenses)])}
-    texts |= {"kalibr.yaml": kalibr(fit), "opencv.yaml": opencv(fit)}
+    texts |= {"kalibr.yaml": kalibr_camchain(fit), "opencv.yaml": opencv_yaml(fit)}
     notes = []
     if fit.rig is None:
         notes.append("no ZED conf: it is of two eyes")
@@ -36,7 +36,7 @@ def write_lens(fit: LensFit, folder: Path) -> tuple[list[Path], list[str]]:
         sizes = ", ".join(f"{width} x {height}" for width, height in SECTIONS)
         notes.append(f"no ZED conf: it knows {sizes} px an eye only")
     else:
-        texts["zed.conf"] = zed(fit)
+        texts["zed.conf"] = zed_conf(fit)
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         write_durably(folder / name, text)
@@ -85,7 +85,7 @@ def _matrix_data(values: Array) -> dict[str, object]:
     return {"rows": rows, "cols": cols, "data": values.ravel().tolist()}
 
 
-def opencv(fit: LensFit) -> str:
+def opencv_yaml(fit: LensFit) -> str:
     """OpenCV's stereo YAML, with the names of its samples."""
     if fit.rig is None:
         return _file_storage(
@@ -110,7 +110,7 @@ def _file_storage(matrices: dict[str, Array], fit: LensFit) -> str:
     return storage.releaseAndGetString()
 
 
-def kalibr(fit: LensFit) -> str:
+def kalibr_camchain(fit: LensFit) -> str:
     """Kalibr's camchain; it has four coefficients, so a k3 that matters is lost, and that is said in the file."""
     body: dict[str, object] = {}
     for eye in range(len(fit.lenses)):
@@ -131,7 +131,7 @@ def kalibr(fit: LensFit) -> str:
     return f"# radtan has no k3; left out: {lost}\n" + yaml.safe_dump(body, sort_keys=False, default_flow_style=None)
 
 
-def zed(fit: LensFit) -> str:
+def zed_conf(fit: LensFit) -> str:
     """ZED's conf at this image size."""
     ending = SECTIONS[fit.size_px]
     lines = []

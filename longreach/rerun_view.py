@@ -33,7 +33,7 @@ def rerun(
     """Convert for Rerun, every channel, with a blueprint; open both with `rerun`."""
     try:
         convert(recording, target)
-        blueprint(target.with_suffix(".rbl"))
+        write_blueprint(target.with_suffix(".rbl"))
     except RerunError as error:
         raise typer.BadParameter(str(error)) from error
     text = f"written; open with: rerun {target} {target.with_suffix('.rbl')}"
@@ -61,7 +61,7 @@ def _require_mcap(path: Path) -> None:
         raise RerunError(f"{path.name} is not an MCAP recording ({error})") from error
 
 
-def library(name: str) -> Any:
+def import_rerun_module(name: str) -> Any:
     """A module of Rerun's. Raises: RerunError."""
     try:
         return importlib.import_module(name)
@@ -69,12 +69,12 @@ def library(name: str) -> Any:
         raise RerunError(f"{name} is not installed ({error}): pip install rerun-sdk") from error
 
 
-def blueprint(target: Path) -> None:
+def write_blueprint(target: Path) -> None:
     """Machine with its camera in 3D, the left picture, the numbers of the PLC and of the looks, the log.
 
     Raises: RerunError.
     """
-    rrb = library("rerun.blueprint")
+    rrb = import_rerun_module("rerun.blueprint")
     scene = rrb.Spatial3DView(name="machine", origin="/", contents=[TRANSFORM_TOPIC, IMAGE_TOPIC, CALIBRATION_TOPIC])
     picture = rrb.Spatial2DView(name="left eye", origin=IMAGE_TOPIC)
     numbers = rrb.Tabs(

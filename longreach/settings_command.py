@@ -25,10 +25,10 @@ def settings() -> None:
 @app.command()
 def new(file: Annotated[Path, typer.Argument(help="the settings file to write")] = Path("settings.toml")) -> None:
     """Write a settings file with every field and its default, commented out."""
-    write_new(file, template())
+    write_new(file, settings_template())
 
 
-def template() -> str:
+def settings_template() -> str:
     """TOML text that says nothing but the defaults: every field is a comment."""
     lines = ["# Settings of `longreach serve --settings FILE`. Commented lines show the defaults.", ""]
     lines += _field_lines(ServerSettings)

@@ -98,11 +98,11 @@ def undistort_to_rays(camera: StereoCamera, pixels: Array) -> Array:
     if pixels.ndim != 2 or pixels.shape[1] != 2:
         raise MachineError(f"pixels have shape {pixels.shape}; give (n, 2) [px]")
     distorted = (pixels - _principal_point_px(camera)) / _focal_lengths_px(camera)
-    return undistorted(distorted, np.array(camera.distortion), fold_radius(camera.distortion))
+    return undistort_normalised(distorted, np.array(camera.distortion), fold_radius(camera.distortion))
 
 
 @njit(cache=True, nogil=True)
-def undistorted(distorted: Array, coefficients: Array, radius_max: float) -> Array:
+def undistort_normalised(distorted: Array, coefficients: Array, radius_max: float) -> Array:
     """Compiled `undistort_to_rays`, of distorted normalised coordinates (n, 2)."""
     k1, k2, p1, p2, k3 = coefficients
     rays = np.empty_like(distorted)

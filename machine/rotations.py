@@ -14,7 +14,7 @@ def skew(vector: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def skews(vectors: Array) -> Array:
+def skew_matrices(vectors: Array) -> Array:
     """`skew` of vectors (n, 3): (n, 3, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)

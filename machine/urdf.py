@@ -7,7 +7,7 @@ import numpy as np
 from machine.description import Joint, Machine
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_about
-from machine.urdf_shapes import DARK, GREY, PAINT, bar, box, origin, tube
+from machine.urdf_shapes import DARK, GREY, PAINT, bar, box, cylinder_visual, origin_element
 
 THICKNESS_M = (0.30, 0.20, 0.16, 0.13, 0.11, 0.09)  # of the bodies, from the base; drawing only
 PEDESTAL_M = (0.8, 0.8, 0.12)
@@ -56,7 +56,7 @@ def _revolute_joint_xml(joint: Joint, number: int, parent: str, T_parent_body: A
     )
     return (
         f'<joint name={quoteattr(joint.name)} type="revolute"><parent link="{parent}"/><child link="body_{number}"/>'
-        f'{origin(T_parent_body)}<axis xyz="0 0 1"/>{limit}</joint>'
+        f'{origin_element(T_parent_body)}<axis xyz="0 0 1"/>{limit}</joint>'
     )
 
 
@@ -64,7 +64,7 @@ def _fixed_frame_xml(name: str, parent: str, T_parent_frame: Array, visual: str 
     """A fixed link."""
     return (
         f'<link name="{name}">{visual}</link><joint name="{name}_mount" type="fixed"><parent link="{parent}"/>'
-        f'<child link="{name}"/>{origin(T_parent_frame)}</joint>'
+        f'<child link="{name}"/>{origin_element(T_parent_frame)}</joint>'
     )
 
 
@@ -81,12 +81,15 @@ def _body_shapes_xml(machine: Machine, number: int) -> str:
     axis, foot, end = T_link_body[:3, :3] @ along_axis, T_link_body[:3, 3], np.zeros(3)
     corner = foot + joint.d_m * axis
     half_hub = 0.65 * thickness * axis
-    shapes = [] if number == 1 else [tube(foot - half_hub, foot + half_hub, 0.6 * thickness, DARK)]
+    shapes = [] if number == 1 else [cylinder_visual(foot - half_hub, foot + half_hub, 0.6 * thickness, DARK)]
     if number == count:
         neck = foot + 0.6 * joint.d_m * axis
-        shapes += [tube(foot, neck, 0.5 * thickness, GREY), tube(neck, corner, 0.2 * thickness, DARK)]
+        shapes += [
+            cylinder_visual(foot, neck, 0.5 * thickness, GREY),
+            cylinder_visual(neck, corner, 0.2 * thickness, DARK),
+        ]
     elif number == 1:
-        shapes.append(tube(foot, corner, 0.5 * thickness, PAINT))
+        shapes.append(cylinder_visual(foot, corner, 0.5 * thickness, PAINT))
     if abs(joint.a_m) > SHORTEST_DRAWN_M:
         shapes.append(bar(corner, end, thickness, PAINT))
     if number < count - 1 and abs(machine.joints[number].d_m) > SHORTEST_DRAWN_M:

@@ -20,7 +20,7 @@ from machine.errors import MachineError
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
 from machine.urdf import urdf_text
-from machine.urdf_shapes import origin, roll_pitch_yaw
+from machine.urdf_shapes import origin_element, roll_pitch_yaw
 
 #: What moves a frame by the same amount in every posture.
 HELD = ("encoder_bias", "link_length_error", "joint_axis_tilt", "base_tilt")
@@ -193,11 +193,11 @@ def _joint_motion_pose(way: float, slides: bool) -> Array:
 
 def _fixed_joint_xml(name: str, parent: str, child: str, T: Array) -> str:
     ends = f'<parent link="{parent}"/><child link="{child}"/>'
-    return f'<joint name="{name}" type="fixed">{ends}{origin(T)}</joint>'
+    return f'<joint name="{name}" type="fixed">{ends}{origin_element(T)}</joint>'
 
 
 def _moving_joint_xml(name: str, k: int, parent: str, child: str, T: Array, arm: Arm, limits: JointLimits) -> str:
-    ends = f'<parent link="{parent}"/><child link="{child}"/>{origin(T)}'
+    ends = f'<parent link="{parent}"/><child link="{child}"/>{origin_element(T)}'
     if arm.moves[k] == 0.0:
         return f'<joint name={quoteattr(name)} type="fixed">{ends}</joint>'
     bounded = bool(np.isfinite([limits.q_min[k], limits.q_max[k]]).all())

@@ -10,7 +10,7 @@ DARK = '<material name="dark"><color rgba="0.2 0.22 0.24 1"/></material>'
 GREY = '<material name="grey"><color rgba="0.62 0.64 0.66 1"/></material>'
 
 
-def origin(T: Array) -> str:
+def origin_element(T: Array) -> str:
     """A pose as <origin>, with every digit."""
     xyz = " ".join(f"{value:.17g}" for value in T[:3, 3])
     rpy = " ".join(f"{value:.17g}" for value in roll_pitch_yaw(T[:3, :3]))
@@ -29,7 +29,7 @@ def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
 def box(T: Array, size_m: tuple[float, float, float], material: str) -> str:
     """A box with its middle at T."""
     size = " ".join(f"{value:.4f}" for value in size_m)
-    return f'<visual>{origin(T)}<geometry><box size="{size}"/></geometry>{material}</visual>'
+    return f'<visual>{origin_element(T)}<geometry><box size="{size}"/></geometry>{material}</visual>'
 
 
 def bar(start: Array, end: Array, thickness_m: float, material: str) -> str:
@@ -38,11 +38,11 @@ def bar(start: Array, end: Array, thickness_m: float, material: str) -> str:
     return box(T, (thickness_m, thickness_m, length), material)
 
 
-def tube(start: Array, end: Array, radius_m: float, material: str) -> str:
+def cylinder_visual(start: Array, end: Array, radius_m: float, material: str) -> str:
     """A cylinder from start to end (3,) [m]."""
     length, T = _length_and_middle_pose(start, end)
     geometry = f'<geometry><cylinder radius="{radius_m:.4f}" length="{length:.4f}"/></geometry>'
-    return f"<visual>{origin(T)}{geometry}{material}</visual>"
+    return f"<visual>{origin_element(T)}{geometry}{material}</visual>"
 
 
 def _length_and_middle_pose(start: Array, end: Array) -> tuple[float, Array]:

@@ -24,7 +24,7 @@ from protocol.codec import decode_state, encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
 from protocol.errors import LocalProtocolError, RemoteProtocolError
 from protocol.framing import Framing
-from protocol.gate import GateView, Refusal, check_tail, check_trajectory, gate
+from protocol.gate import GateView, Refusal, check_tail, check_trajectory, gate_command
 from protocol.limits import LimitTable, axis_mask, cfg_id
 from protocol.messages import ZEROS, Axes, Command, Knot, State
 from protocol.playback import Playback, Window
@@ -228,7 +228,7 @@ class ClientLink:
         run = self._run
         if run and not run.started and t_mono_ns - run.t_asked_ns > START_WAIT.ns:
             self.request_stop("the PLC did not start the motion within 1 s")
-        if run and isinstance(run.motion, ServoTarget) and run.motion.forgotten(t_mono_ns):
+        if run and isinstance(run.motion, ServoTarget) and run.motion.is_caller_silent(t_mono_ns):
             self.request_stop(f"no servo target for {SERVO_LOST.ns // 1_000_000} ms")
         if not self.linked or self.closed:
             return events
@@ -398,7 +398,7 @@ class ClientLink:
             q_ref=state.q_ref if state else ZEROS,
             knot_before=self._knot_before(command),
         )
-        verdict = gate(command, view, self.table)
+        verdict = gate_command(command, view, self.table)
         if verdict.refusals:
             text = "; ".join(refusal.text for refusal in verdict.refusals)
             self._pending.append(GateRefused(text))

@@ -62,7 +62,7 @@ class Run:
         carried = self.tail_pending and state.ack_seq in self._tail_seqs
         taken = carried and state.plc_state is PlcState.RUN  # while stopping knots are acknowledged, but not taken
         if taken and isinstance(self.motion, Playback):
-            self.motion, self._before_tail = self.motion.spliced(), None
+            self.motion, self._before_tail = self.motion.with_splice_accepted(), None
         return taken
 
     def drop_refused_tail(self, code: int, seq: int) -> bool:

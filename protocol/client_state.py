@@ -69,7 +69,7 @@ _BUCKETS = 30  # half a minute: at 50 ppm the clocks drift apart by 1.5 ms in it
 
 
 @dataclass(frozen=True, slots=True)
-class _Best:
+class _BestClockOffset:
     second: int
     delay_ns: int
     offset_ns: int
@@ -80,7 +80,7 @@ class ClockOffset:
     """Minimum-delay filter: the best exchange of every second, the best of half a minute counts."""
 
     delay_ns: int = 0  # newest round trip without the time spent in the PLC
-    _best: deque[_Best] = field(default_factory=lambda: deque(maxlen=_BUCKETS))
+    _best: deque[_BestClockOffset] = field(default_factory=lambda: deque(maxlen=_BUCKETS))
 
     def add(self, t_pc_send_ns: int, t_plc_receive_ns: int, t_plc_send_ns: int, t_pc_receive_ns: int) -> None:
         """One exchange: command sent, command accepted, state sent, state received; each on its own end's clock.
@@ -92,9 +92,9 @@ class ClockOffset:
         offset_ns = ((t_pc_send_ns - t_plc_receive_ns) + (t_pc_receive_ns - t_plc_send_ns)) // 2
         second = t_pc_receive_ns // _BUCKET_NS
         if not self._best or self._best[-1].second != second:
-            self._best.append(_Best(second, self.delay_ns, offset_ns))
+            self._best.append(_BestClockOffset(second, self.delay_ns, offset_ns))
         elif self.delay_ns < self._best[-1].delay_ns:
-            self._best[-1] = _Best(second, self.delay_ns, offset_ns)
+            self._best[-1] = _BestClockOffset(second, self.delay_ns, offset_ns)
 
     @property
     def delay_min_ns(self) -> int:

@@ -12,7 +12,7 @@ ZEROS: Axes = (0.0,) * AXES
 NO_TAG = bytes(16)
 
 
-def axes8(values: tuple[float, ...]) -> Axes:
+def pad_to_eight_axes(values: tuple[float, ...]) -> Axes:
     """The values of a machine's joints, filled up with zeros to 8 axes."""
     return (*values, *(0.0,) * (AXES - len(values)))
 

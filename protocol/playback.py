@@ -50,7 +50,7 @@ class Playback:
         new = (*self.knots[:first], *knots)
         return replace(self, knots=new, splice=_first_difference(self.knots, new))
 
-    def spliced(self) -> "Playback":
+    def with_splice_accepted(self) -> "Playback":
         """The PLC has taken the new tail."""
         return replace(self, splice=None)
 

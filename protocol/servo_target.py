@@ -25,7 +25,7 @@ class ServoTarget:
         """Time since the caller's last word."""
         return t_mono_ns - self.t_set_ns
 
-    def forgotten(self, t_mono_ns: int) -> bool:
+    def is_caller_silent(self, t_mono_ns: int) -> bool:
         """Whether the caller has been silent for too long."""
         return not self.ending and self.age_ns(t_mono_ns) > SERVO_LOST.ns
 

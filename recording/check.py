@@ -28,7 +28,7 @@ class SignalCheck:
 
 
 @dataclass(frozen=True, slots=True)
-class MissingSignal:
+class MissingSignalFinding:
     """A missing signal. `cost` says what can no longer be distinguished, and `remedy` how to get it."""
 
     signal: str
@@ -43,7 +43,7 @@ class CheckReport:
     path: Path
     complete: bool
     signals: tuple[SignalCheck, ...]
-    missing: tuple[MissingSignal, ...]
+    missing: tuple[MissingSignalFinding, ...]
     problems: tuple[str, ...]
     usable: bool
     images: int
@@ -123,7 +123,7 @@ def check_recording(path: Path) -> CheckReport:
     if static:
         signals.append(SignalCheck("static", len(static), 0.0, 0.0, 0))
     missing = tuple(
-        MissingSignal(name, cost, remedy) for name, is_there, cost, remedy in _NEEDS if not is_there(recording)
+        MissingSignalFinding(name, cost, remedy) for name, is_there, cost, remedy in _NEEDS if not is_there(recording)
     )
     names = {signal.signal for signal in missing}
     return CheckReport(

@@ -111,7 +111,7 @@ def read_mcap(path: Path) -> Recording:
     Raises: RecordingError when it is not an MCAP file or holds no longreach channel.
     """
     stream = RecordStream(path)
-    collected = _Collected()
+    collected = _CollectedRecords()
     for record in stream:
         collected.take(record)
     if not collected.any_record:
@@ -119,7 +119,7 @@ def read_mcap(path: Path) -> Recording:
     return collected.recording(complete=not stream.cut)
 
 
-class _Collected:
+class _CollectedRecords:
     def __init__(self) -> None:
         self._channels = Channels()
         self._rows: list[Row] = []

@@ -60,7 +60,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class _Entry:
+class _QueuedMessage:
     topic: str
     content: Row | Message | str  # text: JSON, of the robot's description
     log_ns: int
@@ -99,7 +99,7 @@ class RunWriter:
     ) -> None:
         self.path, self._patient = path, patient
         self._mono_to_utc_ns = time.time_ns() - mono_ns() if mono_to_utc_ns is None else mono_to_utc_ns
-        self._queue: queue.Queue[_Entry | None] = queue.Queue(QUEUE_ENTRIES)  # None: nothing but a wake-up
+        self._queue: queue.Queue[_QueuedMessage | None] = queue.Queue(QUEUE_ENTRIES)  # None: nothing but a wake-up
         self._closing = threading.Event()
         self._final_run: RunInfo | None = None
         self._images_waiting = 0
@@ -243,7 +243,7 @@ class RunWriter:
         if self._error or self._closing.is_set():
             return
         publish_ns = t_mono_ns if t_source_mono_ns is None else t_source_mono_ns
-        entry = _Entry(topic, content, self._utc_from_mono_ns(t_mono_ns), self._utc_from_mono_ns(publish_ns))
+        entry = _QueuedMessage(topic, content, self._utc_from_mono_ns(t_mono_ns), self._utc_from_mono_ns(publish_ns))
         if self._patient:
             return self._enqueue_entry(entry)
         try:
@@ -253,7 +253,7 @@ class RunWriter:
                 RecordingError(f"{QUEUE_ENTRIES} entries wait for the disk, and no more are accepted: free disk space")
             )
 
-    def _enqueue_entry(self, entry: _Entry) -> None:
+    def _enqueue_entry(self, entry: _QueuedMessage) -> None:
         """Wait for room as long as the writer thread runs."""
         while self._thread.is_alive():
             try:
@@ -295,7 +295,7 @@ class RunWriter:
             self._set_first_error(error)
         return flushed_s
 
-    def _write_unless_failed(self, entry: _Entry | None) -> None:
+    def _write_unless_failed(self, entry: _QueuedMessage | None) -> None:
         if entry is None:
             return
         if entry.topic == IMAGE_TOPIC:
@@ -311,7 +311,7 @@ class RunWriter:
         self._error = f"recording {self.path}: {why or repr(error)}; {RECOVERABLE}"
         _log.error(self._error)
 
-    def _write(self, entry: _Entry) -> None:
+    def _write(self, entry: _QueuedMessage) -> None:
         content = entry.content
         data = _bytes_of(entry.topic, content)
         if not 0 <= entry.log_ns <= TIME_MOST_NS:
@@ -329,7 +329,7 @@ class RunWriter:
         )
         self._messages += 1
 
-    def _get_or_register_channel(self, entry: _Entry) -> int:
+    def _get_or_register_channel(self, entry: _QueuedMessage) -> int:
         if entry.topic not in self._channels:
             name, schema = _schema_of(entry.topic, entry.content)
             message, described = ("json", "jsonschema") if isinstance(entry.content, str) else ("protobuf", "protobuf")

@@ -23,7 +23,7 @@ def draw_plant(machine: Machine, preset: str, seed: int) -> PlantTruth:
 
     rigid = bool(draw("rigid", 1)[0])
     inertia = sizing.link_inertias(machine)
-    actuator = sizing.actuators(machine)
+    actuator = sizing.build_actuator_truth(machine)
     nominal = nominal_kinematics(machine)
     gains = sizing.flow_gains(machine, build_tree(nominal, inertia), inertia.gravity_base_m_s2, actuator)
     phase = float(rng_for(seed, "supply_ripple_phase").uniform(0.0, 2.0 * np.pi))
@@ -46,7 +46,7 @@ def draw_plant(machine: Machine, preset: str, seed: int) -> PlantTruth:
         ),
         valve=sizing.valves(machine, gains, draw("dead_band") * 1e-2, draw("hysteresis") * 1e-2, rigid),
         actuator=actuator,
-        supply=sizing.supply(float(draw("supply_ripple", 1)[0]), phase),
+        supply=sizing.build_supply_truth(float(draw("supply_ripple", 1)[0]), phase),
         friction=sizing.friction(draw("friction_scale"), rigid),
     )
 

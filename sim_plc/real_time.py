@@ -79,14 +79,14 @@ class RealTimeLoop:
         """Until `stopped`."""
         deadline_ns = self._clock()
         while not stopped():
-            left_ns = self.wake()
+            left_ns = self.run_due_cycles()
             if left_ns > 0:
                 deadline_ns = self._clock()
                 continue
             deadline_ns = max(deadline_ns + WAKE_NS, self._clock() - WAKE_NS)
             time.sleep(max(deadline_ns - self._clock(), 0) * 1e-9)
 
-    def wake(self) -> int:
+    def run_due_cycles(self) -> int:
         """Take what has arrived, run the cycles that are due (20 ms at most); what is left to catch up [ns]."""
         machine, health = self._machine, self.health
         now_ns = self._clock() + self._offset_ns

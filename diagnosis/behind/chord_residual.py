@@ -33,10 +33,10 @@ class ChordResidual:
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
         plain = without_encoders(sets)
-        rows = [self.length_m - self.foreseen(sets, plain, k) for k in range(sets.sets)]
+        rows = [self.length_m - self.predicted_lengths(sets, plain, k) for k in range(sets.sets)]
         return np.array(rows) / self.sigma_m
 
-    def foreseen(self, sets: ParameterSets, plain: ParameterSets, k: int) -> Array:
+    def predicted_lengths(self, sets: ParameterSets, plain: ParameterSets, k: int) -> Array:
         """Lengths (m,) [m] that one set foresees."""
         ends = [self._camera_positions(sets, plain, k, t) for t in (self.start_s, self.end_s)]
         scale = 1.0 + float(sets.machine[k, ODOMETRY_SCALE])

@@ -80,14 +80,14 @@ class CornerResidual:
             return self
         plain, markers = without_encoders(base), self.frames.markers
         Ts = self.poses(base, plain, 0, 0.0)
-        here = self.difference(plain, 0, Ts, None, self.T_base_ooi)
+        here = self.corner_differences_px(plain, 0, Ts, None, self.T_base_ooi)
         columns = []
         for k, marker in enumerate(markers):
             for row in np.diag(np.repeat((self.layout_m, 2.0 * self.layout_m / marker.side_m), 3)):
                 moved = replace(marker, T_on_marker=marker.T_on_marker @ small_motion(row))
                 other = replace(self, frames=replace(self.frames, markers=(*markers[:k], moved, *markers[k + 1 :])))
-                columns.append(other.difference(plain, 0, Ts, None, self.T_base_ooi) - here)
-        return replace(self, layout=day_noise(self.placeless(np.array(columns).T)))
+                columns.append(other.corner_differences_px(plain, 0, Ts, None, self.T_base_ooi) - here)
+        return replace(self, layout=day_noise(self.placement_free_columns(np.array(columns).T)))
 
     def _unwhitened_residual(
         self, sets: ParameterSets, plain: ParameterSets, k: int, white: Array, arms: dict[bytes, Array]
@@ -97,19 +97,19 @@ class CornerResidual:
         T = self.poses(sets, plain, k, 0.0, arms=arms)
         T_later = self.poses(sets, plain, k, 0.01, arms=arms) if later else None
         if self.on == "tool":
-            return self.difference(plain, k, T, T_later, tool_place(sets, self.T_base_ooi, k))
-        residual = self.difference(plain, k, T, T_later, self.T_base_ooi)
+            return self.corner_differences_px(plain, k, T, T_later, tool_place(sets, self.T_base_ooi, k))
+        residual = self.corner_differences_px(plain, k, T, T_later, self.T_base_ooi)
         if self.nuisance.shape[1] == 0:
             return residual
         moved = self.T_base_ooi @ small_motion(-self._best_nuisance_change(white, residual)[:6])
-        residual = self.difference(plain, k, T, T_later, moved)
+        residual = self.corner_differences_px(plain, k, T, T_later, moved)
         return np.asarray(residual - self.nuisance @ self._best_nuisance_change(white, residual), dtype=float)
 
     def _best_nuisance_change(self, white: Array, residual: Array) -> Array:
         """Change of the OOI's place, and of the clock (6 or 7,), that explains most of a residual (N,) [px]."""
         return least_squares(white, self.noise.white(residual[None], self.frames.groups)[0])
 
-    def placeless(self, columns: Array) -> Array:
+    def placement_free_columns(self, columns: Array) -> Array:
         """Columns (N, k) [px, by any number], white as the residual, without what a change of the OOI's place does."""
         white = self.noise.white(columns.T, self.frames.groups).T
         if self.on == "tool" or self.nuisance.shape[1] == 0:
@@ -154,12 +154,16 @@ class CornerResidual:
         plain = without_encoders(sets)
 
         def left(more_rad: Array | float) -> Array:
-            return self.difference(plain, 0, self.poses(sets, plain, 0, 0.0, more_rad), None, self.T_base_ooi)
+            return self.corner_differences_px(
+                plain, 0, self.poses(sets, plain, 0, 0.0, more_rad), None, self.T_base_ooi
+            )
 
         here = left(0.0)
         return np.array([here - left(more_rad) for more_rad in NUDGE * np.eye(self.nominal.n)]) / NUDGE
 
-    def difference(self, plain: ParameterSets, k: int, Ts: Array, later: Array | None, T_object: Array) -> Array:
+    def corner_differences_px(
+        self, plain: ParameterSets, k: int, Ts: Array, later: Array | None, T_object: Array
+    ) -> Array:
         """Measured less foreseen of the corners that were seen (N,) [px]."""
         camera = self.nominal.camera
         if camera is None:
@@ -189,8 +193,13 @@ def nuisance_of(placed: CornerResidual, base: ParameterSets) -> Array:
     """
     plain = without_encoders(base)
     Ts = placed.poses(base, plain, 0, 0.0)
-    at = placed.difference(plain, 0, Ts, None, placed.T_base_ooi)
-    steps = [placed.difference(plain, 0, Ts, None, placed.T_base_ooi @ small_motion(NUDGE * row)) for row in np.eye(6)]
+    at = placed.corner_differences_px(plain, 0, Ts, None, placed.T_base_ooi)
+    steps = [
+        placed.corner_differences_px(plain, 0, Ts, None, placed.T_base_ooi @ small_motion(NUDGE * row))
+        for row in np.eye(6)
+    ]
     if placed.untimed:
-        steps.append(placed.difference(plain, 0, placed.poses(base, plain, 0, NUDGE), None, placed.T_base_ooi))
+        steps.append(
+            placed.corner_differences_px(plain, 0, placed.poses(base, plain, 0, NUDGE), None, placed.T_base_ooi)
+        )
     return np.array([(step - at) / NUDGE for step in steps]).T

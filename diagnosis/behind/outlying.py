@@ -36,7 +36,7 @@ NAMED = 3
 
 
 @dataclass(frozen=True, slots=True)
-class _Off:
+class _MixtureDistances:
     """How far each point (m,) is from the nearest mixture, the scatter of the others, and their distance [m]."""
 
     away: Array
@@ -49,7 +49,7 @@ class _Off:
         least = max(TIMES * self.scatter, TIMES_TYPICAL * self.typical, LEAST_M)
         return self.away > max(least, AT_ONCE * float(self.away.max()))
 
-    def alone(self, rest: "_Off") -> bool:
+    def alone(self, rest: "_MixtureDistances") -> bool:
         """Whether the outside points are far from all that stay; `rest` describes these."""
         return float(self.away[self.outside].min()) > ALONE * float(rest.away.max())
 
@@ -78,12 +78,12 @@ def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, l
     return left, [_outlier_finding(table, away)] if rounds else []
 
 
-def _static_point_outliers(nominal: Nominal, table: PointTable) -> _Off | None:
+def _static_point_outliers(nominal: Nominal, table: PointTable) -> _MixtureDistances | None:
     data = None if nominal.arm is None else static_data(nominal, table)
-    return None if data is None else _point_outliers(nominal, data)
+    return None if data is None else _unexplained_distances(nominal, data)
 
 
-def _point_outliers(nominal: Nominal, data: PointData) -> _Off | None:
+def _unexplained_distances(nominal: Nominal, data: PointData) -> _MixtureDistances | None:
     """None where too few points were measured, or the frame cannot be fitted."""
     if len(data.xyz) < POINTS_MIN:
         return None
@@ -103,7 +103,7 @@ def _point_outliers(nominal: Nominal, data: PointData) -> _Off | None:
         away = np.linalg.norm((r0 - u @ step).reshape(-1, 3), axis=1)
         scatter = float(np.median(away)) / MEDIAN_OF_THREE
         weight = 1.0 / (1.0 + (away / max(scatter, SCATTER_MIN_M)) ** 2)
-    return _Off(away, scatter, float(np.median(np.linalg.norm(r0.reshape(-1, 3), axis=1))))
+    return _MixtureDistances(away, scatter, float(np.median(np.linalg.norm(r0.reshape(-1, 3), axis=1))))
 
 
 def _outlier_finding(table: PointTable, away: Array) -> Finding:

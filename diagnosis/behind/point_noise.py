@@ -8,7 +8,7 @@ import numpy as np
 
 from diagnosis.behind.link_angles import Path, largest_encoder_steps, path_index
 from diagnosis.behind.measured_again import measured_again
-from diagnosis.behind.point_residual import PointResidual, unweighed
+from diagnosis.behind.point_residual import PointResidual, unweighted_residual
 from diagnosis.behind.points import PointData, numbers_fitted
 from diagnosis.behind.saturated import saturated_noise
 from diagnosis.behind.stairs import LEFT
@@ -100,7 +100,7 @@ def noise_by_repeats(
     at = path_index(paths, data.when)
     if not groups or (at < 0).all() or nominal.remainder("structure", on="tracker") is not None:
         return None
-    rough = unweighed(nominal, data, paths, at)
+    rough = unweighted_residual(nominal, data, paths, at)
     runs = tuple(tuple((run.t_segment_s, float(run.t_s[0]), float(run.t_s[-1])) for run in group) for group in groups)
     return repeated_points(rough(base)[0].reshape(-1, 3), rough.data.which, rough.data.when, runs)
 

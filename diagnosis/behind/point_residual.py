@@ -89,7 +89,9 @@ class PointResidual:
         return sided[nearest, np.arange(len(nearest))]
 
 
-def unweighed(nominal: Nominal, data: PointData, paths: tuple[Path, ...], at: NDArray[np.int64]) -> PointResidual:
+def unweighted_residual(
+    nominal: Nominal, data: PointData, paths: tuple[Path, ...], at: NDArray[np.int64]
+) -> PointResidual:
     """The residual [m] of those points that lie in a path, `at` (m,), -1 in none; of poses at rest all are in one."""
     kept = at >= 0
     data = PointData(data.q[kept], data.which[kept], data.xyz[kept], data.when[kept])

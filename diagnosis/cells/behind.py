@@ -73,7 +73,7 @@ def join_cells(parts: list[Cell]) -> Cell:
     for part in parts:
         for candidate in part.candidates:
             candidates.setdefault((candidate.key, candidate.option, candidate.fixed), candidate)
-    pieces = [_Remembered(part.whitened, *_relevant_parameters(part)) for part in parts]
+    pieces = [_CachedResidual(part.whitened, *_relevant_parameters(part)) for part in parts]
 
     def whitened(sets: ParameterSets) -> Array:
         return np.concatenate([piece(sets) for piece in pieces], axis=1)
@@ -120,7 +120,7 @@ def _relevant_parameters(part: Cell) -> tuple[bool, list[int] | None]:
 
 
 @dataclass(slots=True)
-class _Remembered:
+class _CachedResidual:
     """A part's residual, run only for sets that differ in what the part feels: a lens moves no tracked point."""
 
     whitened: Callable[[ParameterSets], Array]

@@ -197,7 +197,7 @@ def _residual_at_nominal_place(
     for _ in range(3):  # the mean of single poses is coarse: settle on the corners themselves
         nuisance = nuisance_of(placed, base)
         plain = without_encoders(base)
-        residual = placed.difference(plain, 0, placed.poses(base, plain, 0, 0.0), None, placed.T_base_ooi)
+        residual = placed.corner_differences_px(plain, 0, placed.poses(base, plain, 0, 0.0), None, placed.T_base_ooi)
         placed = replace(placed, T_base_ooi=placed.T_base_ooi @ small_motion(-least_squares(nuisance, residual)[:6]))
     return replace(placed, nuisance=nuisance_of(placed, base))
 

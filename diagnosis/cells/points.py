@@ -7,7 +7,7 @@ import numpy as np
 from diagnosis.behind.link_angles import Path, candidates_behind, path_index, paths_of
 from diagnosis.behind.loose_point import off_its_link
 from diagnosis.behind.point_noise import noise_by_repeats, point_scatter
-from diagnosis.behind.point_residual import unweighed
+from diagnosis.behind.point_residual import unweighted_residual
 from diagnosis.behind.points import ROWS_MIN, PointData, static_data, tracked_data
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.tables import Tables
@@ -75,7 +75,7 @@ def _point_cell(
     """
     at = path_index(paths, data.when) if paths else np.zeros(len(data.when), dtype=np.int64)
     start_s = float(paths[0].t_s[0]) if clocked else None
-    rough = replace(unweighed(nominal, data, paths, at), t_start_s=start_s)
+    rough = replace(unweighted_residual(nominal, data, paths, at), t_start_s=start_s)
     data, m = rough.data, len(rough.data.xyz)
     joints = tuple(range(1, nominal.n + 1))
     candidates = candidates_behind(joints, paths) + (candidates_of("time", joints, True) if clocked else ())

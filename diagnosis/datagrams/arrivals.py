@@ -59,7 +59,7 @@ class Arrivals:
 
 
 @dataclass(frozen=True, slots=True)
-class _Bounds:
+class _DelayBounds:
     """Rows that show a datagram: when (m,), which (m,), and between which delays that lies: low < delay <= high."""
 
     t_s: Array
@@ -67,7 +67,7 @@ class _Bounds:
     low: Array
     high: Array
 
-    def leaning(self, rate: float) -> Self:
+    def with_clock_drift(self, rate: float) -> Self:
         """As they would be, had the clocks run apart by `rate` from the middle of the rows on."""
         off = rate * (self.t_s - self.middle_s)
         return type(self)(self.t_s, self.shown, self.low - off, self.high - off)
@@ -82,14 +82,14 @@ class _Bounds:
         """From the first row to the last."""
         return float(self.t_s[-1] - self.t_s[0])
 
-    def fewer(self, most: int) -> Self:
+    def subsample_rows(self, most: int) -> Self:
         """About so many of the rows, spread over all."""
         every = slice(None, None, max(1, len(self.t_s) // most))
         return type(self)(self.t_s[every], self.shown[every], self.low[every], self.high[every])
 
 
 @dataclass(frozen=True, slots=True)
-class _Delay:
+class _DelayInterval:
     """Delays [s] that contradict the fewest rows, `misses` of them [share], at a `rate` of the clocks."""
 
     least_s: float
@@ -170,7 +170,7 @@ def on_schedule(sent: Numbered, rows: Numbered) -> Arrivals:
     return Arrivals(sent[0], -nowhere, nowhere, *never_received(sent, rows))
 
 
-def _now_and_then(known: Arrivals, bounds: _Bounds, cycle_s: float, nominal_s: float) -> Arrivals:
+def _now_and_then(known: Arrivals, bounds: _DelayBounds, cycle_s: float, nominal_s: float) -> Arrivals:
     """Where every cycle has a row: all on schedule but for the few that a row showed one later than they were due.
 
     Counted in rows, whatever their stamps are. One that no row shows is lost, or came with the next one: not late.
@@ -198,7 +198,7 @@ def _now_and_then(known: Arrivals, bounds: _Bounds, cycle_s: float, nominal_s: f
     return replace(known, t_s=np.maximum.accumulate(known.t_s + cycle_s * late))
 
 
-def _delay_bounds(sent: Numbered, rows: Numbered) -> _Bounds | None:
+def _delay_bounds(sent: Numbered, rows: Numbered) -> _DelayBounds | None:
     """What the rows say of the delay; None where numbers are missing, or not in order."""
     t_sent, number = sent
     t_row, seq = rows
@@ -214,7 +214,7 @@ def _delay_bounds(sent: Numbered, rows: Numbered) -> _Bounds | None:
         return None
     as_frequent = float(np.median(np.diff(t))) <= float(np.median(np.diff(t_sent))) + EPS_S
     following = _next_shown(t_sent, shown) if as_frequent else np.append(t_sent, np.inf)[shown + 1]
-    return _Bounds(t, shown, t - following, t - t_sent[shown])
+    return _DelayBounds(t, shown, t - following, t - t_sent[shown])
 
 
 def _next_shown(t_sent: Array, shown: NDArray[np.int64]) -> Array:
@@ -223,7 +223,7 @@ def _next_shown(t_sent: Array, shown: NDArray[np.int64]) -> Array:
     return np.append(t_sent[seen], np.inf)[np.searchsorted(seen, shown, side="right")]
 
 
-def _steady_or_drifting_delay(bounds: _Bounds, nominal_s: float, most_s: float) -> _Delay:
+def _steady_or_drifting_delay(bounds: _DelayBounds, nominal_s: float, most_s: float) -> _DelayInterval:
     """The delay, with a drift of the clocks only where that contradicts less than half as many rows as a steady one.
 
     Rates are tried that lie half of most_s apart at the ends.
@@ -231,17 +231,17 @@ def _steady_or_drifting_delay(bounds: _Bounds, nominal_s: float, most_s: float) 
     steady = _least_missed(bounds, nominal_s)
     if steady.misses <= MISSES:
         return steady
-    some = bounds.fewer(SEARCHED_ROWS)
+    some = bounds.subsample_rows(SEARCHED_ROWS)
     step = min(0.5 * most_s / max(bounds.span_s, most_s), 0.25 * RATE_MAX)
     steps = min(int(RATE_MAX / step), RATES_MAX)
     best = _least_rate(some, nominal_s, [step * k for k in range(-steps, steps + 1)])
     best = _least_rate(some, nominal_s, [best + step * k / FINER for k in range(-FINER, FINER + 1)])
-    found = _least_missed(bounds.leaning(best), nominal_s)
+    found = _least_missed(bounds.with_clock_drift(best), nominal_s)
     better = found.misses < 0.5 * steady.misses
-    return _Delay(found.least_s, found.most_s, found.misses, best) if better else steady
+    return _DelayInterval(found.least_s, found.most_s, found.misses, best) if better else steady
 
 
-def _least_drift_delay(bounds: _Bounds, nominal_s: float, steady: _Delay) -> _Delay:
+def _least_drift_delay(bounds: _DelayBounds, nominal_s: float, steady: _DelayInterval) -> _DelayInterval:
     """The least drift of the clocks from no delay at the first or the last row that contradicts hardly any row, or
     clearly fewer than a steady delay; else that delay.
 
@@ -250,22 +250,22 @@ def _least_drift_delay(bounds: _Bounds, nominal_s: float, steady: _Delay) -> _De
     """
     step = DRIFT_USUAL / DRIFTS
     for rate in sorted((step * k for k in range(-DRIFTS, DRIFTS + 1) if k), key=abs):
-        leaning = bounds.leaning(rate)
+        leaning = bounds.with_clock_drift(rate)
         for near in (nominal_s + 0.5 * rate * bounds.span_s, nominal_s - 0.5 * rate * bounds.span_s):
             early, late = leaning.low + EPS_S - near, near - leaning.high - EPS_S
             misses = float(np.mean((early > 0.0) | (late > 0.0)))
             if misses <= max(MISSES, LESS * steady.misses):
-                return _Delay(near, near, misses, rate)
+                return _DelayInterval(near, near, misses, rate)
     return steady
 
 
-def _least_rate(bounds: _Bounds, nominal_s: float, rates: list[float]) -> float:
+def _least_rate(bounds: _DelayBounds, nominal_s: float, rates: list[float]) -> float:
     """Of the rates that contradict about the fewest rows, the one in the middle."""
-    misses = np.array([_least_missed(bounds.leaning(rate), nominal_s).misses for rate in rates])
+    misses = np.array([_least_missed(bounds.with_clock_drift(rate), nominal_s).misses for rate in rates])
     return float(np.mean(np.array(rates)[misses <= misses.min() + MISSES]))
 
 
-def _least_missed(bounds: _Bounds, nominal_s: float) -> _Delay:
+def _least_missed(bounds: _DelayBounds, nominal_s: float) -> _DelayInterval:
     """The range of steady delays that contradict about the fewest rows."""
     low, high = np.sort(bounds.low + EPS_S), np.sort(bounds.high)
     low_end = np.unique(np.round(np.concatenate([low, high, [nominal_s]]), 7))
@@ -280,15 +280,15 @@ def _least_missed(bounds: _Bounds, nominal_s: float) -> _Delay:
         first -= 1
     while last < len(tried) - 1 and good[last + 1]:
         last += 1
-    return _Delay(float(tried[first]), float(tried[last]), float(misses[best]))
+    return _DelayInterval(float(tried[first]), float(tried[last]), float(misses[best]))
 
 
-def _cycle_of(t_s: Array, bounds: _Bounds, cycle_s: float) -> Array:
+def _cycle_of(t_s: Array, bounds: _DelayBounds, cycle_s: float) -> Array:
     """The cycle (k,) that takes what comes at t_s (k,)."""
     return np.ceil((t_s - bounds.t_s[0] - 0.1 * EPS_S) / cycle_s)
 
 
-def _rows_around(bounds: _Bounds, count: int, cycle_s: float) -> tuple[Array, Array]:
+def _rows_around(bounds: _DelayBounds, count: int, cycle_s: float) -> tuple[Array, Array]:
     """The cycle after the last row that does not show a datagram yet (k,), and the first row that does, or a later one.
 
     Infinite where there is none.

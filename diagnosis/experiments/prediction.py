@@ -84,7 +84,7 @@ def _predicted_motion_log(whole: Read, replayer: Replayer, motion: Motion, truth
     rows = int(len(motion.q) * SAMPLE_S / plant.log_cycle_s)
     t_log = np.asarray(plant.log_cycle_s * np.arange(rows), dtype=float)
     q_log = np.stack([np.interp(t_log, t_sent, column) for column in motion.q.T], axis=1)
-    cycles = (rows - 1) * plant.decimate + 1
+    cycles = (rows - 1) * plant.cycles_per_row + 1
     drive = drive_by_sent(plant, t_sent, motion.q, 0.0, cycles, replayer.loads(q_log))
     out = simulate(plant, truth, drive, DynamicStage.ACTUATOR)
     ref, u = (None if getattr(like, name) is None else getattr(out, name)[0] for name in ("ref", "u"))

@@ -45,7 +45,7 @@ class Course:
         """The integral over time of signals (m, k)."""
         return np.asarray(np.cumsum(x, axis=0) * self.dt_s)
 
-    def leaking(self, x: Array, tau_s: float) -> Array:
+    def leaky_integral(self, x: Array, tau_s: float) -> Array:
         """Signals (m, k) integrated, with what was gathered leaking away: what has to be caught up with afterwards."""
         return np.asarray(_leaky_sum(self.dt_s * x, np.exp(-self.dt_s / tau_s)))
 
@@ -139,7 +139,7 @@ def actuator_responses(c: Course) -> dict[str, Array]:
     of_others = [_excited_oscillations(c, other) for other in others] or [np.zeros((len(u), 0))]
     families = (
         np.stack([np.interp(c.t_s - late_s, c.t_s, u) for late_s in ECHOES_S], axis=1),
-        np.concatenate([c.leaking(hat_functions(u, LAG_KNOTS), tau_s) for tau_s in LAGS_S], axis=1),
+        np.concatenate([c.leaky_integral(hat_functions(u, LAG_KNOTS), tau_s) for tau_s in LAGS_S], axis=1),
         _excited_oscillations(c, u),
         _excited_oscillations(c, u * np.abs(u)),
         np.concatenate(of_others, axis=1),

@@ -175,7 +175,7 @@ def _evaluate_form(families: dict[str, Array], form: Form, where: str) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class _Pile:
+class _StackedRecordings:
     """Recordings' columns of one size (N, k), residuals (N,) and normal equations; `family` (k,): which each is of.
 
     `prior` (k, k): a row's worth of it.
@@ -186,14 +186,14 @@ class _Pile:
     family: NDArray[np.int64]
     prior: Array
 
-    def only(self, families: tuple[int, ...]) -> "_Pile":
+    def only(self, families: tuple[int, ...]) -> "_StackedRecordings":
         """The same with these families alone."""
         kept = np.isin(self.family, families)
         normal = tuple((H[np.ix_(kept, kept)], g[kept]) for H, g in self.normal)
         rows = tuple((B[:, kept], r) for B, r in self.rows)
-        return _Pile(rows, normal, self.family[kept], self.prior[np.ix_(kept, kept)])
+        return _StackedRecordings(rows, normal, self.family[kept], self.prior[np.ix_(kept, kept)])
 
-    def solved(self, ridge: float, without: int | None = None) -> Array:
+    def ridge_solution(self, ridge: float, without: int | None = None) -> Array:
         """The numbers (k,) of all recordings but one."""
         used = [equations for k, equations in enumerate(self.normal) if k != without]
         H, g = (
@@ -207,7 +207,7 @@ class _Pile:
         if len(self.family) == 0:
             return 0.0
         return sum(
-            float((soft_l1_costs(r) - soft_l1_costs(r - B @ self.solved(ridge, k))).sum())
+            float((soft_l1_costs(r) - soft_l1_costs(r - B @ self.ridge_solution(ridge, k))).sum())
             for k, (B, r) in enumerate(self.rows)
         )
 
@@ -238,13 +238,13 @@ def form_of(cells: list[Cell]) -> Form:
     if max(gains.values()) <= LEAST_NATS:
         return ()
     ridge = max(ridge for ridge, gain in gains.items() if gain >= NEARLY * max(gains.values()))
-    x = chosen.solved(ridge) / size[np.isin(pile.family, kept)]
+    x = chosen.ridge_solution(ridge) / size[np.isin(pile.family, kept)]
     return tuple((names[k], tuple(map(float, x[chosen.family == k]))) for k in kept)
 
 
 def _stack_recordings(
     pairs: list[tuple[dict[str, Array], Array]], unlike: list[dict[str, Array]], names: list[str]
-) -> tuple[_Pile, Array]:
+) -> tuple[_StackedRecordings, Array]:
     """All recordings on one pile, and what each column (k,) was divided by; inf where one never moves."""
     family = np.repeat(np.arange(len(names)), [pairs[0][0][name].shape[1] for name in names])
     stacked = [(np.concatenate([columns[name] for name in names], axis=1), r) for columns, r in pairs]
@@ -256,7 +256,7 @@ def _stack_recordings(
     if unlike:
         U = np.concatenate([np.concatenate([columns[name] for name in names], axis=1) for columns in unlike]) / size
         prior += U.T @ U / len(U)
-    return _Pile(rows, normal, family, prior), size
+    return _StackedRecordings(rows, normal, family, prior), size
 
 
 def _whitened_families(cell: Cell, jumbled: bool = False) -> dict[str, Array]:

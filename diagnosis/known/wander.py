@@ -51,7 +51,7 @@ def _effect_sensitivity(cell: Cell, candidate: Candidate) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class _Day:
+class _RecordingEquations:
     """One recording's normal equations of all names: J'J (k, k) and -J'r (k,)."""
 
     G: Array
@@ -81,7 +81,10 @@ def wander_of(cells: list[Cell]) -> Sizes:
     ]
     days = [_day_normal_equations(cell, names) for cell in cells]
     felt = [k for k in range(len(names)) if all(day.G[k, k] * names[k].slots[0].high ** 2 > FELT for day in days)]
-    names, days = [names[k] for k in felt], [_Day(day.G[np.ix_(felt, felt)], day.b[felt]) for day in days]
+    names, days = (
+        [names[k] for k in felt],
+        [_RecordingEquations(day.G[np.ix_(felt, felt)], day.b[felt]) for day in days],
+    )
     variances = np.zeros(len(names))
     for _ in names:
         numbers, errors = (np.array(x) for x in zip(*(day.numbers_given(variances) for day in days), strict=True))
@@ -107,7 +110,7 @@ def _is_cell_candidate(cell: Cell, candidate: Candidate) -> bool:
     return any(other.key == candidate.key for other in cell.candidates)
 
 
-def _day_normal_equations(cell: Cell, names: list[Candidate]) -> _Day:
+def _day_normal_equations(cell: Cell, names: list[Candidate]) -> _RecordingEquations:
     r = neutral_fit(cell).residual
     J = np.stack([_effect_sensitivity(cell, effect) for effect in names], axis=1)
-    return _Day(J.T @ J, -J.T @ r)
+    return _RecordingEquations(J.T @ J, -J.T @ r)

@@ -23,7 +23,7 @@ APART_S = 10.0  # between the end of one and the start of the next
 
 
 @dataclass(frozen=True, slots=True)
-class _Shift:
+class _RecordingShift:
     """What is added to a recording's times on each clock, its sequence numbers and its pose numbers; its label."""
 
     plc_s: float
@@ -94,7 +94,7 @@ def _joint_count(recording: Recording) -> int:
     return max((len(getattr(row, name)) for row in recording.rows for name in fields.get(type(row), ())), default=0)
 
 
-def _recording_shift(first: Recording, recording: Recording, rows: list[Row], number: int) -> _Shift:
+def _recording_shift(first: Recording, recording: Recording, rows: list[Row], number: int) -> _RecordingShift:
     """So that a recording begins after all rows so far, with the first one's offsets between the clocks.
 
     Model: t_plc' = t_plc + s; t_pc' = t_plc' + offset of the first, so t_pc' = t_pc + s + offset_first - offset_own.
@@ -106,7 +106,7 @@ def _recording_shift(first: Recording, recording: Recording, rows: list[Row], nu
     camera = pc - _clock_offset_difference(first, recording, number, "camera_to_pc_offset_s")
     seq = 1 + max((number for row in rows if 0 <= (number := _number_of(row)) <= NUMBER_MOST), default=0)
     pose = 1 + max((row.pose_index for row in rows if isinstance(row, StaticPoint)), default=0)
-    return _Shift(s, pc, camera, seq, pose, f" ({number})")
+    return _RecordingShift(s, pc, camera, seq, pose, f" ({number})")
 
 
 def _number_of(row: Row) -> int:
@@ -150,7 +150,7 @@ def _plc_times(run: RunInfo, rows: Sequence[Row]) -> list[float]:
     return [t for t in times if abs(t) < 1e12]  # neither NaN nor a broken number
 
 
-def _shift_row(row: Row, by: _Shift) -> Row:
+def _shift_row(row: Row, by: _RecordingShift) -> Row:
     match row:
         case PlcState():
             seq = _later_number(row.seq_received, by.seq)
@@ -172,7 +172,7 @@ def _whole_segment(recording: Recording, name: str) -> tuple[Segment, ...]:
     return (Segment(name or "whole", "workcycle", min(times), max(times)),) if times else ()
 
 
-def _shift_segment(segment: Segment, by: _Shift) -> Segment:
+def _shift_segment(segment: Segment, by: _RecordingShift) -> Segment:
     """A segment of a later recording: its repeats repeat nothing of another one."""
     return replace(
         segment,

@@ -17,14 +17,14 @@ def smooth_course(plant: Actuators, rows: Array) -> Array:
     Why no lines: at 100 Hz they cut a thousandth off a sine of 1.6 Hz, which quiet encoders show as a small gain.
     """
     linear = at_cycles(plant, rows)
-    if plant.decimate == 1 or len(rows) < 4:
+    if plant.cycles_per_row == 1 or len(rows) < 4:
         return linear
     bend = np.zeros_like(rows)
     bend[1:-1] = np.diff(rows, n=2, axis=0)
     jumps = jump_rows(rows)
     bend[jumps | np.roll(jumps, 1, axis=0)] = 0.0  # at both ends of a jump
     cycles = np.arange(len(linear))
-    row, s = cycles // plant.decimate, (cycles % plant.decimate / plant.decimate)[:, None]
+    row, s = cycles // plant.cycles_per_row, (cycles % plant.cycles_per_row / plant.cycles_per_row)[:, None]
     after = np.minimum(row + 1, len(rows) - 1)
     return np.ascontiguousarray(linear - s * (1.0 - s) / 6.0 * ((2.0 - s) * bend[row] + (1.0 + s) * bend[after]))
 
@@ -44,7 +44,7 @@ def late_jumps(plant: Actuators, rows: Array, course: Array) -> Array | None:
 
 def held_rows(plant: Actuators, rows: NDArray[Any]) -> NDArray[Any]:
     """Logged rows (rows, n) at every PLC cycle, each until the next one."""
-    return np.repeat(rows, plant.decimate, axis=0)[: (len(rows) - 1) * plant.decimate + 1]
+    return np.repeat(rows, plant.cycles_per_row, axis=0)[: (len(rows) - 1) * plant.cycles_per_row + 1]
 
 
 def jump_rows(rows: Array) -> NDArray[np.bool_]:

@@ -58,7 +58,7 @@ def merge_stages(
     if "link" in merge.stages:
         if stretch.sent is None:
             return None
-        cycles = (stretch.rows - 1) * plant.decimate + 1
+        cycles = (stretch.rows - 1) * plant.cycles_per_row + 1
         drive = drive_by_sent(plant, stretch.sent.t_s, stretch.sent.q, float(stretch.t_s[0]), cycles, loads)
         out.drives["actuator"] = replace(drive, enc_start=angles[0].copy())
         return out

@@ -61,7 +61,7 @@ class ReceivedReferences:
 
 
 @dataclass(frozen=True, slots=True)
-class _Commands:
+class _ControllerCommands:
     """What a controller would do of its `References` at every PLC cycle (cycles, n); None where each cycle is logged,
     or nothing is known.
     """
@@ -104,7 +104,7 @@ class Replayer:
         if u is None or enc is None:
             return out
         if ref is None or ref_fine is None or not self.nominal.has_controller:
-            return self._prepare_actuator_drives(out, enc, u, _Commands(None))
+            return self._prepare_actuator_drives(out, enc, u, _ControllerCommands(None))
         out = replace(out, sided=stretch.sent is not None)
         commands = self._controller_commands(
             out, self._reference_alternatives(out, ref, ref_fine, known), (enc, u), known
@@ -141,7 +141,7 @@ class Replayer:
     ) -> ReceivedReferences:
         """From the logged rows (rows, n) and their course (cycles, n)."""
         plant, sent = out.plant, out.stretch.sent
-        if plant.decimate == 1 or (sent is not None and sent.unsure_s == 0.0):
+        if plant.cycles_per_row == 1 or (sent is not None and sent.unsure_s == 0.0):
             return ReceivedReferences(fine)
         if sent is None:
             return ReceivedReferences(fine, (held_rows(plant, ref),), late_jumps(plant, ref, fine))
@@ -151,7 +151,7 @@ class Replayer:
 
     def _controller_commands(
         self, out: PreparedStretch, references: ReceivedReferences, signals: tuple[Array, Array], known: ParameterSets
-    ) -> _Commands:
+    ) -> _ControllerCommands:
         """The controller's courses from references, encoders and commands; its drives go to `out`."""
         plant, (enc, u) = out.plant, signals
         seen = smooth_course(plant, enc)
@@ -166,10 +166,10 @@ class Replayer:
         jumped = None
         if references.jumped is not None:
             out.late["controller"], jumped = driven(references.jumped)
-        return _Commands(own, tuple(driven(other)[1] for other in references.others), jumped)
+        return _ControllerCommands(own, tuple(driven(other)[1] for other in references.others), jumped)
 
     def _prepare_actuator_drives(
-        self, out: PreparedStretch, enc: Array, u: Array, commands: _Commands
+        self, out: PreparedStretch, enc: Array, u: Array, commands: _ControllerCommands
     ) -> PreparedStretch:
         """With the actuators' drive, and with the other courses that the commands may have taken."""
         plant, loads = out.plant, self.loads(enc)
@@ -180,7 +180,7 @@ class Replayer:
         if commands.own is None:
             course = smooth_course(plant, u)
             out.drives["actuator"] = driven(course)
-            if plant.decimate == 1:
+            if plant.cycles_per_row == 1:
                 return out
             jumped = late_jump_course(plant, u)
             others = [jumped]
@@ -224,7 +224,7 @@ class Replayer:
 
     def _output_every_cycle(self, stage: str, plant: Actuators, drive: Drive, course: ParameterSets) -> Array | None:
         """The stage's output at every PLC cycle (cycles, n); None where each is logged anyway."""
-        if plant.decimate == 1:
+        if plant.cycles_per_row == 1:
             return None
         every = replace(plant, log_cycle_s=plant.cycle_s)
         none = np.zeros((drive.cycles, plant.n))
@@ -250,7 +250,7 @@ def within_rows(sent: SentReference, by_s: float | Array, delay_s: float) -> Arr
 def _link_drive(out: PreparedStretch, sent: SentReference, t_s: Array) -> Drive:
     """What drives the link where the datagrams (k,) are taken at t_s (k,)."""
     plant, stretch = out.plant, out.stretch
-    cycles = (stretch.rows - 1) * plant.decimate + 1
+    cycles = (stretch.rows - 1) * plant.cycles_per_row + 1
     return drive_by_sent(plant, t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.lost)
 
 
@@ -264,7 +264,7 @@ def _course_through_rows(plant: Actuators, logged: Array, between: Array | None)
     """Logged rows at every PLC cycle (cycles, n): on a modelled course `between`, corrected to meet each row."""
     if between is None:
         return at_cycles(plant, logged)
-    return between + at_cycles(plant, logged - between[:: plant.decimate])
+    return between + at_cycles(plant, logged - between[:: plant.cycles_per_row])
 
 
 def replayer_of(nominal: Nominal, stretches: Sequence[Stretch]) -> Replayer | None:

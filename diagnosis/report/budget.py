@@ -4,7 +4,7 @@ from html import escape
 from math import sqrt
 from typing import Any
 
-from diagnosis.report.html import html_section, html_table, scrollable
+from diagnosis.report.html import html_section, html_table, wrap_scrollable
 from diagnosis.report.text import place_text
 from diagnosis.verdict import SMALL_MM
 
@@ -129,7 +129,7 @@ def _waterfall_chart(effects: list[dict[str, Any]], columns: list[dict[str, Any]
         )
     size = f'viewBox="0 0 {WIDTH} {12 + ROW * len(rows)}"'
     title = "waterfall from the nominal model's miss to what is left"
-    return scrollable(f'<svg class="plot" {size} role="img" aria-label="{title}">{"".join(body)}</svg>')
+    return wrap_scrollable(f'<svg class="plot" {size} role="img" aria-label="{title}">{"".join(body)}</svg>')
 
 
 def _columns_table(columns: list[dict[str, Any]]) -> str:

@@ -3,7 +3,7 @@
 from html import escape
 from typing import Any
 
-from diagnosis.report.html import scrollable
+from diagnosis.report.html import wrap_scrollable
 from machine.effects.spec import STAGES
 
 BOX_W, BOX_H, STEP = 92, 112, 104
@@ -31,7 +31,7 @@ def chain_svg(result: dict[str, Any]) -> str:
         for merged_stage in result["merged_stages"]
     )
     note = "<p>Bar: share of the gap, by what was found wrong there. A stage is judged by its own measured input.</p>"
-    return scrollable(svg) + note + (f"<ul>{merged}</ul>" if merged else "")
+    return wrap_scrollable(svg) + note + (f"<ul>{merged}</ul>" if merged else "")
 
 
 def stage_shares(result: dict[str, Any]) -> dict[str, float]:

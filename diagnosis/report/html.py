@@ -69,10 +69,10 @@ def html_table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """A table; nothing without rows. Numbers to four digits, None as an empty cell."""
     lines = "".join("<tr>" + "".join(_table_cell(value) for value in row) + "</tr>" for row in rows)
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
-    return scrollable(f"<table><tr>{head}</tr>{lines}</table>") if lines else ""
+    return wrap_scrollable(f"<table><tr>{head}</tr>{lines}</table>") if lines else ""
 
 
-def scrollable(body: str) -> str:
+def wrap_scrollable(body: str) -> str:
     """What may be wider than a small screen: it is moved on its own, not the page."""
     return f'<div class="wide">{body}</div>'
 

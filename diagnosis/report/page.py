@@ -14,7 +14,7 @@ from machine.effects.registry import effect_named
 
 
 # What a person reads of effects and experiments.
-def what_it_looks_like(result: dict[str, Any]) -> str:
+def confirmed_effects_html(result: dict[str, Any]) -> str:
     """For confirmed effects: what one would see on the machine, and what else could look so."""
     lines = []
     for row in result["budget"]["effects"]:
@@ -57,7 +57,7 @@ def report_page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] 
             _table_by_columns(result["missing"], (("signal", "signal"), ("costs", "costs"))),
         ),
         html_section("Findings about the recording", _table_by_columns(result["findings"], FINDINGS)),
-        _collapsible_section("What the confirmed effects look like", what_it_looks_like(result)),
+        _collapsible_section("What the confirmed effects look like", confirmed_effects_html(result)),
         _collapsible_section(
             "Every place: stage, joint, axis, regime", _table_by_columns(_places_to_show(result), PLACES)
         ),

@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.report.html import scrollable
+from diagnosis.report.html import wrap_scrollable
 from machine.rotations import Array
 
 WIDTH, HEIGHT = 720, 210
@@ -180,4 +180,4 @@ def _legend_html(lines: Sequence[CurveLine]) -> str:
 
 def _svg_element(body: str, title: str) -> str:
     size = f'viewBox="0 0 {WIDTH} {HEIGHT}"'
-    return scrollable(f'<svg class="plot" {size} role="img" aria-label="{escape(title)}">{body}</svg>')
+    return wrap_scrollable(f'<svg class="plot" {size} role="img" aria-label="{escape(title)}">{body}</svg>')

@@ -66,7 +66,7 @@ class Candidate:
         return self.name, self.joint, self.option, tuple(value for _, value in self.fixed)
 
     @property
-    def narrow(self) -> bool:
+    def has_narrow_minimum(self) -> bool:
         """Whether its valley is so narrow that a scanned size is better than where any slope leads."""
         return self.name in NARROW
 

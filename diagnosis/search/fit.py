@@ -41,10 +41,10 @@ class Fit:
     @property
     def by_effect(self) -> tuple[tuple[Candidate, Array], ...]:
         """Each effect with its own numbers (slots,)."""
-        return tuple((candidate, self.theta[own]) for candidate, own in self.slices)
+        return tuple((candidate, self.theta[own]) for candidate, own in self.effect_slices)
 
     @property
-    def slices(self) -> tuple[tuple[Candidate, slice], ...]:
+    def effect_slices(self) -> tuple[tuple[Candidate, slice], ...]:
         """Each effect with where its numbers stand among all."""
         ends = np.cumsum([len(candidate.slots) for candidate in self.hypothesis]).tolist()
         return tuple(

@@ -45,7 +45,7 @@ class WorkProgress:
         self._ended += self._cost
         self._cost = self._done = 0.0
 
-    def conclude(self, text: str, share: float) -> None:
+    def report_concluding_progress(self, text: str, share: float) -> None:
         """Every fit is done, and so large a share of what comes after them."""
         self._waiting, self._text = [], text
         self._concluded = share * CONCLUDING * self._ended

@@ -6,7 +6,7 @@ its scatter gives way to an equal set that is more likely there than not.
 
 from diagnosis.whole_model.evidence import evidence_of
 from diagnosis.whole_model.probability import LIKELY, probability
-from diagnosis.whole_model.solve import WholeFit, exchanged
+from diagnosis.whole_model.solve import WholeFit, refit_with_exchanged_term
 
 
 def most_invariant(fit: WholeFit) -> WholeFit:
@@ -16,7 +16,7 @@ def most_invariant(fit: WholeFit) -> WholeFit:
     """
     for _ in range(int(fit.best.present.sum()) if fit.cell.usual is not None else 0):
         doubtful = [found for found in evidence_of(fit) if probability(found) < LIKELY]
-        tried = [exchanged(fit, found.term, equal) for found in doubtful for equal in found.equals]
+        tried = [refit_with_exchanged_term(fit, found.term, equal) for found in doubtful for equal in found.equals]
         likely = [other for other in tried if _least_new_probability(other, fit) >= LIKELY]
         if not likely:
             break

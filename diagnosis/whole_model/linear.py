@@ -172,7 +172,7 @@ def linearise_terms(cell: Cell, terms: Sequence[EffectTerm], to_move: bool = Fal
     )
 
 
-def about(cell: Cell, terms: tuple[EffectTerm, ...], columns: Sequence[Array]) -> LinearModel:
+def linear_model_from_columns(cell: Cell, terms: tuple[EffectTerm, ...], columns: Sequence[Array]) -> LinearModel:
     """Present terms with columns (N, numbers of each) that were found nearby."""
     first = np.concatenate([[0], np.cumsum([len(term.theta) for term in terms])]).astype(np.int64)
     residual = evaluated_at(cell, pack_terms(cell, terms))[0]

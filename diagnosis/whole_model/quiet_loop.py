@@ -35,7 +35,7 @@ def quiet_loop(cell: Cell) -> "QuietLoop | None":
     if any(loop is None for loop in loops):
         return None
     found = QuietLoop(cell, replay, tuple(loop for loop in loops if loop is not None))
-    return found if found.obeyed() else None
+    return found if found.is_command_reproduced() else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class QuietLoop:
     replay: Replay
     loops: tuple[StretchReplay, ...]
 
-    def obeyed(self) -> bool:
+    def is_command_reproduced(self) -> bool:
         """Whether the measured command is what the controller gives of reference and encoders."""
         known, joints = self.cell.course or self.cell.base, self.replay.joints
         off = power = 0.0

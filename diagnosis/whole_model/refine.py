@@ -6,7 +6,7 @@ import numpy as np
 
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import STEP_SHARE, evaluated_at, soft_l1_costs
-from diagnosis.whole_model.linear import EffectTerm, LinearModel, about, linearise_terms, pack_terms
+from diagnosis.whole_model.linear import EffectTerm, LinearModel, linear_model_from_columns, linearise_terms, pack_terms
 from machine.rotations import Array
 
 STEPS = 10  # of Gauss-Newton between two choices
@@ -29,7 +29,11 @@ def refine_present_terms(
     if not own:
         return terms
     fresh = columns is None
-    lin = linearise_terms(cell, own, to_move=True) if columns is None else about(cell, own, [columns[k] for k in some])
+    lin = (
+        linearise_terms(cell, own, to_move=True)
+        if columns is None
+        else linear_model_from_columns(cell, own, [columns[k] for k in some])
+    )
     total = _total_cost(lin, trust)
     for _ in range(STEPS):
         moved = _best_gauss_newton_step(cell, lin, trust, SHARES if fresh else (1.0,), total)

@@ -146,7 +146,7 @@ def _fit_by_graduated_noise(cell: Cell, terms: tuple[EffectTerm, ...], own: Memb
     terms = tuple(replace(term, present=bool(term.smooth and own[k])) for k, term in enumerate(terms))
     left = _by_part(cell, tuple(replace(term, present=False) for term in terms))
     for k in range(ROUNDS):
-        near = replace(cell, whitened=_Inflated(cell.whitened, left))
+        near = replace(cell, whitened=_InflatedResidual(cell.whitened, left))
         terms = refine_present_terms(near, terms, even)
         lin = linearise_terms(near, terms)
         problem = lin.problem(even)
@@ -160,7 +160,7 @@ def _fit_by_graduated_noise(cell: Cell, terms: tuple[EffectTerm, ...], own: Memb
 
 
 @dataclass(frozen=True, slots=True)
-class _Inflated:
+class _InflatedResidual:
     """Residuals by a noise that is larger by `times` (N,)."""
 
     whitened: Callable[[ParameterSets], Array]
@@ -208,7 +208,7 @@ def refit_reduced(fit: WholeFit, terms: Sequence[EffectTerm]) -> WholeFit:
     return _standing_at(fit, _with_only(fit, terms))
 
 
-def exchanged(fit: WholeFit, term: EffectTerm, others: Sequence[EffectTerm]) -> WholeFit:
+def refit_with_exchanged_term(fit: WholeFit, term: EffectTerm, others: Sequence[EffectTerm]) -> WholeFit:
     """A fit with other terms of its library in the place of a present one, fitted again."""
     entering = {id(other) for other in others}
     members = np.array([(mine.present and mine is not term) or id(mine) in entering for mine in fit.best.terms])
@@ -276,7 +276,7 @@ def _terms_of_chosen_set(lin: LinearModel, problem: LinearProblem, members: Memb
     out = []
     for k, term in enumerate(lin.terms):
         theta = term.theta.copy()
-        scanned = term.limits or term.effect.narrow
+        scanned = term.limits or term.effect.has_narrow_minimum
         if members[k] and not scanned and (term.smooth or not term.present):
             theta[: term.sizes] = x[lin.first[k] : lin.first[k] + term.sizes]
         out.append(EffectTerm(term.effect, bounded(term, theta), bool(members[k])))

@@ -38,7 +38,7 @@ def document() -> dict[str, Any]:
         return build_app(ServerSettings(recording=RecordingSettings(folder=folder))).openapi()
 
 
-def endpoints() -> str:
+def endpoint_table() -> str:
     """Every operation in the document's order."""
     rows = []
     for path, operations in document()["paths"].items():
@@ -104,7 +104,7 @@ def alarms() -> str:
     return table(("code", "level", "what", "what to do"), rows)
 
 
-def rejects() -> str:
+def reject_code_table() -> str:
     """Every reject code of the protocol."""
     rows = [(str(reject.value), code(reject.name), reject_text(reject).partition(": ")[2]) for reject in RejectCode]
     return table(("number", "code", "why"), rows)
@@ -118,7 +118,7 @@ def fault_bits() -> str:
 # Every subcommand with its arguments and options, as the command line itself describes them.
 
 
-def commands() -> str:
+def command_tables() -> str:
     """One table for each command."""
     from longreach.cli import app  # here: it imports this package
 
@@ -174,12 +174,12 @@ def docs(
 def reference() -> str:
     """The whole page."""
     parts = (
-        ("REST endpoints", endpoints()),
+        ("REST endpoints", endpoint_table()),
         ("REST error codes", error_codes()),
         ("Settings file", settings()),
         ("Alarms", alarms()),
-        ("Reject codes of the PLC link", rejects()),
+        ("Reject codes of the PLC link", reject_code_table()),
         ("Fault bits of the PLC", fault_bits()),
-        ("Commands", commands()),
+        ("Commands", command_tables()),
     )
     return ABOUT + "".join(f"\n## {title}\n\n{text}\n" for title, text in parts)

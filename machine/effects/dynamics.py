@@ -48,7 +48,7 @@ class Actuators:
         object.__setattr__(self, "joints", joints)
         if not 0.0 <= self.transport_delay_s < math.inf:  # the kernel looks so many cycles back
             raise MachineError(f"plc.transport_delay_s = {self.transport_delay_s} s; give 0 or more")
-        if not (self.cycle_s > 0.0 and abs(self.log_cycle_s / self.cycle_s - self.decimate) < 1e-6):
+        if not (self.cycle_s > 0.0 and abs(self.log_cycle_s / self.cycle_s - self.cycles_per_row) < 1e-6):
             raise MachineError(
                 f"plc.log_cycle_s = {self.log_cycle_s} s is not a multiple of cycle_s = {self.cycle_s} s; give one"
             )
@@ -59,7 +59,7 @@ class Actuators:
         return self.joints.shape[0]
 
     @property
-    def decimate(self) -> int:
+    def cycles_per_row(self) -> int:
         """PLC cycles per logged row."""
         return max(1, round(self.log_cycle_s / self.cycle_s))
 
@@ -224,7 +224,7 @@ def simulate(
         raise MachineError(f"a run cannot begin at stage {drive.first.name} and end at {last.name}; swap them")
     if drive.first is DynamicStage.LINK and last is DynamicStage.CONTROLLER:
         raise MachineError("a controller behind the link needs the encoders; begin at CONTROLLER, or end at ACTUATOR")
-    rows = (drive.cycles - 1) // plant.decimate + 1
+    rows = (drive.cycles - 1) // plant.cycles_per_row + 1
     traces = SimulatedTraces(*(np.empty((sets.sets, rows, n)) for _ in range(4)))
     kernel.run_stages(
         int(drive.first),
@@ -234,7 +234,7 @@ def simulate(
         plant.joints,
         plant.cycle_s,
         plant.substeps,
-        plant.decimate,
+        plant.cycles_per_row,
         plant.whole_delay_s,
         drive.sent,
         drive.latest,
@@ -261,9 +261,9 @@ def _rows_at_cycles(plant: Actuators, rows: Array, fine: bool) -> Array:
 def at_cycles(plant: Actuators, logged: Array) -> Array:
     """Logged rows (rows, n) at every PLC cycle, linear in between; ((rows - 1) decimate + 1, n)."""
     values = _checked_table(logged, plant.n, "logged rows")
-    if plant.decimate == 1:
+    if plant.cycles_per_row == 1:
         return values
-    part = (np.arange(plant.decimate) / plant.decimate)[:, None]
+    part = (np.arange(plant.cycles_per_row) / plant.cycles_per_row)[:, None]
     between = values[:-1, None] + part * np.diff(values, axis=0)[:, None]  # (rows - 1, cycles of a row, n)
     return np.concatenate([between.reshape(-1, plant.n), values[-1:]])
 
@@ -276,7 +276,7 @@ def _checked_table(values: Array, n: int, subject: str) -> Array:
 
 
 def _checked_loads(plant: Actuators, cycles: int, loads: tuple[Array, Array] | None) -> tuple[Array, Array]:
-    rows = (cycles - 1) // plant.decimate + 1
+    rows = (cycles - 1) // plant.cycles_per_row + 1
     if loads is None:
         return np.zeros((rows, plant.n)), np.zeros((rows, plant.n))
     load, load_kg = (_checked_table(values, plant.n, "loads") for values in loads)

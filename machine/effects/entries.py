@@ -153,7 +153,7 @@ def _checked_parameter_value(parameter: Parameter, value: object, where: str) ->
             f" (neutral {parameter.neutral:g})" if not parameter.low <= parameter.neutral <= parameter.high else ""
         )
         raise MachineFileError(
-            f"{where}: {parameter.name} = {value:g} is outside {whole}{parameter.low:g} .. {parameter.admitted:g}"
+            f"{where}: {parameter.name} = {value:g} is outside {whole}{parameter.low:g} .. {parameter.max_admitted:g}"
             f"{neutral} [{parameter.unit}]; {parameter.meaning}"
         )
     return float(value)

@@ -52,13 +52,13 @@ class Parameter:
         return self.high if self.most is None else self.most
 
     @property
-    def admitted(self) -> float:
+    def max_admitted(self) -> float:
         """The largest value that a machine file may hold."""
         return self.highest if self.lightest is None else self.lightest
 
     def contains(self, value: float) -> bool:
         """Whether a value lies inside the bounds; a size may also be neutral."""
-        inside = self.low <= value <= self.admitted and (not self.integer or value == round(value))
+        inside = self.low <= value <= self.max_admitted and (not self.integer or value == round(value))
         return inside or (self.role == "size" and value == self.neutral)
 
     def draw(self, rng: np.random.Generator) -> float:

@@ -255,7 +255,7 @@ def _parse_pou_matching_file(file_name: str, text: str) -> Pou:
     return pou
 
 
-def bundle(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, bytes]:
+def build_bundle_files(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, bytes]:
     """All files; `sources` are the hand-written blocks, file name to text.
 
     Raises: LocalProtocolError: a source that is not a POU.

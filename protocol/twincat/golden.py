@@ -8,7 +8,7 @@ from protocol.codec import encode_command, encode_state
 from protocol.codes import CommandFlag, HeaderFlag, Interp, LinkState, Mode, PlcState, RejectCode
 from protocol.framing import EAP_PORT, EapFraming, Framing, RawFraming
 from protocol.limits import axis_mask, cfg_id
-from protocol.messages import Axes, Command, Knot, State, axes8
+from protocol.messages import Axes, Command, Knot, State, pad_to_eight_axes
 from protocol.twincat.parameters import RAW_PC_PORT, RAW_PLC_PORT, PlcParameters
 
 MS = 1_000_000
@@ -84,10 +84,10 @@ class GoldenMessage:
         return encode_state(self.message, self.key)
 
 
-def conversation(parameters: PlcParameters) -> tuple[GoldenMessage, ...]:
+def golden_messages(parameters: PlcParameters) -> tuple[GoldenMessage, ...]:
     """The messages in order; numbers, times and the limits' id fit together."""
     common = {"session": SESSION, "axis_mask": axis_mask(parameters.table), "cfg_id": cfg_id(parameters.table)}
-    here = axes8(tuple(0.5 * (axis.q_min + axis.q_max) for axis in parameters.table.axes))
+    here = pad_to_eight_axes(tuple(0.5 * (axis.q_min + axis.q_max) for axis in parameters.table.axes))
 
     def command(seq: int, mode: Mode, **more: object) -> Command:
         seen = {"ack_plc_seq": seq - 1, "t_plc_echo_ns": (5000 + 20 * (seq - 1)) * MS} if seq > 1 else {}
@@ -147,7 +147,7 @@ def rest_to_rest(here: Axes) -> tuple[Knot, ...]:
     return tuple(knots)
 
 
-def framed(golden: GoldenMessage, parameters: PlcParameters, eap: bool) -> bytes:
+def framed_datagram(golden: GoldenMessage, parameters: PlcParameters, eap: bool) -> bytes:
     """The datagram of a message in one of the framings."""
     ends = parameters.pc_net_id, parameters.plc_net_id
     from_pc = isinstance(golden.message, Command)
@@ -162,7 +162,7 @@ def golden_pcap(parameters: PlcParameters, eap: bool) -> bytes:
     pc = (parameters.pc_address, EAP_PORT if eap else RAW_PC_PORT)
     plc = (parameters.plc_address, EAP_PORT if eap else RAW_PLC_PORT)
     datagrams = []
-    for i, golden in enumerate(conversation(parameters)):
+    for i, golden in enumerate(golden_messages(parameters)):
         source, target = (pc, plc) if isinstance(golden.message, Command) else (plc, pc)
-        datagrams.append(Datagram(i * 20_000, source, target, framed(golden, parameters, eap)))
+        datagrams.append(Datagram(i * 20_000, source, target, framed_datagram(golden, parameters, eap)))
     return pcap(datagrams)

@@ -8,7 +8,7 @@ from enum import IntEnum, IntFlag
 from protocol import layout
 from protocol.layout import Block
 from protocol.messages import Command
-from protocol.twincat.golden import GoldenMessage, conversation, framed
+from protocol.twincat.golden import GoldenMessage, framed_datagram, golden_messages
 from protocol.twincat.parameters import PlcParameters
 
 _HEX = {"session", "nonce", "arm_nonce", "cfg_id"}
@@ -22,7 +22,7 @@ def golden_page(parameters: PlcParameters) -> str:
         "The same messages as in `raw.pcap`, `eap.pcap` and `conversation.json`. Left out are fields that are 0,\n"
         "rows of 16 bytes that are all 0, and the 24 heartbeats between `hello` and `arm`.\n"
     )
-    return "\n".join((head, *(_message_section(golden) for golden in conversation(parameters))))
+    return "\n".join((head, *(_message_section(golden) for golden in golden_messages(parameters))))
 
 
 def golden_json(parameters: PlcParameters) -> str:
@@ -33,10 +33,10 @@ def golden_json(parameters: PlcParameters) -> str:
             "purpose": golden.purpose,
             "key_hex": golden.key.hex(),
             "payload_hex": golden.payload.hex(),
-            "eap_datagram_hex": framed(golden, parameters, eap=True).hex(),
+            "eap_datagram_hex": framed_datagram(golden, parameters, eap=True).hex(),
             "fields": wire_fields(golden.payload),
         }
-        for golden in conversation(parameters)
+        for golden in golden_messages(parameters)
     ]
     return json.dumps({"layout_id": layout.LAYOUT_ID, "messages": messages}, indent=1) + "\n"
 

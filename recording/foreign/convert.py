@@ -43,7 +43,7 @@ def convert_foreign(
     found = table_found(source, mapping) if is_table(source) else ros_found(source, mapping)
     assembled = assemble(found, mapping, source.stem, urdf)
     if not confirm(found, assembled):
-        names = ", ".join(entry.name for entry in found.guesses)
+        names = ", ".join(entry.name for entry in found.guessed_entries)
         raise RecordingError(
             f"guessed and not confirmed: {names}; confirm by --yes, or say what each is in a mapping file (--mapping)"
         )

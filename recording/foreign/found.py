@@ -69,7 +69,7 @@ class SourceContents:
     proposal: str = ""
 
     @property
-    def guesses(self) -> list[SourceEntry]:
+    def guessed_entries(self) -> list[SourceEntry]:
         """What the user has to confirm."""
         return [entry for entry in self.entries if entry.guess and entry.use == "used"]
 

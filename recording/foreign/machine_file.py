@@ -81,7 +81,7 @@ def with_fitted_gains(drive: DriveModel, t_s: Array, q: Array | None, u: Array) 
     return replace(drive, velocity_max=tuple(fastest), kp=kp, notes=(*drive.notes, f"{note}; give velocity_max"))
 
 
-def cycles(log_step_s: float) -> tuple[float, float]:
+def model_and_log_cycle_s(log_step_s: float) -> tuple[float, float]:
     """The model's cycle and the log's [s]: the log's is a whole multiple."""
     cycle_s = log_step_s / max(1, math.ceil(log_step_s / CYCLE_S - 1e-6))
     return cycle_s, log_step_s
@@ -111,7 +111,7 @@ def machine_toml(
             f"valve_frequency_hz = {drive.bandwidth_hz:.9g}",
         ]
         lines += [f"valve_damping = {drive.damping:.9g}", f"kp_frac_per_rad = {drive.kp[k]:.9g}", ""]
-    cycle_s, log_cycle_s = cycles(log_step_s)
+    cycle_s, log_cycle_s = model_and_log_cycle_s(log_step_s)
     lines += ["[plc]", f"cycle_s = {cycle_s!r}", f"log_cycle_s = {log_cycle_s!r}", "transport_delay_s = 0.0", ""]
     for point, joint in points.items():
         lines += [f"[points.{json.dumps(point)}] # where on the link is found", f"joint = {joint}", ""]

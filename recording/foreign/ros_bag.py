@@ -99,7 +99,7 @@ class RosBag:
         except ImportError as error:
             raise RecordingError(HINT) from error
         self._path = path
-        self._types = _Types()
+        self._types = _MessageDecoders()
         self.notes: list[str] = []
         self.cut = False
 
@@ -216,7 +216,7 @@ def _full_type(name: str) -> str:
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
 
 
-class _Types:
+class _MessageDecoders:
     """Decoders by type: a bag's own definition first, else that of ROS 2, else one of `control_msgs`'s versions."""
 
     def __init__(self) -> None:

@@ -42,10 +42,10 @@ def ros_found(path: Path, mapping: Mapping) -> SourceContents:
     """
     bag = RosBag(path)
     collected = collect(bag, mapping)
-    return _Chooser(collected, mapping).found(bag)
+    return _SignalChooser(collected, mapping).found(bag)
 
 
-class _Chooser:
+class _SignalChooser:
     def __init__(self, collected: CollectedTopics, mapping: Mapping) -> None:
         self._all = collected
         self._mapping = mapping

@@ -44,7 +44,7 @@ class LeaseDesk:
         """As LeaseBook.take, with a new secret."""
         return self._announce_new_holder(self.book.take(owner, kind, ttl_s, reason, new_lease_id(), self.now_s))
 
-    def vouch(self, still: Callable[[], bool]) -> None:
+    def bind_lease_to_admission(self, still: Callable[[], bool]) -> None:
         """The present holder came by this admission: when `still` is over (key, session, role), so is their control."""
         self._still = still
 

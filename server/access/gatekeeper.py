@@ -48,7 +48,7 @@ class Lockout:
         if len(self._failed) > ADDRESSES_MAX:
             self._failed.pop(next(iter(self._failed)))  # the one that failed longest ago
 
-    def passed(self, address: str) -> None:
+    def clear_failed_attempts(self, address: str) -> None:
         """A right key."""
         self._failed.pop(address, None)
 
@@ -177,7 +177,7 @@ class Gatekeeper:
         if key is None:
             self._lockout.failed(address, now_s)
             raise KeyRequiredError("the key is wrong or was revoked")
-        self._lockout.passed(address)
+        self._lockout.clear_failed_attempts(address)
         return key
 
     def _require_role(self, caller: Caller, roles: frozenset[Role], request: Credentials) -> Caller:

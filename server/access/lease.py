@@ -25,7 +25,7 @@ class LeaseKind(StrEnum):
     ENGINEER = "engineer"
 
     @property
-    def person(self) -> bool:
+    def is_person(self) -> bool:
         """Whether the holder is a person who sees the machine."""
         return self is not LeaseKind.FLEET
 
@@ -85,7 +85,7 @@ class LeaseBook:
 
         Raises: TakeRefusedError: a fleet's program may not; an operator's control is never a fleet's to take.
         """
-        if not kind.person:
+        if not kind.is_person:
             raise TakeRefusedError(
                 f"{owner} is a fleet program: only a person may take control", self.references(now_s)
             )

@@ -152,7 +152,7 @@ class Guard:
         return lambda: self._gatekeeper.admits_still(asked, mono_s())
 
 
-class _Body:
+class _BufferedBody:
     """A body that has arrived whole; after it, what the connection says next (its end)."""
 
     def __init__(self, body: bytes, receive: Receive) -> None:
@@ -164,7 +164,7 @@ class _Body:
         return message if message is not None else await self._receive()
 
 
-async def _read_whole_body(receive: Receive) -> _Body:
+async def _read_whole_body(receive: Receive) -> _BufferedBody:
     """The whole body. Raises: BodyTooLargeError, SlowBodyError."""
     parts, size = [], 0
     try:
@@ -176,7 +176,7 @@ async def _read_whole_body(receive: Receive) -> _Body:
                 if size > BODY_MAX:
                     raise BodyTooLargeError(f"the body is longer than {BODY_MAX} bytes")
                 if not message.get("more_body", False):
-                    return _Body(b"".join(parts), receive)
+                    return _BufferedBody(b"".join(parts), receive)
     except TimeoutError:
         raise SlowBodyError(f"the body did not arrive within {BODY_S:.0f} s") from None
 

@@ -49,7 +49,7 @@ class ControlLog:
 
     async def given(self, request: Request, lease: Lease, action: str, detail: str = "") -> JSONResponse:
         """201 with the lease, once it is on disk. Raises: StoreError: it is not; the lease is withdrawn then."""
-        self._desk.vouch(admission_of(request))
+        self._desk.bind_lease_to_admission(admission_of(request))
         if self._keeper is not None:
             try:
                 await self._keeper.control(self._lease_audit_entry(request, lease, action, detail))
@@ -201,7 +201,7 @@ def lease_router(desk: LeaseDesk, keeper: Keeper | None = None) -> APIRouter:
     async def keep_alive(lease_id: LeaseId, request: Request) -> LeaseView:
         """Renew a lease; also revives a stale one that no other client has acquired."""
         lease = desk.keep_alive(lease_id)
-        desk.vouch(admission_of(request))
+        desk.bind_lease_to_admission(admission_of(request))
         return lease_view(desk, lease)
 
     @router.delete("/{lease_id}", status_code=204, response_class=Response, responses=REFUSED)

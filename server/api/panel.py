@@ -152,7 +152,7 @@ PAGE_HEADERS = {
 StopPanel = Callable[[], Awaitable[None]]
 
 
-class _Static(StaticFiles):
+class _UncachedStaticFiles(StaticFiles):
     """Our scripts and styles: never served from a cache, so that page and server are of one version."""
 
     def file_response(self, *args, **kwargs):  # starlette's own signature
@@ -177,7 +177,7 @@ def install_panel(app: FastAPI, service: JobService) -> Callable[[FastAPI], Awai
     app.include_router(panel_router(service, memory))
     app.include_router(recordings_router(service))
     app.include_router(scene_router(scene))
-    app.mount("/static", _Static(directory=STATIC_FOLDER), name="static")
+    app.mount("/static", _UncachedStaticFiles(directory=STATIC_FOLDER), name="static")
 
     async def start(running: FastAPI) -> StopPanel:
         running.state.viser_http = httpx.AsyncClient(

@@ -29,7 +29,7 @@ class RecordingView(View):
 
 
 @dataclass(slots=True)
-class _Opened:
+class _OpenedReplay:
     """The one run that is being replayed."""
 
     name: str = ""
@@ -42,7 +42,7 @@ def recordings_router(service: JobService) -> APIRouter:
     """Routes under /v1/panel/recordings."""
     router = APIRouter(prefix="/v1/panel/recordings", tags=["panel"])
     folder = Path(service.cell.settings.recording.folder)
-    opened = _Opened()
+    opened = _OpenedReplay()
     reading = asyncio.Lock()
 
     @router.get("", response_model=list[RecordingView])

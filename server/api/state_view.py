@@ -116,7 +116,7 @@ def step_refusals(cell: Cell, engine: JobEngine, store_problem: str = "") -> dic
         "position": common,
         "retract": common,
         "return": common or ("" if cell.knowledge.q_start is not None else "no run has begun yet"),
-        "park": common or why_no_park(cell.machine) or ("" if cell.knowledge.looked else "look first"),
+        "park": common or why_no_park(cell.machine) or ("" if cell.knowledge.has_looked_for_wall else "look first"),
         "jog": common or jog_refused(mode, cell.not_commissioned),
         "stop": "",
     }

@@ -43,19 +43,19 @@ class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class _Made(_Part):
+class _CalibrationConditions(_Part):
     t_unix_s: float
     q_rad: Numbers
     T_base_tcp: Matrix
     oil_temperature_c: float | None
 
 
-class _Tool(_Part):
+class _ToolPose(_Part):
     T_cam_tool: Matrix
     covariance: Matrix
 
 
-class _Map(_Part):
+class _MapCalibration(_Part):
     T_tcp_cam: Matrix
     T_tcp_tool: Matrix
     errors: Numbers
@@ -74,7 +74,7 @@ class _Expiry(_Part):
     temperature_k: Positive
 
 
-class _Run(_Part):
+class _RecordedRun(_Part):
     camera_t_s: Numbers
     Ts_vo_cam: list[Matrix]
     joints_t_s: Numbers
@@ -82,7 +82,7 @@ class _Run(_Part):
     sides: Matrix | None
 
 
-class _File(_Part):
+class _CalibrationFile(_Part):
     format: Literal["longreach local calibration"]
     version: Literal[1]
     machine_id: str
@@ -97,13 +97,13 @@ class _File(_Part):
     n_used: int
     path_length_m: float
     observability: float
-    made: _Made
-    tool: _Tool | None
-    local_map: _Map | None
+    made: _CalibrationConditions
+    tool: _ToolPose | None
+    local_map: _MapCalibration | None
     expiry: _Expiry
     slip: str
     shift: str = ""  # files of before had none
-    runs: list[_Run]
+    runs: list[_RecordedRun]
 
 
 def calibration_text(saved: SavedCalibration) -> str:
@@ -128,7 +128,7 @@ def calibration_text(saved: SavedCalibration) -> str:
             "oil_temperature_c": made.oil_temperature_c,
         },
         "tool": tool and {"T_cam_tool": tool.T_cam_tool.tolist(), "covariance": tool.covariance.tolist()},
-        "local_map": found and {name: _array_as_list(getattr(found, name)) for name in _Map.model_fields},
+        "local_map": found and {name: _array_as_list(getattr(found, name)) for name in _MapCalibration.model_fields},
         "expiry": {name: getattr(one.expiry, name) for name in _Expiry.model_fields},
         "runs": [_run_body(run) for run in saved.runs],
     }
@@ -186,7 +186,7 @@ def parse_calibration(text: str) -> SavedCalibration:
             "calibrate again"
         )
     try:
-        return _read(_File.model_validate(body))
+        return _read(_CalibrationFile.model_validate(body))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
@@ -195,7 +195,7 @@ def parse_calibration(text: str) -> SavedCalibration:
         raise CalibrationFileError(f"calibration file: {error}; calibrate again") from error
 
 
-def _read(file: _File) -> SavedCalibration:
+def _read(file: _CalibrationFile) -> SavedCalibration:
     made, tool, found = file.made, file.tool, file.local_map
     calibration = LocalCalibration(
         **{name: getattr(file, name) for name in _PLAIN},
@@ -216,14 +216,14 @@ def _checked_pose(rows: Matrix, subject: str) -> Array:
     return require_pose(np.array(rows), subject)
 
 
-def _tool_from_record(tool: _Tool) -> ToolSeen:
+def _tool_from_record(tool: _ToolPose) -> ToolSeen:
     return ToolSeen(
         _checked_pose(tool.T_cam_tool, "T_cam_tool"),
         require_covariance(np.array(tool.covariance), 6, "tool.covariance"),
     )
 
 
-def _local_map_from_record(found: _Map) -> LocalMap:
+def _local_map_from_record(found: _MapCalibration) -> LocalMap:
     numbers = found.model_dump(exclude={"T_tcp_cam", "T_tcp_tool", "errors"})
     return LocalMap(
         _checked_pose(found.T_tcp_cam, "T_tcp_cam"),
@@ -233,7 +233,7 @@ def _local_map_from_record(found: _Map) -> LocalMap:
     )
 
 
-def _run(run: _Run) -> OdometryRun:
+def _run(run: _RecordedRun) -> OdometryRun:
     camera_t, joints_t, qs = np.array(run.camera_t_s), np.array(run.joints_t_s), np.array(run.qs_rad)
     Ts = np.array(run.Ts_vo_cam)
     sides = None if run.sides is None else np.array(run.sides)

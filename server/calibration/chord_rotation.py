@@ -44,9 +44,9 @@ class ChordWeighting:
 
     def times(self, values: Array) -> Array:
         """P @ values, shape (n, k)."""
-        return self.own[:, None] * (values - self.smoothed(values))
+        return self.own[:, None] * (values - self.drift_component(values))
 
-    def smoothed(self, values: Array) -> Array:
+    def drift_component(self, values: Array) -> Array:
         """What of the values (n, k) the drift takes up: T^-1 W values."""
         return cho_solve_banded((self.factor, True), self.own[:, None] * values, check_finite=False)
 
@@ -56,7 +56,7 @@ class ChordWeighting:
         Returns: differences (n, k) [m] and the one-axis variance (n,) [m^2] of what the others say.
         """
         lever = np.maximum(1.0 - self.own * self.spread, 1e-9)
-        return (values - self.smoothed(values)) / lever[:, None], self.spread / lever
+        return (values - self.drift_component(values)) / lever[:, None], self.spread / lever
 
 
 def chord_weighting(arc_steps_m: Array, drift: float, jitter: float, weights: Array) -> ChordWeighting:

@@ -17,7 +17,7 @@ from server.calibration.hand_eye_fit import (
     WeightedModel,
     inverse_poses,
     motions_between,
-    refine,
+    refine_hand_eye,
     rotation_vectors,
     start_ax_yb,
     whiteners_of,
@@ -120,10 +120,10 @@ def _solve_poses(
         return refusal
     X, Y = start_ax_yb(As, Bs, np.random.default_rng(0), settings.triples)
     model = PoseModel(hand, inverse_poses(Bs), free_offset)
-    found = refine(model, HandEyeUnknowns(X, Y, offset_start_s), settings.freedom, settings.iterations_max)
+    found = refine_hand_eye(model, HandEyeUnknowns(X, Y, offset_start_s), settings.freedom, settings.iterations_max)
     if camera_covariances is not None:
         weighted = WeightedModel(model, whiteners_of(camera_covariances, found.residuals, found.weights))
-        again = refine(weighted, found.unknowns, settings.freedom, settings.iterations_max)
+        again = refine_hand_eye(weighted, found.unknowns, settings.freedom, settings.iterations_max)
         found = replace(again, residuals=model.evaluate(again.unknowns)[0])
     centred = Bs[:, :3, 3] - np.median(Bs[:, :3, 3], axis=0)
     turns = rotation_vectors(motions_between(Bs, *_far_pairs(len(Bs)))[:, :3, :3])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from machine.poses import moved_pose, pose
-from machine.rotations import nearest_rotation, skews
+from machine.rotations import nearest_rotation, skew_matrices
 from server.calibration.contracts import Array
 
 Indices = NDArray[np.int64]
@@ -120,7 +120,7 @@ class PoseModel:
         J = np.zeros((n, 6, 12 + self.free_offset))
         J[:, :3, :3] = R_X.T
         J[:, :3, 6:9] = -R_XA
-        J[:, 3:, :3] = -R_X.T @ skews(w)
+        J[:, 3:, :3] = -R_X.T @ skew_matrices(w)
         J[:, 3:, 3:6] = R_X.T
         J[:, 3:, 9:12] = -R_XA
         if self.free_offset:
@@ -183,7 +183,7 @@ class RefinedHandEye:
     settled: bool
 
 
-def refine(
+def refine_hand_eye(
     model: PoseModel | WeightedModel, start: HandEyeUnknowns, freedom: float, iterations_max: int
 ) -> RefinedHandEye:
     """Unknowns of the largest likelihood under Student's t of the residuals, its 6x6 shape estimated from them.

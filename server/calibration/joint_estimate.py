@@ -252,7 +252,7 @@ def _gauss_newton_fit(problem: _Problem, start: JointState) -> tuple[JointState 
     state = start
     information = np.eye(len(problem.sigma))
     for _ in range(ROUNDS_MAX):
-        information, gradient = _normal_equations(problem, state, state.less(problem.believed))
+        information, gradient = _normal_equations(problem, state, state.step_from(problem.believed))
         try:
             step: Array = np.asarray(-np.linalg.solve(information, gradient), dtype=np.float64)
         except np.linalg.LinAlgError:
@@ -345,7 +345,7 @@ def _fit_residuals(problem: _Problem, state: JointState) -> FitResiduals:
         positions.append(float(np.einsum("ia,ij,ja->", weighted, W, weighted)) / position.size)
         spreads.append(float(np.mean(weighted**2)) / largest)
         turns.append(float(np.sum(weights[:, None] * turn**2)) / (turn.size * problem.noise.sigma_turn_rad**2))
-    off = state.less(problem.believed)
+    off = state.step_from(problem.believed)
     mount, seeing = off[problem.mount], (off / problem.sigma)[-SEEING_FREEDOMS:]
     return FitResiduals(
         look_chi2=[float(residual @ W @ residual) for residual, (_, W, _) in zip(looks, problem.looks, strict=True)],

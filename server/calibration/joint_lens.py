@@ -16,7 +16,7 @@ from machine.camera import project, projection_jacobian, undistort_to_rays
 from machine.description import Machine, Marker, StereoCamera
 from machine.markers import marker_corners
 from machine.poses import moved_pose, transform_points
-from machine.rotations import skews
+from machine.rotations import skew_matrices
 from server.calibration.contracts import Array
 
 LENS_NAMES = (
@@ -148,7 +148,7 @@ def odometry_sensitivity(camera: StereoCamera, T_cam_ooi: Array) -> Array:
         rows = _in_image(camera, pixels[:, :2]) & _in_image(camera, pixels[:, 2:])
         J = _point_jacobian(camera, seen[rows])
         unexplained = (J @ off[rows] - _lens_changes(camera, seen[rows])).reshape(-1, N_LENS)
-        J_camera = np.concatenate([J @ skews(seen[rows]), J], axis=2).reshape(-1, 6)
+        J_camera = np.concatenate([J @ skew_matrices(seen[rows]), J], axis=2).reshape(-1, 6)
         solved = np.linalg.lstsq(J_camera, unexplained, rcond=None)[0]
         found[:, :, axis] = solved[3:].T / WAY_M
     return found
@@ -185,7 +185,7 @@ def _pose_jacobian_pinv(camera: StereoCamera, T_cam_object: Array, corners: Arra
 def pose_jacobian(camera: StereoCamera, T_cam_object: Array, corners: Array) -> Array:
     """d px / d pose (4 n, 6): rotation vector about the object's origin, then position, camera axes."""
     J_points = _point_jacobian(camera, transform_points(T_cam_object, corners))
-    turns = -skews(corners @ T_cam_object[:3, :3].T)
+    turns = -skew_matrices(corners @ T_cam_object[:3, :3].T)
     return np.nan_to_num(np.concatenate([J_points @ turns, J_points], axis=2).reshape(-1, 6))
 
 

@@ -41,7 +41,7 @@ class JointState:
             lens=self.lens + rest[20:],
         )
 
-    def less(self, believed: "JointState") -> Array:
+    def step_from(self, believed: "JointState") -> Array:
         """The step (p + 27,) from `believed` to here."""
         poses = [
             pose_difference(believed.T_tcp_cam, self.T_tcp_cam),

@@ -56,7 +56,7 @@ class LineFit:
 
 
 @dataclass(frozen=True, slots=True)
-class _Samples:
+class _SeenDrivenSamples:
     """Seen vectors m and driven positions, turned into the nominal image axes, both (k, 2) [m]."""
 
     seen: Array
@@ -99,11 +99,11 @@ def fit_line(
     points, vectors = _require_samples(points_base, vectors_m)
     usable = np.isfinite(vectors).all(axis=1)
     in_plane = (points - T[:3, 3]) @ T[:3, :2]
-    samples = _Samples(vectors[usable], in_plane[usable] @ A.T)
+    samples = _SeenDrivenSamples(vectors[usable], in_plane[usable] @ A.T)
     few = _too_little(samples, limits)
     if few is not None:
         return _refused_fit(*few, len(points))
-    fit = _robust_fit(samples, limits.sigma_scale_frac)
+    fit = _robust_similarity(samples, limits.sigma_scale_frac)
     poor = _misfit_refusal(fit, limits)
     if poor is not None:
         return _refused_fit(*poor, len(points))
@@ -144,7 +144,7 @@ def _require_samples(points_base: Array, vectors_m: Array) -> tuple[Array, Array
     return points, vectors
 
 
-def _too_little(samples: _Samples, limits: LineFitSettings) -> tuple[CalibrationStatus, str] | None:
+def _too_little(samples: _SeenDrivenSamples, limits: LineFitSettings) -> tuple[CalibrationStatus, str] | None:
     n = len(samples.seen)
     if n < limits.samples_min:
         text = f"OOI and tool seen together in {n} samples, at least {limits.samples_min} needed"
@@ -159,7 +159,7 @@ def _too_little(samples: _Samples, limits: LineFitSettings) -> tuple[Calibration
     return None
 
 
-def _robust_fit(samples: _Samples, sigma_scale: float) -> _Similarity:
+def _robust_similarity(samples: _SeenDrivenSamples, sigma_scale: float) -> _Similarity:
     """Reweighted least squares; weights 1 / (1 + (|r| / 2 sigma)^2)^2 after a plain start."""
     weights = np.ones(len(samples.seen))
     sigma = np.inf
@@ -172,7 +172,7 @@ def _robust_fit(samples: _Samples, sigma_scale: float) -> _Similarity:
     return fit
 
 
-def _weighted_fit(samples: _Samples, weights: Array, sigma_m: float, sigma_scale: float) -> _Similarity:
+def _weighted_fit(samples: _SeenDrivenSamples, weights: Array, sigma_m: float, sigma_scale: float) -> _Similarity:
     """2-D Kabsch in closed form, the scale drawn to 1."""
     share = weights / weights.sum()
     mean_seen, mean_driven = share @ samples.seen, share @ samples.driven
@@ -212,7 +212,7 @@ def _misfit_refusal(fit: _Similarity, limits: LineFitSettings) -> tuple[Calibrat
     return None
 
 
-def _goal_covariance(samples: _Samples, fit: _Similarity, limits: LineFitSettings) -> tuple[Array, float]:
+def _goal_covariance(samples: _SeenDrivenSamples, fit: _Similarity, limits: LineFitSettings) -> tuple[Array, float]:
     """Covariance (2, 2) of the goal in nominal image axes [m^2], and one sigma of the angle [rad].
 
     Model:   normal equations of (m0, angle, scale) with the robust weights, carried to c = Rot(-angle) m0 / scale;

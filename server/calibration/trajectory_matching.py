@@ -83,7 +83,7 @@ _VELOCITY_SPAN_S = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class _Tracks:
+class _TrackPair:
     """Both tracks ready for chords: the camera by odometry, and by kinematics through the nominal mount."""
 
     t_cam_s: Array
@@ -133,7 +133,7 @@ def estimate_camera_rotation(
     return found.estimate(METHOD, length) if isinstance(found, Refusal) else found
 
 
-def _prepare_tracks(camera: CameraTrack, encoder: EncoderTrack, T_tcp_cam: Array) -> _Tracks:
+def _prepare_tracks(camera: CameraTrack, encoder: EncoderTrack, T_tcp_cam: Array) -> _TrackPair:
     Ts_vo, Ts_enc = np.asarray(camera.Ts_vo_cam, dtype=float), np.asarray(encoder.Ts_base_tcp, dtype=float)
     t_cam, t_enc = np.asarray(camera.t_s, dtype=float), np.asarray(encoder.t_s, dtype=float)
     good_vo, good_enc = usable_poses(Ts_vo), usable_poses(Ts_enc)
@@ -142,15 +142,15 @@ def _prepare_tracks(camera: CameraTrack, encoder: EncoderTrack, T_tcp_cam: Array
         inside = (t_cam >= t_enc[0]) & (t_cam <= t_enc[-1])
         Ts_vo, t_cam = Ts_vo[inside], t_cam[inside]
     points = Ts_enc[:, :3, 3] + Ts_enc[:, :3, :3] @ T_tcp_cam[:3, 3]
-    return _Tracks(t_cam, Ts_vo, t_enc, Ts_enc[:, :3, :3], points)
+    return _TrackPair(t_cam, Ts_vo, t_enc, Ts_enc[:, :3, :3], points)
 
 
-def _points_at(tracks: _Tracks, offset_s: float) -> Array:
+def _points_at(tracks: _TrackPair, offset_s: float) -> Array:
     return positions_at(tracks.t_cam_s + offset_s, tracks.t_enc_s, tracks.points_base)[0]
 
 
 def _match_tracks(
-    tracks: _Tracks, R_nominal: Array, prior: MountRotation | None, settings: MatchingSettings
+    tracks: _TrackPair, R_nominal: Array, prior: MountRotation | None, settings: MatchingSettings
 ) -> CameraRotationEstimate | Refusal:
     pairs = chord_pairs(_points_at(tracks, 0.0), settings.chord_m)
     search = (settings.time_offset_bound_s, settings.time_offset_step_s, settings.time_offset_contrast_min)
@@ -188,7 +188,7 @@ def _match_tracks(
     return _build_estimate(tracks, fit, pairs, seen, mount, method, "; ".join(notes))
 
 
-def _overlapping_samples(tracks: _Tracks, offset_s: float, pairs: ChordPairs) -> tuple[_Tracks, ChordPairs]:
+def _overlapping_samples(tracks: _TrackPair, offset_s: float, pairs: ChordPairs) -> tuple[_TrackPair, ChordPairs]:
     """The samples whose shifted time still lies inside the encoder track, and the chords between them."""
     t = tracks.t_cam_s + offset_s
     inside = (t >= tracks.t_enc_s[0]) & (t <= tracks.t_enc_s[-1])
@@ -197,13 +197,19 @@ def _overlapping_samples(tracks: _Tracks, offset_s: float, pairs: ChordPairs) ->
     return replace(tracks, t_cam_s=tracks.t_cam_s[inside], Ts_vo_cam=tracks.Ts_vo_cam[inside]), kept
 
 
-def _points_and_velocities(tracks: _Tracks, offset_s: float) -> tuple[Array, Array]:
+def _points_and_velocities(tracks: _TrackPair, offset_s: float) -> tuple[Array, Array]:
     before, after = (_points_at(tracks, offset_s + side * _VELOCITY_SPAN_S) for side in (-1.0, 1.0))
     return _points_at(tracks, offset_s), (after - before) / (2.0 * _VELOCITY_SPAN_S)
 
 
 def _build_estimate(
-    tracks: _Tracks, fit: ChordRotation, pairs: ChordPairs, seen: float, mount: MountRotation, method: str, notes: str
+    tracks: _TrackPair,
+    fit: ChordRotation,
+    pairs: ChordPairs,
+    seen: float,
+    mount: MountRotation,
+    method: str,
+    notes: str,
 ) -> CameraRotationEstimate:
     points = _points_at(tracks, fit.offset_s)
     both_kept = fit.kept[pairs.first] & fit.kept[pairs.last]
@@ -228,7 +234,7 @@ def _worst_observability(chords_base: Array, chords_vo: Array, fit: RotationFit)
     return min(observability(rotation_information(chords, fit.weights)) for chords in (chords_base, chords_vo))
 
 
-def _mount_from(tracks: _Tracks, offset_s: float, R_base_vo: Array) -> tuple[Array, Array]:
+def _mount_from(tracks: _TrackPair, offset_s: float, R_base_vo: Array) -> tuple[Array, Array]:
     """R_tcp_cam as the mean over the track, and the TCP's mean rotation in base."""
     t = np.clip(tracks.t_cam_s + offset_s, tracks.t_enc_s[0], tracks.t_enc_s[-1])
     Rs_base_tcp = Slerp(tracks.t_enc_s, Rotation.from_matrix(tracks.Rs_base_tcp))(t).as_matrix()

@@ -158,7 +158,7 @@ class VisionPipeline:
     def obey_target(self, command: TargetCommand) -> None:
         """Measure a target or a view of an object, or serve one; without a target source nothing happens."""
         if self._targets is not None:
-            self._targets.obey(command)
+            self._targets.execute_command(command)
 
     def targets_measured(self) -> list[TargetAnswer]:
         """Measured targets, found marks and taught views that are ready, each once."""

@@ -47,7 +47,7 @@ def parse_zed(text: str, file: str, size_px: tuple[int, int]) -> RigCalibration:
             f"{file}: no calibration for images of {size_px[0]} x {size_px[1]} px an eye; it has "
             f"{', '.join(known) or 'none'}: set the camera to one of them"
         )
-    ini_reader = _Fields(file, sections)
+    ini_reader = _CaseInsensitiveFields(file, sections)
     turn = [ini_reader.number("stereo", f"{axis}_{ending}") for axis in ("RX", "CV", "RZ")]
     place_mm = [ini_reader.number("stereo", "baseline"), *(_of_any(ini_reader, axis, ending) for axis in ("TY", "TZ"))]
     R, _ = cv2.Rodrigues(np.array(turn))
@@ -62,7 +62,7 @@ def parse_zed(text: str, file: str, size_px: tuple[int, int]) -> RigCalibration:
     return checked_rig(rig, file)
 
 
-class _Fields:
+class _CaseInsensitiveFields:
     """Numbers by section and key, whatever their case."""
 
     def __init__(self, file: str, sections: dict[str, configparser.SectionProxy]) -> None:
@@ -88,13 +88,13 @@ class _Fields:
         return number
 
 
-def _of_any(fields: _Fields, axis: str, ending: str) -> float:
+def _of_any(fields: _CaseInsensitiveFields, axis: str, ending: str) -> float:
     """TY or TZ: older files have one of each for every resolution."""
     own = f"{axis}_{ending}"
     return fields.number("stereo", own if fields.has("stereo", own) else axis)
 
 
-def _read_eye_calibration(fields: _Fields, section: str) -> EyeCalibration:
+def _read_eye_calibration(fields: _CaseInsensitiveFields, section: str) -> EyeCalibration:
     fx, fy, cx, cy = (fields.number(section, key) for key in ("fx", "fy", "cx", "cy"))
     needed = {"k1", "k2"}
     lens = tuple(

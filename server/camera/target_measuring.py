@@ -61,7 +61,7 @@ class TargetMeasuring:
             KeptPair(frame.sequence, frame.left.copy(), frame.right.copy(), source.masks_px, source.markers)
         )
 
-    def obey(self, command: TargetCommand) -> None:
+    def execute_command(self, command: TargetCommand) -> None:
         """Serve a target from the next pair on, or begin to measure one; `finished` gives the answer."""
         if isinstance(command, UseTargetCommand):
             return self._source.use(command.target)

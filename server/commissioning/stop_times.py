@@ -80,7 +80,7 @@ async def stop_times(site: Site) -> StepResult:
         except (NotReadyError, LinkError, ValueError) as error:  # what was measured so far is kept
             not_measured.append(f"{name}: {error}")
         else:
-            figures += [*rest_figures(name, case.kind, stop), *travel_figures(name, stop)]
+            figures += [*rest_figures(name, case.kind, stop), *tcp_travel_figures(name, stop)]
             rows.append(_stop_table_row(site, case, stop))
         try:
             await _take_home(site, home)
@@ -144,7 +144,7 @@ def _single_joint_moves(site: Site, q_ref: Array, joint: int, settings: PlanSett
             yield plan_joint_move(site.machine, q_ref, goal, settings)
 
 
-def travel_figures(name: str, stop: StopFigures) -> list[Figure]:
+def tcp_travel_figures(name: str, stop: StopFigures) -> list[Figure]:
     """How far the tool still went, by the encoders."""
     return [Figure(f"{name}: TCP travel", stop.tcp_travel_mm, "mm", at_most=TRAVEL_MAX_MM)]
 

@@ -77,7 +77,7 @@ class MachineVersions:
         """The one of that id."""
         return self._read(self._path(version_id))
 
-    def make(self, answer: dict[str, Any], diagnosis_id: str) -> MachineVersion:
+    def create_version(self, answer: dict[str, Any], diagnosis_id: str) -> MachineVersion:
         """A version of the effects that a budget takes for a machine file, all switched on; it is kept, not used yet.
 
         Raises: CompensationError: the answer holds no confirmed effect, or was found with another machine file.
@@ -101,12 +101,12 @@ class MachineVersions:
             sentence=str(budget.get("sentence", "")),
             miss_mm=budget.get("miss_mm"),
             left_mm=budget.get("left_mm"),
-            effects=_unique_effects(effects),
+            effects=_largest_of_each_effect(effects),
         )
         self._write(version)
         return version
 
-    def switched(self, version_id: str, on: tuple[bool, ...]) -> MachineVersion:
+    def switch_effects(self, version_id: str, on: tuple[bool, ...]) -> MachineVersion:
         """The version with its effects switched on or off, in their order; kept.
 
         Raises: CompensationError: no such version, or another number of effects.
@@ -223,7 +223,7 @@ def _effect_from_budget_line(line: dict[str, Any], used: dict[str, Any]) -> Foun
     return FoundEffect(entry, str(line.get("stage", "")), mm, probability, does, True)
 
 
-def _unique_effects(effects: tuple[FoundEffect, ...]) -> tuple[FoundEffect, ...]:
+def _largest_of_each_effect(effects: tuple[FoundEffect, ...]) -> tuple[FoundEffect, ...]:
     """An effect that stands in several columns of a budget, once: where it does most."""
     kept: dict[EffectEntry, FoundEffect] = {}
     for effect in effects:

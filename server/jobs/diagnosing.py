@@ -79,7 +79,7 @@ class Diagnoses:
             )
         return self._start_diagnosis(Diagnosis(uuid4().hex[:12], recordings))
 
-    def queue(self, recordings: tuple[Path, ...], job_id: str) -> Diagnosis:
+    def queue_diagnosis(self, recordings: tuple[Path, ...], job_id: str) -> Diagnosis:
         """Begin as soon as no other one runs: what an identification's job asks for."""
         busy = any(diagnosis.state in UNDER_WAY for diagnosis in self.all)
         return self._start_diagnosis(Diagnosis(uuid4().hex[:12], recordings, job_id, "waiting" if busy else "running"))

@@ -76,7 +76,7 @@ class Identification:
         if self.session is not None:
             self.session.planned = None
 
-    def executable(self, body: IdentifyRequest, t_now_ns: int) -> tuple[PlannedIdentification, Drive]:
+    def require_fresh_plan(self, body: IdentifyRequest, t_now_ns: int) -> tuple[PlannedIdentification, Drive]:
         """The plan that is named, once. Raises: PlanRefusedError: another one, or too old."""
         session = self.session
         planned = check_identification(None if session is None else session.planned, body.plan_hash, t_now_ns)
@@ -100,6 +100,6 @@ class Identification:
         if not session.recordings:
             job.result = replace(driven, not_followed="there is no recording of it")
             return
-        following = self._diagnoses.queue(tuple(session.recordings), job.job_id)
+        following = self._diagnoses.queue_diagnosis(tuple(session.recordings), job.job_id)
         session.diagnosis_id = following.diagnosis_id
         job.result = replace(driven, followed_by=following.diagnosis_id)

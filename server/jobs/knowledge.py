@@ -74,7 +74,7 @@ class Knowledge:
     unix_minus_mono_s: float = 0.0  # 0 in virtual time
 
     @property
-    def looked(self) -> bool:
+    def has_looked_for_wall(self) -> bool:
         """Whether a look for a wall was taken since the server began: one is known, or the look showed none."""
         return self.T_base_ooi is not None or self.last_look is not None
 

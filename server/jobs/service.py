@@ -140,7 +140,7 @@ class JobService:
         if version_id:
             self.versions.require_this_machine(version_id)
             if on is not None:
-                self.versions.switched(version_id, on)
+                self.versions.switch_effects(version_id, on)
         self.versions.use(version_id)
         self.context = self._context()
         self.cell.knowledge.forget_calibration()
@@ -232,7 +232,7 @@ class JobService:
                 desk = self.identification
                 return plan_identification(ctx, body.minutes, body.wall_free, desk.drive_to_resume(body), desk.keep)
             case IdentifyRequest():
-                return drive_identification(ctx, *self.identification.executable(body, mono_ns()))
+                return drive_identification(ctx, *self.identification.require_fresh_plan(body, mono_ns()))
             case RetractRequest():
                 return retract(ctx, body.distance_mm)
             case JogRequest():
@@ -240,7 +240,7 @@ class JobService:
             case ReturnRequest():
                 return return_to_start(ctx)
             case ParkRequest():
-                if not (ctx.knowledge.looked or body.wall_free):
+                if not (ctx.knowledge.has_looked_for_wall or body.wall_free):
                     raise JobFailedError(
                         "no wall is known, so the clearance while folding cannot be checked: look first, or park with "
                         "wall_free = true if there is none within reach",

@@ -9,7 +9,7 @@ from dataclasses import replace
 from machine.description import Machine
 from protocol.gate import check_trajectory
 from protocol.limits import limits_of
-from protocol.messages import axes8
+from protocol.messages import pad_to_eight_axes
 from recording.clock import mono_ns, mono_s
 from server.link.contracts import (
     ArmRequest,
@@ -225,7 +225,9 @@ class LinkClient:
 
         There every knot is judged again when it is sent.
         """
-        found = await asyncio.to_thread(check_trajectory, knots_from(knots), axes8(knots[0][1]), self._table)
+        found = await asyncio.to_thread(
+            check_trajectory, knots_from(knots), pad_to_eight_axes(knots[0][1]), self._table
+        )
         if found:
             raise LinkRefusedError(refusals_text(found))
 

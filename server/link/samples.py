@@ -8,7 +8,7 @@ import numpy as np
 
 from protocol.codes import HeaderFlag
 from protocol.gate import Refusal
-from protocol.messages import Knot, State, axes8
+from protocol.messages import Knot, State, pad_to_eight_axes
 from server.link.contracts import PlcSample
 from server.link.errors import LinkRefusedError
 from server.listeners import Listeners
@@ -86,7 +86,9 @@ KnotTuple = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 
 def knots_from(tuples: Iterable[KnotTuple]) -> tuple[Knot, ...]:
     """The knots of a request as the link takes them."""
-    return tuple(Knot(t, axes8(q), axes8(qd), axes8(qdd)) for t, q, qd, qdd in tuples)
+    return tuple(
+        Knot(t, pad_to_eight_axes(q), pad_to_eight_axes(qd), pad_to_eight_axes(qdd)) for t, q, qd, qdd in tuples
+    )
 
 
 def refusals_text(refusals: Sequence[Refusal]) -> str:

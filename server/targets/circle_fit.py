@@ -63,7 +63,7 @@ class CircleFit:
 
 
 @dataclass(frozen=True, slots=True)
-class _Edges:
+class _RimEdges:
     """Distances (n,) [px] of the found edge outside the predicted rim, their Jacobian (n, 19), found or not (n,)."""
 
     distance_px: Array
@@ -94,7 +94,7 @@ def fit_circle(
     circle, sign = start, 1.0 if dark_inside else -1.0
     images = (left.astype(np.float32), right.astype(np.float32))
     sigma_edge_m = (SHADING_PX if dark_inside else PAINT_PX) * float(start.centre[2]) / camera.fx_px
-    eyes: list[_Edges] = []
+    eyes: list[_RimEdges] = []
     weights, J, residual = np.zeros(0), np.zeros((0, N)), np.zeros(0)
     step, harmonics, scale = np.zeros(N), np.zeros(N - 7), sigma_px
     for reach in REACHES_PX:
@@ -161,7 +161,7 @@ def _find_rim_edges(
     sign: float,
     reach: float,
     noise_grey: float,
-) -> _Edges:
+) -> _RimEdges:
     """Edges along the normals of the rim in one eye (0 left, 1 right)."""
     shift = np.array([eye * camera.baseline_m, 0.0, 0.0])
     around = 2.0 * np.pi * circle.radius_m * camera.fx_px / float(circle.centre[2])
@@ -203,7 +203,7 @@ def _find_rim_edges(
     J = np.asarray(
         np.hstack([np.einsum("ni,nij->nj", normal, J_point), lever, growth, growth * waves]), dtype=np.float64
     )
-    return _Edges(distance, J, found, inside & _is_gradient_along_normal(image, where, normal, sign))
+    return _RimEdges(distance, J, found, inside & _is_gradient_along_normal(image, where, normal, sign))
 
 
 def _sample_bilinear(image: NDArray[np.float32], places: Array) -> np.ndarray:

@@ -11,7 +11,7 @@ from machine.camera import distortion_jacobian, project, undistort_to_rays
 from machine.description import StereoCamera
 from server.targets.contracts import BoolArray
 from server.vision.contracts import Array, Image
-from server.vision.odometry_align import HALF_PX, align
+from server.vision.odometry_align import HALF_PX, align_reference_patches
 from server.vision.odometry_features import UNIQUE_RATIO_MAX
 
 ROWS_OFF_PX = 1  # EPIPOLAR_MAX_PX of the odometry: rows of the two eyes agree to one pixel
@@ -99,7 +99,7 @@ def fine_disparities(
     lens_left = distortion_jacobian(camera, rays) * scale
     lens_right = distortion_jacobian(camera, rays_right) * scale
     warps = lens_left @ np.linalg.inv(forward) @ np.linalg.inv(lens_right)
-    found = align(left, left_px, warps, right, guesses)
+    found = align_reference_patches(left, left_px, warps, right, guesses)
     seen = undistort_to_rays(camera, found.points_px)
     row = (rays[:, 1] - seen[:, 1]) * camera.fy_px
     good = found.good & (np.abs(row) < ROWS_OFF_PX)

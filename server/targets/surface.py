@@ -31,7 +31,7 @@ Shape = Literal["plane", "curved"]
 
 
 @dataclass(frozen=True, slots=True)
-class _Fit:
+class _DisparityFit:
     """disparity(u, v) about the pixel: coefficients, their covariance, samples on it, residual rms [px]."""
 
     coefficients: Array
@@ -42,7 +42,7 @@ class _Fit:
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _SurfaceQuery:
     """A raw left pixel of a raw pair whose surface is wanted; `name`: for the reasons."""
 
     left: Image
@@ -71,7 +71,7 @@ def measure_patch(
     Args:    left, right: raw grey pair (h, w). pixel: (u, v) [px], raw left image.
     Returns: SurfacePatch; refused ones say what is wrong, by how much, and what would help.
     """
-    place = _Place(left, right, camera, pixel, settings, f"Patch at ({pixel[0]:.0f}, {pixel[1]:.0f}) px")
+    place = _SurfaceQuery(left, right, camera, pixel, settings, f"Patch at ({pixel[0]:.0f}, {pixel[1]:.0f}) px")
     problem = _image_problem(place)
     if problem is not None:
         return problem
@@ -117,7 +117,7 @@ def measure_around(
 ) -> SurfacePatch:
     """The surface around a hole whose rim is depth_m away: as `measure_patch`, from samples outside the discs
     (u, v, radius) [px] to avoid."""
-    place = _Place(left, right, camera, pixel, settings, f"Surface around ({pixel[0]:.0f}, {pixel[1]:.0f}) px")
+    place = _SurfaceQuery(left, right, camera, pixel, settings, f"Surface around ({pixel[0]:.0f}, {pixel[1]:.0f}) px")
     found = place.refused(PatchStatus.NO_TEXTURE, " was not measured")
     for radius_m in settings.radii_m:
         radius_px = radius_m * camera.fx_px / depth_m
@@ -129,7 +129,7 @@ def measure_around(
     return found
 
 
-def _image_problem(place: _Place) -> SurfacePatch | None:
+def _image_problem(place: _SurfaceQuery) -> SurfacePatch | None:
     (u, v), (height, width) = place.pixel, place.left.shape
     margin = min(u, v, width - 1 - u, height - 1 - v)
     if not margin >= CENTRE_HALF_PX:
@@ -148,7 +148,7 @@ def _image_problem(place: _Place) -> SurfacePatch | None:
 
 
 def _measure_at_disparity(
-    place: _Place, disparity_px: float, radius_m: float, avoid: Sequence[tuple[float, float, float]] = ()
+    place: _SurfaceQuery, disparity_px: float, radius_m: float, avoid: Sequence[tuple[float, float, float]] = ()
 ) -> SurfacePatch:
     camera, settings, ray = place.camera, place.settings, place.ray
     depth_m = camera.fx_px * camera.baseline_m / disparity_px
@@ -193,12 +193,12 @@ def _measure_at_disparity(
 
 
 def _match_and_fit_surface(
-    place: _Place, samples: Array, uv: Array, guess: Array, radius_px: float
-) -> tuple[_Fit | None, BoolArray]:
+    place: _SurfaceQuery, samples: Array, uv: Array, guess: Array, radius_px: float
+) -> tuple[_DisparityFit | None, BoolArray]:
     """Fine disparities by the plane of the coarse ones, then the surface through them."""
     start = _robust_plane(uv, guess)
     good = np.zeros(len(samples), dtype=bool)
-    fit: _Fit | None = None
+    fit: _DisparityFit | None = None
     for _ in range(2):  # the second time with the slopes of the first
         expected = _polynomial_terms(uv, "plane") @ start
         near = np.abs(guess - expected) < 2.0  # a coarse match is good to a pixel; else the neighbours' surface
@@ -240,7 +240,9 @@ def _robust_plane(uv: Array, disparity: Array) -> Array:
     return np.asarray(best, dtype=np.float64)
 
 
-def _fit_surface(uv: Array, disparity: Array, good: BoolArray, radius_px: float, settings: TargetSettings) -> _Fit:
+def _fit_surface(
+    uv: Array, disparity: Array, good: BoolArray, radius_px: float, settings: TargetSettings
+) -> _DisparityFit:
     """Plane, or curved patch where the F test asks for it; samples off the surface are left out.
 
     The samples' patches overlap: n of them hold only the patch area's worth of independent ones, and the covariance is
@@ -266,13 +268,13 @@ def _fit_surface(uv: Array, disparity: Array, good: BoolArray, radius_px: float,
     return curved
 
 
-def _limit_px(fit: _Fit, settings: TargetSettings) -> float:
+def _limit_px(fit: _DisparityFit, settings: TargetSettings) -> float:
     return OUTLIER_SIGMAS * max(fit.residual_px, settings.sigma_px)
 
 
 def _least_squares(
     uv: Array, disparity: Array, on: BoolArray, shape: Shape, settings: TargetSettings, overlap: float
-) -> _Fit:
+) -> _DisparityFit:
     A, d = _polynomial_terms(uv[on], shape), disparity[on]
     scale = np.abs(A).max(axis=0)  # columns of one magnitude: the normal equations stay well conditioned
     for _ in range(3):
@@ -291,7 +293,7 @@ def _least_squares(
     dof = max(int(len(d) / overlap) - A.shape[1], 1)
     variance = fitted_variance(float(np.sum(residuals**2)) / overlap, dof, settings.sigma_px) * overlap
     covariance = variance * np.linalg.inv((A / scale).T @ (A / scale)) / np.outer(scale, scale)
-    return _Fit(found / scale, covariance, on, float(np.sqrt(np.mean(residuals**2))), shape)
+    return _DisparityFit(found / scale, covariance, on, float(np.sqrt(np.mean(residuals**2))), shape)
 
 
 def target_frame(normal: Array, origin: Array) -> Array:
@@ -314,7 +316,7 @@ def _frame_of(camera: StereoCamera, ray: Array, abc: Array) -> Array:
     return target_frame(-np.array([beta, gamma, alpha]), origin)
 
 
-def _judge_patch(place: _Place, fit: _Fit, samples: Array, uv: Array, radius_m: float) -> SurfacePatch:
+def _judge_patch(place: _SurfaceQuery, fit: _DisparityFit, samples: Array, uv: Array, radius_m: float) -> SurfacePatch:
     camera, settings, abc = place.camera, place.settings, fit.coefficients[:3]
     T = _frame_of(camera, place.ray, abc)
     covariance = _pose_covariance(place, abc, fit.covariance[:3, :3], T)
@@ -357,7 +359,7 @@ def uncertainty_95(covariance: Array) -> tuple[float, float]:
     return float(np.rad2deg(tilt)), float(place)
 
 
-def _pose_covariance(place: _Place, abc: Array, C_abc: Array, T: Array) -> Array:
+def _pose_covariance(place: _SurfaceQuery, abc: Array, C_abc: Array, T: Array) -> Array:
     """First-order covariance (6, 6) of the pose; the pixel is exact, so across the ray only the alignment's noise."""
     J = np.zeros((6, 3))
     for k, step in enumerate(np.array([1e-3, 1e-6, 1e-6])):

@@ -15,10 +15,10 @@ from server.targets.anchor import LANDMARKS_MIN, landmarks_of
 from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetSettings
 from server.targets.tracking import FIX_MIN, MarksPose, SearchedPair, align_marks, solve_pose
 from server.vision.contracts import Image
-from server.vision.odometry_align import align
+from server.vision.odometry_align import align_reference_patches
 from server.vision.odometry_features import allowed_masks, inside_mask
 from server.vision.odometry_keyframe import triangulated
-from server.vision.odometry_sight import StereoMatches, optical_flow, plausible
+from server.vision.odometry_sight import StereoMatches, optical_flow, plausible_match_mask
 
 CONTRAST_MIN = 0.02  # half of OpenCV's default: worn paint has less contrast than the rock around it
 RIM_PX = 32  # about the features' region: the support of a descriptor
@@ -171,9 +171,9 @@ def _in_right(
         return left_px, np.zeros(0, dtype=bool)
     guess = left_px - [camera.fx_px * camera.baseline_m / depth_m, 0.0]
     coarse = optical_flow(left, right, left_px, guess)
-    fine = align(left, left_px, np.tile(np.eye(2), (len(left_px), 1, 1)), right, coarse.points_px)
+    fine = align_reference_patches(left, left_px, np.tile(np.eye(2), (len(left_px), 1, 1)), right, coarse.points_px)
     good = coarse.good & fine.good
-    return fine.points_px, plausible(camera, undistort_to_rays(camera, left_px), fine.points_px, good)
+    return fine.points_px, plausible_match_mask(camera, undistort_to_rays(camera, left_px), fine.points_px, good)
 
 
 def _frame_covariance(covariance: Array, T_cam_marker: Array, box: ObjectBox) -> Array:

@@ -9,11 +9,11 @@ import numpy as np
 from machine.camera import project_stereo, projection_jacobian, undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import moved_pose, transform_points
-from machine.rotations import skew, skews
+from machine.rotations import skew, skew_matrices
 from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetFix, TargetSettings, no_fix
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
-from server.vision.odometry_align import align
+from server.vision.odometry_align import align_reference_patches
 from server.vision.odometry_features import allowed_masks, inside_mask, recognise
 from server.vision.odometry_pose import ransac_pose
 from server.vision.odometry_sight import optical_flow
@@ -220,7 +220,9 @@ def align_marks(
     found = []
     for eye, places, guesses in ((0, marks.left_px, left_px), (1, marks.right_px, right_px)):
         small = _downsampled_image(pair.images[eye], level)
-        at = align(references[eye], places[indices], warps, small, (guesses[indices] + 0.5) * scale - 0.5)
+        at = align_reference_patches(
+            references[eye], places[indices], warps, small, (guesses[indices] + 0.5) * scale - 0.5
+        )
         found.append(((at.points_px + 0.5) / scale - 0.5, at.good))
     good = found[0][1] & found[1][1]
     return SeenMarks(indices[good], np.hstack([found[0][0][good], found[1][0][good]])), len(indices)
@@ -261,7 +263,7 @@ def solve_pose(pair: SearchedPair, marks: Landmarks, seen: SeenMarks, start: Arr
         cam = transform_points(T, points)
         both = [projection_jacobian(camera, cam), projection_jacobian(camera, cam - shift)]
         J_point = np.concatenate(both, axis=1)
-        turned = -skews(cam - T[:3, 3])
+        turned = -skew_matrices(cam - T[:3, 3])
         R = T[:3, :3]
         noise = pair.settings.sigma_px**2 * np.eye(4) + J_point @ (R @ C @ R.T) @ J_point.transpose(0, 2, 1)
         root = np.linalg.inv(np.linalg.cholesky(noise))

@@ -12,7 +12,7 @@ from numba import njit
 from machine.poses import pose_difference
 from server.vision.contracts import Array, ObjectPose, PoseStatus
 from server.vision.pose_refinement import KernelArrays, PointObservations, kernel_arrays, sum_squares
-from server.vision.small_algebra import apply, rotated, solve_positive
+from server.vision.small_algebra import apply, rotated_by_rotvec, solve_positive
 
 PROFILE_STEPS = 6
 REACH_SIGMAS = 2.45
@@ -51,7 +51,7 @@ def _partly_mirrored_pose(T_cam_object: Array, middle_object: Array, eye_x_m: fl
     if sine < 1e-12:
         return T
     angle = 2.0 * share * math.atan2(sine, nx * sight[0] + ny * sight[1] + nz * sight[2])
-    mirrored = rotated(rotation, axis * (angle / sine))
+    mirrored = rotated_by_rotvec(rotation, axis * (angle / sine))
     T[:3, :3], T[:3, 3] = mirrored, middle - apply(mirrored, middle_object)
     return T
 
@@ -121,7 +121,7 @@ def _steps_to_cost_rise(
     """How many times `step` (6,) must be taken until the profile has risen by `rise` [px^2]; 0.25 to 6."""
     low, high, at, found = 0.0, np.inf, 1.0, 1.0
     for _ in range(REACH_STEPS):
-        total = _best_cost_for_rotation(rotated(rotation, at * step[:3]), position + at * step[3:], given)
+        total = _best_cost_for_rotation(rotated_by_rotvec(rotation, at * step[:3]), position + at * step[3:], given)
         found = at
         ratio = (total - best) / rise
         if abs(ratio - 1.0) < 0.1:

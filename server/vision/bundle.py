@@ -15,7 +15,7 @@ from server.vision.bundle_contracts import (
     BundleWork,
     Indices,
     check_shapes,
-    make_layout,
+    kernel_layout_and_start,
     make_work,
 )
 from server.vision.bundle_covariance import (
@@ -220,7 +220,7 @@ def adjust_bundle(problem: BundleProblem, settings: BundleSettings | None = None
     """
     settings = settings or BundleSettings()
     check_shapes(problem)
-    layout, start, order = make_layout(problem, settings)
+    layout, start, order = kernel_layout_and_start(problem, settings)
     reason = why_degenerate(problem, layout, start)
     if reason:
         return _degenerate_result(problem, start, reason, 0)

@@ -194,7 +194,9 @@ def _seen_rays(problem: BundleProblem) -> tuple[Array, Mask]:
     return np.where(seen, uv, 0.0), seen
 
 
-def make_layout(problem: BundleProblem, settings: BundleSettings) -> tuple[BundleLayout, BundleState, Indices]:
+def kernel_layout_and_start(
+    problem: BundleProblem, settings: BundleSettings
+) -> tuple[BundleLayout, BundleState, Indices]:
     """Layout and start, and the order (n,) in which the observations were sorted."""
     order = np.argsort(problem.points, kind="stable")
     rays, seen = _seen_rays(problem)

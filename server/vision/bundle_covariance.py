@@ -8,8 +8,8 @@ import numpy as np
 from numba import njit
 
 from server.vision.bundle_contracts import BundleLayout, BundleState, BundleWork, Indices, Mask
-from server.vision.bundle_reduced import assemble, back_substitute, choose_charts, factor, solve_factored
-from server.vision.bundle_residuals import CAUCHY, CUT, HUBER, drop_behind, linearise, move, observations_cost
+from server.vision.bundle_reduced import assemble, back_substitute, cholesky_in_place, choose_charts, solve_factored
+from server.vision.bundle_residuals import CAUCHY, CUT, HUBER, apply_step, drop_behind, linearise, observations_cost
 from server.vision.contracts import Array
 
 CHI2_MEDIANS = np.array([1.0, 0.4549, 1.3863, 2.3660])  # by degrees of freedom
@@ -26,7 +26,7 @@ BEHIND_PATIENCE = 4  # steps refused because a point would go behind an eye; the
 def _solve_damped_step(layout: BundleLayout, work: BundleWork, damping: float, step: Array) -> float:
     """Damped step of the frames into `step`, of the points into the workspace; returns the promised gain, -1: none."""
     assemble(layout, work, damping)
-    if not factor(work.reduced):
+    if not cholesky_in_place(work.reduced):
         return -1.0
     for j in range(len(step)):
         step[j] = -work.right[j]
@@ -68,7 +68,7 @@ def minimise(
             return NOT_FINITE, iteration
         if gain >= 0.0:
             near = damping <= DAMPING_SMALL and (2.0 * gain < step_tol * step_tol or gain < NOISE * cost)
-            move(layout, state, work, step, trial)
+            apply_step(layout, state, work, step, trial)
             new, behind = observations_cost(layout, trial)
             if behind == 0 and new <= cost:
                 ratio = (cost - new) / max(gain, 1e-300)
@@ -119,7 +119,7 @@ def frames_spread(layout: BundleLayout, state: BundleState, work: BundleWork, li
     covariance = np.zeros((c, c))
     size = np.sqrt(np.maximum(work.diagonal, 1e-300))
     scaled = work.reduced / size[:, None] / size
-    if not factor(scaled):
+    if not cholesky_in_place(scaled):
         return Spread(covariance, np.zeros(c))
     _invert_factored(scaled, covariance)
     own = 1.0 / np.maximum(np.diag(covariance), 1e-300)

@@ -9,7 +9,7 @@ from server.vision.contracts import Array
 
 
 @njit(cache=True, nogil=True)
-def factor(matrix: Array) -> bool:
+def cholesky_in_place(matrix: Array) -> bool:
     """Cholesky of the lower triangle (c, c) in place; False where it is not positive definite."""
     for j in range(len(matrix)):
         row = matrix[j]

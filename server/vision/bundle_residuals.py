@@ -12,7 +12,7 @@ from numba import njit
 
 from server.vision.bundle_contracts import BundleLayout, BundleState, BundleWork
 from server.vision.contracts import Array
-from server.vision.small_algebra import rotated
+from server.vision.small_algebra import rotated_by_rotvec
 
 NONE, HUBER, CAUCHY, CUT = 0, 1, 2, 3  # BundleLoss; CUT: 1 below the scale, 0 beyond (for covariances)
 Three = tuple[float, float, float]
@@ -22,7 +22,7 @@ SHRINK_MIN = -0.9  # of the relative inverse depth in one step: no point jumps b
 
 
 @njit(cache=True, nogil=True)
-def move(layout: BundleLayout, state: BundleState, work: BundleWork, step: Array, trial: BundleState) -> None:
+def apply_step(layout: BundleLayout, state: BundleState, work: BundleWork, step: Array, trial: BundleState) -> None:
     """Write the moved state into `trial`: frames by R <- exp(w) R, t <- t + dt, points in their charts."""
     for frame in range(len(layout.column)):
         column = layout.column[frame]
@@ -31,7 +31,7 @@ def move(layout: BundleLayout, state: BundleState, work: BundleWork, step: Array
             trial.position[frame] = state.position[frame]
             continue
         part = step[6 * column : 6 * column + 6]
-        trial.rotation[frame] = rotated(state.rotation[frame], part[:3])
+        trial.rotation[frame] = rotated_by_rotvec(state.rotation[frame], part[:3])
         for j in range(3):
             trial.position[frame, j] = state.position[frame, j] + part[3 + j]
     for p in range(len(work.anchor)):

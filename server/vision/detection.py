@@ -37,7 +37,7 @@ TURN_MIN_PX = 0.5  # the sag of the sides is computed again once the corners hav
 
 
 @dataclass(slots=True)
-class _Followed:
+class _TrackedMarker:
     """What is remembered of one marker: its last two places, and how the lens bows its sides there."""
 
     corners_px: Array
@@ -58,7 +58,7 @@ class MarkerFollower:
         self._dictionary = dictionary
         self._cells: dict[int, NDArray[np.bool_]] = {}
         self._patterns: dict[int, Array] = {}
-        self._followed: dict[int, _Followed] = {}
+        self._followed: dict[int, _TrackedMarker] = {}
 
     def follow(self, marker_id: int, image: Image) -> FoundMarker | None:
         """The marker in the next image of this eye; None where it must be searched."""
@@ -76,21 +76,21 @@ class MarkerFollower:
             return None
         return FoundMarker(marker_id, corners, fit)
 
-    def remember(self, found: dict[int, FoundMarker]) -> None:
+    def store_marker_positions(self, found: dict[int, FoundMarker]) -> None:
         """Take over where the markers are in this pair; what is not clean is forgotten."""
-        followed: dict[int, _Followed] = {}
+        followed: dict[int, _TrackedMarker] = {}
         for marker_id, marker in found.items():
             if marker.fit is not SideFit.CLEAN:
                 continue
             last = self._followed.get(marker_id)
             if last is None:
                 sags = side_sags(self._camera, marker.corners_px)
-                followed[marker_id] = _Followed(marker.corners_px, None, sags, marker.corners_px)
+                followed[marker_id] = _TrackedMarker(marker.corners_px, None, sags, marker.corners_px)
             else:
-                followed[marker_id] = _Followed(marker.corners_px, last.corners_px, last.sags_px, last.sags_at_px)
+                followed[marker_id] = _TrackedMarker(marker.corners_px, last.corners_px, last.sags_px, last.sags_at_px)
         self._followed = followed
 
-    def _cached_side_sags(self, known: _Followed, corners_px: Array) -> Array:
+    def _cached_side_sags(self, known: _TrackedMarker, corners_px: Array) -> Array:
         if float(np.abs(corners_px - known.sags_at_px).max()) > TURN_MIN_PX:
             known.sags_px, known.sags_at_px = side_sags(self._camera, corners_px), corners_px
         return known.sags_px
@@ -196,7 +196,7 @@ class EyeDetector:
     def _record_detection(self, found: dict[int, FoundMarker], full_search: bool) -> EyeDetection:
         self._last = found
         if self._settings.refine:
-            self._follower.remember(found)
+            self._follower.store_marker_positions(found)
         clean = {marker.marker_id: marker.corners_px for marker in found.values() if not marker.covered}
         covered = {marker.marker_id: marker.corners_px for marker in found.values() if marker.covered}
         bare = frozenset(marker.marker_id for marker in found.values() if marker.fit is SideFit.NO_MARGIN)

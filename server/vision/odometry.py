@@ -12,7 +12,7 @@ from machine.rotations import nearest_rotation
 from server.vision.contracts import Array, Image, OdometryPose, OdometryStatus
 from server.vision.odometry_adjustment import adjust_keyframes
 from server.vision.odometry_covariance import KeyframeCovariances, readout_of
-from server.vision.odometry_features import allowed_mask, coverage
+from server.vision.odometry_features import allowed_mask, covered_cell_count
 from server.vision.odometry_keyframe import Keyframe, SeenHere, make_keyframe, wants_keyframe
 from server.vision.odometry_motion import (
     Motion,
@@ -23,11 +23,11 @@ from server.vision.odometry_motion import (
     standing_motion,
     with_scale_error,
 )
-from server.vision.odometry_motions import LocatedPose, Scene, motions, part_motions, world_motion
+from server.vision.odometry_motions import LocatedPose, Scene, find_motions, part_motions, world_motion
 from server.vision.odometry_observation import ObservedPoints, OwnStructure, expected_right, observe_map, vote_by_pair
 from server.vision.odometry_place import best_place, by_flow, by_recognition, travel_limit_m
 from server.vision.odometry_pose import PoseFit, pose_problem, rough_pose, settled_pose
-from server.vision.odometry_sensitivity import Sensitivity, Shutter, sensitivity
+from server.vision.odometry_sensitivity import Sensitivity, Shutter, fit_sensitivity
 from server.vision.odometry_sight import ImageSight, Sight
 from server.vision.odometry_verdict import Evidence, OdometrySettings, odometry_verdict
 from server.vision.odometry_warm_up import warm_up
@@ -139,7 +139,7 @@ class StereoOdometry:
         return OdometryPose(sight.t_exposure_ns, np.eye(4), np.zeros((6, 6)), status, reason, keyframe.n_points)
 
     def _locate_camera(self, sight: Sight, last: LastLocatedPair) -> LocatedPose | None:
-        located = self._fit_pose_to_map(sight, last.motion, last.motion.predict(sight.t_exposure_ns), False)
+        located = self._fit_pose_to_map(sight, last.motion, last.motion.predict_pose_at(sight.t_exposure_ns), False)
         if located is not None:
             return located
         self._unsure_m = max(self._unsure_m, travel_limit_m(last.motion, sight.t_exposure_ns))
@@ -220,7 +220,7 @@ class StereoOdometry:
             coverage_good=settings.coverage_good,
         )
         parts, sure = part_motions(problem, first, scene, settings.inliers_min)
-        fits = parts if sure else motions(problem, first, settings.inliers_min)
+        fits = parts if sure else find_motions(problem, first, settings.inliers_min)
         fit, rival, doubt = world_motion(fits, scene)
         if parts and not sure and rival is None:
             rival = world_motion(parts, scene)[0]  # within the noise: not decided, but held by the covariance
@@ -292,7 +292,7 @@ class StereoOdometry:
         full = self._settings.keyframe_below_frac * np.array([self._full_points, self._full_coverage])
         wanted = (
             wants_keyframe(inliers_px, self._shape, *full)
-            and (motion.steady or not self._has_rolling_shutter)
+            and (motion.is_velocity_known or not self._has_rolling_shutter)
             and not located.doubt
         )
         kept = sight.keep() if wanted else sight
@@ -318,7 +318,7 @@ class StereoOdometry:
     def _learn_readout(self, gains: Sensitivity) -> None:
         if self._readout.sigma_s == 0.0:
             return
-        self._readout = self._readout.learned(gains.readout_step_s, gains.readout_information)
+        self._readout = self._readout.updated_with_step(gains.readout_step_s, gains.readout_information)
         for keyframe in self._keyframes:
             keyframe.place(keyframe.T_vo_cam, keyframe.twist, self._readout.value_s)
 
@@ -330,7 +330,7 @@ class StereoOdometry:
             fractions_key[on] = self._keyframes[number].row_fractions[observed.indices[on]]
         fractions = self._image_row_fractions(observed.left_px)
         shutter = Shutter(fractions, fractions_key, located.twist.value, self._readout.size_s)
-        return sensitivity(observed, located.fit, located.points_vo, shutter, self._keyframes)
+        return fit_sensitivity(observed, located.fit, located.points_vo, shutter, self._keyframes)
 
     def _seen_here(self, located: LocatedPose) -> SeenHere:
         observed, on = located.observed, located.fit.inliers
@@ -371,7 +371,7 @@ class StereoOdometry:
             self._known.remove(1)
         everything = np.concatenate([occupied_px, keyframe.places_left_px])
         self._full_points = min(len(everything), settings.points_max)
-        self._full_coverage = coverage(everything, self._shape)
+        self._full_coverage = covered_cell_count(everything, self._shape)
         return keyframe
 
     def _lost(self, t_exposure_ns: int, reason: str) -> OdometryPose:

@@ -150,7 +150,9 @@ def _align_patches(reference: Image, points: Array, warps: Array, image: Image, 
     return found, correlations
 
 
-def align(reference: Image, points_px: Array, warps: Array, image: Image, guesses_px: Array) -> Alignment:
+def align_reference_patches(
+    reference: Image, points_px: Array, warps: Array, image: Image, guesses_px: Array
+) -> Alignment:
     """Sub-pixel places of reference patches in a new image.
 
     Model:   min over (x, gain, offset) of sum over d of (I(x + d) - gain T(d) - offset)^2, T(d) = I_ref(x_ref + W d),

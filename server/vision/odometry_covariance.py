@@ -30,7 +30,7 @@ class Readout:
         """How long it may well be: what a wrong velocity is multiplied by."""
         return float(np.hypot(self.value_s, self.sigma_s))
 
-    def learned(self, step_s: float, information: float) -> "Readout":
+    def updated_with_step(self, step_s: float, information: float) -> "Readout":
         """After one more pair said: change it by `step_s`, with this information [1/s^2]."""
         if self.sigma_s == 0.0 or information <= 0.0:
             return self

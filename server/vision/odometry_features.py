@@ -88,7 +88,7 @@ def cell_numbers(points_px: Array, shape: tuple[int, int]) -> NDArray[np.int64]:
     return y * COLUMNS + x
 
 
-def coverage(points_px: Array, shape: tuple[int, int]) -> int:
+def covered_cell_count(points_px: Array, shape: tuple[int, int]) -> int:
     """How many of the image's coarse cells hold a point."""
     return len(np.unique(cell_numbers(points_px, shape)))
 

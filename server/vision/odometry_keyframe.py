@@ -10,7 +10,7 @@ from machine.camera import distortion_jacobian, project_stereo, undistort_to_ray
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
 from server.vision.contracts import Array
-from server.vision.odometry_features import coverage
+from server.vision.odometry_features import covered_cell_count
 from server.vision.odometry_motion import moved_by_twist, row_fractions
 from server.vision.odometry_sight import SearchPoints, Sight, StereoMatches
 
@@ -20,7 +20,7 @@ def wants_keyframe(inliers_px: Array, shape: tuple[int, int], points_min: float,
 
     Args: inliers_px: (n, 2); shape: of the picture (rows, columns).
     """
-    return len(inliers_px) < points_min or coverage(inliers_px, shape) < cells_min
+    return len(inliers_px) < points_min or covered_cell_count(inliers_px, shape) < cells_min
 
 
 def ray_noise(camera: StereoCamera, rays: Array) -> Array:

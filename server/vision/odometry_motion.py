@@ -34,7 +34,7 @@ class Motion:
     mean_before: Array | None  # mean velocity of the step before
     step_before_ns: int
 
-    def predict(self, t_ns: int) -> Array:
+    def predict_pose_at(self, t_ns: int) -> Array:
         """T_vo_cam at a time if the last motion goes on."""
         return predict_pose(self.T_vo_cam, self.step, self.step_ns, t_ns - self.t_ns)
 
@@ -51,7 +51,7 @@ class Motion:
         return Motion(T_vo_cam, t_ns, step, t_ns - self.t_ns, mean, self.step_ns)
 
     @property
-    def steady(self) -> bool:
+    def is_velocity_known(self) -> bool:
         """Whether the velocity is well known: the last two steps were short enough to show it and its change."""
         return 0 < self.step_ns < GAP_MAX_NS and self.mean_before is not None
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from machine.poses import transform_points
 from server.vision.contracts import Array
-from server.vision.odometry_features import N_CELLS, cell_numbers, coverage
+from server.vision.odometry_features import N_CELLS, cell_numbers, covered_cell_count
 from server.vision.odometry_motion import Twist
 from server.vision.odometry_observation import ObservedPoints
 from server.vision.odometry_pose import PoseFit, PoseProblem, minimise, normal_equations, rough_pose, settled_pose
@@ -96,7 +96,7 @@ def _best_sample(
     return found_rotation, found_position
 
 
-def motions(problem: PoseProblem, first: PoseFit, needed: int) -> list[PoseFit]:
+def find_motions(problem: PoseProblem, first: PoseFit, needed: int) -> list[PoseFit]:
     """All motions that at least `needed` points of their own agree with, the given one first.
 
     Model:   sequential RANSAC with the truncated cost of MSAC and a fixed scale: what no motion explains yet gives
@@ -156,7 +156,7 @@ def part_motions(problem: PoseProblem, fit: PoseFit, scene: Scene, needed: int) 
 
 
 @dataclass(frozen=True, slots=True)
-class _Side:
+class _MotionHypothesis:
     """One motion and the points that only it explains. still: it moved them
     in the picture by less than the noise."""
 
@@ -169,12 +169,12 @@ class _Side:
     able: bool
 
 
-def _evidence_for_fit(fit: PoseFit, other: PoseFit, scene: Scene) -> _Side:
+def _evidence_for_fit(fit: PoseFit, other: PoseFit, scene: Scene) -> _MotionHypothesis:
     on = fit.inliers & ~other.inliers
-    count, spread = int(on.sum()), coverage(scene.left_px[on], scene.shape)
+    count, spread = int(on.sum()), covered_cell_count(scene.left_px[on], scene.shape)
     depths = transform_points(fit.T_cam_vo, scene.points_vo[on])[:, 2]
     gained = np.sum(np.minimum(scene.rest_squares[on], fit.limit) - fit.squares[on])
-    return _Side(
+    return _MotionHypothesis(
         fit=fit,
         count=count,
         spread=spread,
@@ -198,7 +198,7 @@ def world_motion(fits: Sequence[PoseFit], scene: Scene) -> tuple[PoseFit, PoseFi
     return world, rival, doubt
 
 
-def _choose_world_motion(one: _Side, two: _Side, scene: Scene) -> tuple[PoseFit, PoseFit, str]:
+def _choose_world_motion(one: _MotionHypothesis, two: _MotionHypothesis, scene: Scene) -> tuple[PoseFit, PoseFit, str]:
     """Winner, loser, and why that is doubtful: by what earlier motion showed, then by the picture.
 
     Own structure stands still in the picture while the world behind it moves; a thing that moves by itself does so in

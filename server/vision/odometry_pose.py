@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from machine.poses import pose
 from machine.rotations import nearest_rotation
 from server.vision.contracts import Array
-from server.vision.small_algebra import apply, rotated, solve_positive
+from server.vision.small_algebra import apply, rotated_by_rotvec, solve_positive
 
 RANSAC_PX = 2.5
 RANSAC_ROUNDS = 150
@@ -267,7 +267,7 @@ def minimise(
         for k in range(6):
             damped[k, k] += damping * information[k, k] + 1e-6
         step = solve_positive(damped, -gradient)
-        new_rotation, new_position = rotated(rotation, step[:3]), position + step[3:]
+        new_rotation, new_position = rotated_by_rotvec(rotation, step[:3]), position + step[3:]
         new = normal_equations(new_rotation, new_position, points, rays, roots, shape, limit)
         if new[2] <= cost:
             small = cost - new[2] < 1e-6 * cost

@@ -165,7 +165,7 @@ def keyframe_mixture(keyframes: Sequence[Keyframe], hosts: Indices, indices: Ind
     return numbers, mixings
 
 
-def sensitivity(
+def fit_sensitivity(
     observed: ObservedPoints, fit: PoseFit, points_vo: Array, shutter: Shutter, keyframes: Sequence[Keyframe]
 ) -> Sensitivity:
     """How a fit follows the errors that its points share.

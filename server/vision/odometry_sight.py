@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
-from server.vision.odometry_align import CORRELATION_MIN, HALF_PX, Alignment, align
+from server.vision.odometry_align import CORRELATION_MIN, HALF_PX, Alignment, align_reference_patches
 from server.vision.odometry_features import (
     UNIQUE_RATIO_MAX,
     inside_mask,
@@ -163,7 +163,7 @@ class ImageSight:
         corners = spread_corners(self.left, self.masks[0], count, occupied_px)
         found = optical_flow(self.left, self.right, corners)
         rays_left = undistort_to_rays(camera, corners)
-        right_px, good = found.points_px, plausible(camera, rays_left, found.points_px, found.good)
+        right_px, good = found.points_px, plausible_match_mask(camera, rays_left, found.points_px, found.good)
         if 0 < good.sum() < len(good):
             shift = np.median(right_px[good] - corners[good], axis=0)
             again = optical_flow(self.left, self.right, corners[~good], corners[~good] + shift)
@@ -171,9 +171,9 @@ class ImageSight:
             right_px[~good] = again.points_px
             retried = good.copy()
             retried[~good] = again.good
-            good = plausible(camera, rays_left, right_px, retried)
+            good = plausible_match_mask(camera, rays_left, right_px, retried)
         right_px, unique = self._best_disparity(corners, right_px, good)
-        good = plausible(camera, rays_left, right_px, good) & inside_mask(self.masks[1], right_px)
+        good = plausible_match_mask(camera, rays_left, right_px, good) & inside_mask(self.masks[1], right_px)
         return StereoMatches(corners[good], right_px[good], texture_grey(self.left, corners[good]), unique)
 
     def _best_disparity(self, corners: Array, right_px: Array, good: NDArray[np.bool_]) -> tuple[Array, bool]:
@@ -190,7 +190,7 @@ class ImageSight:
 
         def unlike(way: Array) -> Array:
             guesses = right_px[some] + way
-            found = align(self.left, corners[some], warps, self.right, guesses)
+            found = align_reference_patches(self.left, corners[some], warps, self.right, guesses)
             inside = ((guesses >= border) & (guesses < size - border)).all(axis=1)
             least = np.where(found.good, 1.0 - found.correlation**2, worst)
             return np.where(inside, least, np.nan)
@@ -211,14 +211,20 @@ class ImageSight:
         unique = bool(ratio <= UNIQUE_RATIO_MAX)
         if not offset.any():
             return right_px, unique
-        moved = align(self.left, corners, np.tile(np.eye(2), (len(corners), 1, 1)), self.right, right_px + offset)
+        moved = align_reference_patches(
+            self.left, corners, np.tile(np.eye(2), (len(corners), 1, 1)), self.right, right_px + offset
+        )
         return np.where(moved.good[:, None], moved.points_px, np.nan), unique
 
     def find(self, kept: Sight, wanted: SearchPoints) -> tuple[Alignment, Alignment]:
         """Patches of the kept pair, warped, laid onto this one; what lies under a mask is not found."""
         kept = _require_image_sight(kept)
-        left = align(kept.left, wanted.places_left_px, wanted.warps, self.left, wanted.guesses_left_px)
-        right = align(kept.right, wanted.places_right_px, wanted.warps, self.right, wanted.guesses_right_px)
+        left = align_reference_patches(
+            kept.left, wanted.places_left_px, wanted.warps, self.left, wanted.guesses_left_px
+        )
+        right = align_reference_patches(
+            kept.right, wanted.places_right_px, wanted.warps, self.right, wanted.guesses_right_px
+        )
         shown = right.good & inside_mask(self.masks[1], right.points_px)
         return left, Alignment(right.points_px, right.correlation, shown)
 
@@ -252,7 +258,9 @@ def _require_image_sight(kept: Sight) -> ImageSight:
     return kept
 
 
-def plausible(camera: StereoCamera, rays_left: Array, right_px: Array, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def plausible_match_mask(
+    camera: StereoCamera, rays_left: Array, right_px: Array, good: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Which matches (n,) lie on the epipolar line (rows agree to 1 px), in front of the eyes, and inside the image."""
     height, width = camera.height_px, camera.width_px
     inside = np.asarray((right_px >= 0.0).all(axis=1) & (right_px < [width, height]).all(axis=1))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from server.vision.contracts import Array, OdometryStatus
-from server.vision.odometry_features import coverage
+from server.vision.odometry_features import covered_cell_count
 
 REFERENCE_PX2 = 1280 * 720  # `inliers_good` is of such a picture; a smaller one has room for fewer corners
 
@@ -57,7 +57,11 @@ class Evidence:
 def odometry_verdict(settings: OdometrySettings, shape: tuple[int, int], found: Evidence) -> tuple[OdometryStatus, str]:
     """OK, or DEGRADED and why; `shape` of a picture, height first."""
     good_m = settings.sigma_good_m + settings.sigma_good_frac * found.distance_m
-    count, covered, wanted = len(found.inliers_px), coverage(found.inliers_px, shape), settings.count_good(shape)
+    count, covered, wanted = (
+        len(found.inliers_px),
+        covered_cell_count(found.inliers_px, shape),
+        settings.count_good(shape),
+    )
     sigma_m = float(np.sqrt(max(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1], 0.0)))
     reason = ""
     if count < wanted:

@@ -6,12 +6,12 @@ import numpy as np
 
 from server.vision.bundle import adjust_bundle
 from server.vision.bundle_contracts import BundleProblem
-from server.vision.odometry_align import align
+from server.vision.odometry_align import align_reference_patches
 from server.vision.odometry_keyframe import Keyframe
-from server.vision.odometry_motions import motions
+from server.vision.odometry_motions import find_motions
 from server.vision.odometry_observation import ObservedPoints
 from server.vision.odometry_pose import StereoPoints, pose_problem, refine_camera
-from server.vision.odometry_sensitivity import Shutter, sensitivity
+from server.vision.odometry_sensitivity import Shutter, fit_sensitivity
 from server.vision.odometry_sight import ImageSight
 
 
@@ -43,7 +43,7 @@ def warm_up() -> None:
     rng = np.random.default_rng(1)
     image = rng.integers(0, 255, (48, 48)).astype(np.uint8)
     middle = np.array([[24.0, 24.0]])
-    align(image, middle, np.eye(2)[None], image, middle)
+    align_reference_patches(image, middle, np.eye(2)[None], image, middle)
     points = rng.uniform(-1.0, 1.0, (12, 3)) + np.array([0.0, 0.0, 5.0])
     left, right = points[:, :2] / points[:, 2:], (points[:, :2] - [0.1, 0.0]) / points[:, 2:]
     seen = StereoPoints(points, np.tile(1e-6 * np.eye(3), (12, 1, 1)), left, right, 0.1, 500.0, 0.1)
@@ -52,11 +52,11 @@ def warm_up() -> None:
         return
     problem = pose_problem(np.eye(4), seen)
     problem.squares(np.eye(4))
-    motions(problem, replace(fit, inliers=np.zeros(12, dtype=bool)), 3)
+    find_motions(problem, replace(fit, inliers=np.zeros(12, dtype=bool)), 3)
     numbers = np.zeros(12, dtype=np.int64)
     observed = ObservedPoints(numbers, numbers, left, right, 12, seen, points, np.zeros(12, dtype=np.int8), np.ones(12))
     shutter = Shutter(left[:, 0], left[:, 0], np.ones(6), 0.01)
-    sensitivity(observed, fit, points, shutter, [_dummy_keyframe()])
+    fit_sensitivity(observed, fit, points, shutter, [_dummy_keyframe()])
 
 
 def _dummy_keyframe() -> Keyframe:

@@ -8,7 +8,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from server.vision.contracts import Array
-from server.vision.small_algebra import rotated, solve_positive
+from server.vision.small_algebra import rotated_by_rotvec, solve_positive
 
 DEPTH_MIN_M = 0.02  # nearer points are behind the glass: no pose puts them there
 ITERATIONS_MAX = 60
@@ -136,7 +136,7 @@ def _levenberg_marquardt(T: Array, given: KernelArrays) -> tuple[Array, Array, f
         for k in range(6):
             damped[k, k] += damping * information[k, k] + 1e-9
         step = solve_positive(damped, -gradient)
-        new_rotation = rotated(rotation, step[:3])
+        new_rotation = rotated_by_rotvec(rotation, step[:3])
         new_position = position + step[3:]
         new_total = sum_squares(new_rotation, new_position, given)
         if new_total <= total:

@@ -58,7 +58,7 @@ def apply(matrix: Array, vector: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def rotated(rotation: Array, rotvec: Array) -> Array:
+def rotated_by_rotvec(rotation: Array, rotvec: Array) -> Array:
     """exp(rotvec) @ rotation, Rodrigues with its series below 1e-9 rad."""
     angle = math.sqrt(rotvec[0] ** 2 + rotvec[1] ** 2 + rotvec[2] ** 2)
     first, second = 1.0, 0.5

@@ -128,7 +128,7 @@ class TeachTask:
 
 
 @dataclass(frozen=True, slots=True)
-class _Fits:
+class _LayoutFitPair:
     """Both fits of one set of corners: with all that is known, and with the sides left to the images."""
 
     seen: SeenViews
@@ -181,7 +181,7 @@ def refused_layout(refusal: Refusal, n_views: int) -> TaughtLayout:
 
 def _fit_layouts(
     views: Sequence[TeachView], task: TeachTask, camera: StereoCamera, settings: TeachSettings
-) -> _Fits | Refusal:
+) -> _LayoutFitPair | Refusal:
     refusal = _check_task(task) or check_input(views, task.ids)
     if refusal:
         return refusal
@@ -232,7 +232,7 @@ def _layout_priors(task: TeachTask, sides_m: Array, settings: TeachSettings) -> 
 
 def _refit_with_measured_noise(
     seen: SeenViews, corners: Corners, fit: LayoutFit, priors: Priors, n_dropped: int
-) -> _Fits:
+) -> _LayoutFitPair:
     """Take the noise from the residuals, and ask the images for the sides."""
     dof = fit.residuals_px.size - 6 * len(seen.views) - PER_MARKER * len(seen.ids) + 6
     variance = fitted_variance(float((fit.residuals_px**2).sum()), dof, priors.sigma_px)
@@ -240,10 +240,10 @@ def _refit_with_measured_noise(
     known = fit_layout(fit.state, corners, noisy)
     only_images = replace(noisy, side_sigmas_m=np.full(len(seen.ids), np.inf), baseline_sigma_frac=KNOWN_BASELINE_FRAC)
     free = fit_layout(replace(known.state, baseline_frac=0.0), corners, only_images)
-    return _Fits(seen, corners, known, free, n_dropped)
+    return _LayoutFitPair(seen, corners, known, free, n_dropped)
 
 
-def _taught_markers(fits: _Fits, task: TeachTask) -> tuple[TaughtMarker, ...]:
+def _taught_markers(fits: _LayoutFitPair, task: TeachTask) -> tuple[TaughtMarker, ...]:
     state, ids = fits.known.state, task.ids
     Ts = place_layout(state, ids, task.frame)
     covariances = placed_covariances(state, fits.known.covariance, ids, task.frame)

@@ -66,7 +66,7 @@ def camera_places(Ts_cam_ref: Array) -> Array:
     return -np.einsum("vji,vj->vi", Ts_cam_ref[:, :3, :3], Ts_cam_ref[:, :3, 3])
 
 
-def directions(state: LayoutState) -> tuple[Array, Array]:
+def view_directions_and_distances(state: LayoutState) -> tuple[Array, Array]:
     """Unit vectors (v, 3) from the layout's middle to the camera, and distances (v,) [m]."""
     away = camera_places(state.Ts_cam_ref) - state.Ts_ref_marker[:, :3, 3].mean(axis=0)
     distance = np.linalg.norm(away, axis=1)
@@ -75,13 +75,13 @@ def directions(state: LayoutState) -> tuple[Array, Array]:
 
 def spread_deg(state: LayoutState) -> float:
     """Angle between the two outermost viewing directions [deg]."""
-    towards, _ = directions(state)
+    towards, _ = view_directions_and_distances(state)
     return float(np.rad2deg(np.arccos(np.clip(towards @ towards.T, -1.0, 1.0)).max()))
 
 
 def n_distinct(state: LayoutState, settings: TeachSettings) -> int:
     """How many views differ from each other in direction or distance."""
-    towards, distance = directions(state)
+    towards, distance = view_directions_and_distances(state)
     kept: list[int] = []
     for v in range(len(towards)):
         alike = [

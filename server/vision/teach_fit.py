@@ -78,7 +78,7 @@ class LayoutFit:
 
 
 @dataclass(frozen=True, slots=True)
-class _Equations:
+class _ReducedNormalEquations:
     """Normal equations, views eliminated: S x = -g; per-view parts kept for the way back."""
 
     S: Array
@@ -176,7 +176,7 @@ def _cross_rows(P: Array, arm: Array) -> Array:
 
 def _normal_equations(
     state: LayoutState, corners: Corners, priors: Priors, scale_px: float, damping: float
-) -> _Equations:
+) -> _ReducedNormalEquations:
     n_views, n_markers = len(state.Ts_cam_ref), len(state.Ts_ref_marker)
     k = PER_MARKER * n_markers + 1
     residual = residuals_px(state, corners)
@@ -210,7 +210,7 @@ def _normal_equations(
     view_inverse = np.asarray(np.linalg.inv(V + 1e-9 * np.eye(6)), dtype=np.float64)
     halved = np.einsum("vij,vik->vjk", cross, view_inverse)  # cross^T V^-1
     S = A - np.einsum("vij,vjk->ik", halved, cross)
-    return _Equations(S, g - np.einsum("vij,vj->i", halved, v), view_inverse, v, cross)
+    return _ReducedNormalEquations(S, g - np.einsum("vij,vj->i", halved, v), view_inverse, v, cross)
 
 
 def _add_priors(A: Array, g: Array, state: LayoutState, priors: Priors) -> None:
@@ -236,7 +236,7 @@ def stepped_state(state: LayoutState, step: Array) -> LayoutState:
     return replace(state, Ts_ref_marker=Ts, sides_m=sides, baseline_frac=state.baseline_frac + float(step[-1]))
 
 
-def _solve_and_step(state: LayoutState, equations: _Equations) -> LayoutState:
+def _solve_and_step(state: LayoutState, equations: _ReducedNormalEquations) -> LayoutState:
     free = free_rows(len(state.Ts_ref_marker))
     step = np.zeros(len(equations.g))
     step[free] = _solve_scaled_system(equations.S[np.ix_(free, free)], -equations.g[free])

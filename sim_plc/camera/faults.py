@@ -39,7 +39,7 @@ SPOT_FRAC = (0.62, 0.35)
 SPOT_RADIUS_FRAC, SPOT_DEPTH = 0.045, 0.55
 
 
-def shaded(image: Grey) -> Grey:
+def partly_covered(image: Grey) -> Grey:
     """Most of the picture covered from the left; what is covered keeps a little noise."""
     out = image.copy()
     edge = int(COVERED_FRAC * image.shape[1])
@@ -88,7 +88,7 @@ def other_lens(left: Grey, right: Grey) -> tuple[Grey, Grey]:
     )
 
 
-def bumped(image: Grey) -> Grey:
+def tilted_upward(image: Grey) -> Grey:
     """The eye turned up by half a degree."""
     return _rotate_and_distort(image, (BUMP_RAD, 0.0, 0.0), 0.0, 0.0)
 
@@ -102,7 +102,7 @@ def flickering(image: Grey, number: int) -> Grey:
     return _scale_brightness(image, 1.0 + FLICKER_FRAC * np.sin(MAINS_STEP_RAD * number))
 
 
-def uneven(image: Grey, number: int) -> Grey:
+def with_flicker_bands(image: Grey, number: int) -> Grey:
     """The same with a rolling shutter: rows in bands, which wander."""
     rows = np.arange(image.shape[0])[:, None] / image.shape[0]
     return _scale_brightness(image, 1.0 + FLICKER_FRAC * np.sin(MAINS_PER_READOUT_RAD * rows + MAINS_STEP_RAD * number))
@@ -171,7 +171,7 @@ SCENE_FAULTS = frozenset({FaultKind.MARKER_TWICE, FaultKind.MARKER_MOVED})
 
 _PICTURES: dict[FaultKind, PictureFault] = {
     FaultKind.BLACK: lambda left, right, _: (np.zeros_like(left), np.zeros_like(right)),
-    FaultKind.MOSTLY_BLACK: lambda left, right, _: (shaded(left), shaded(right)),
+    FaultKind.MOSTLY_BLACK: lambda left, right, _: (partly_covered(left), partly_covered(right)),
     FaultKind.WHITE: lambda left, right, _: (np.full_like(left, 255), np.full_like(right, 255)),
     FaultKind.MOSTLY_WHITE: lambda left, right, _: (saturated(left), saturated(right)),
     FaultKind.LEFT_BLACK: lambda left, right, _: (np.zeros_like(left), right),
@@ -182,13 +182,13 @@ _PICTURES: dict[FaultKind, PictureFault] = {
     FaultKind.RIGHT_COPY: lambda _left, right, _: (right, right),
     FaultKind.SWAPPED: lambda left, right, _: (right, left),
     FaultKind.UNRECTIFIED: lambda left, right, _: other_lens(left, right),
-    FaultKind.BUMPED: lambda left, right, _: (left, bumped(right)),
+    FaultKind.BUMPED: lambda left, right, _: (left, tilted_upward(right)),
     FaultKind.BLUR: lambda left, right, _: (blurred(left), blurred(right)),
     FaultKind.LEFT_BLUR: lambda left, right, _: (blurred(left), right),
     FaultKind.MOTION_BLUR: lambda left, right, _: (smeared(left), smeared(right)),
     FaultKind.SMALL: lambda left, right, _: (_half_size_image(left), _half_size_image(right)),
     FaultKind.FLICKER: lambda left, right, n: (flickering(left, n), flickering(right, n)),
-    FaultKind.UNEVEN: lambda left, right, n: (uneven(left, n), uneven(right, n)),
+    FaultKind.UNEVEN: lambda left, right, n: (with_flicker_bands(left, n), with_flicker_bands(right, n)),
     FaultKind.SPOT: lambda left, right, _: (spotted(left), right),
 }
 

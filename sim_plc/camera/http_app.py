@@ -39,7 +39,7 @@ class RateGovernor:
         """Whether the rate is below the wanted one."""
         return self.rate_hz < self.wanted_hz
 
-    def worked(self, busy_s: float) -> bool:
+    def record_busy_time(self, busy_s: float) -> bool:
         """Account for one picture; returns whether the rate has changed."""
         self._busy_s.append(busy_s)
         if len(self._busy_s) < _WINDOW:

@@ -43,7 +43,7 @@ UNIT_NS = 100_000
 HEIGHT_FRAC = 24.0 / 720.0
 
 
-def painted(image: Grey, t_mono_ns: int) -> Grey:
+def paint_time_code(image: Grey, t_mono_ns: int) -> Grey:
     """A copy of the picture with its code over the full width."""
     out = image.copy()
     height = max(4, round(HEIGHT_FRAC * image.shape[0]))
@@ -133,7 +133,7 @@ class CameraLoop:
                 log.warning("camera: exposure left out: %s", error)
                 continue
             self._hand_over(*pair, t_mid_ns)
-            if self.governor.worked(time.perf_counter() - start):
+            if self.governor.record_busy_time(time.perf_counter() - start):
                 grid.rate_hz = self.governor.rate_hz
                 log.info("camera: %.1f pairs/s of %.1f wanted", grid.rate_hz, self.governor.wanted_hz)
 
@@ -160,7 +160,7 @@ class CameraLoop:
     def _hand_over(self, left: Grey, right: Grey, t_mid_ns: int) -> None:
         camera = self._world.camera
         if self._time_code:
-            left = painted(left, self._clock.mono_ns(t_mid_ns))
+            left = paint_time_code(left, self._clock.mono_ns(t_mid_ns))
         jpeg = self._faults.sent(left, right, self._jpeg_quality)
         t_exposure_ns = self._faults.stamp(t_mid_ns + round(1e9 * camera.clock_offset_s) + CAMERA_EPOCH_NS)
         if jpeg is None:
@@ -194,7 +194,7 @@ def health_of(loop: CameraLoop, hub: FrameHub) -> dict[str, Any]:
     }
 
 
-class _Server(uvicorn.Server):
+class _StreamEndingServer(uvicorn.Server):
     """A uvicorn server that ends the streams first, so that shutting down does not wait for the clients."""
 
     def __init__(self, config: uvicorn.Config, hub: FrameHub) -> None:
@@ -235,7 +235,7 @@ async def _serve(
     config = uvicorn.Config(
         app, host=host, port=port, log_level="warning", lifespan="off", timeout_graceful_shutdown=_SHUTDOWN_S
     )
-    server = _Server(config, hub)
+    server = _StreamEndingServer(config, hub)
     thread = threading.Thread(target=camera.run, args=(feed_name,), name="camera-loop", daemon=True)
     thread.start()
     _end_with_parent(server, loop)

@@ -97,7 +97,7 @@ class StageTimes:
         self._clock = clock
         self._last = clock()
 
-    def restart(self) -> None:
+    def restart_stage_clock(self) -> None:
         """The next stage begins now."""
         self._last = self._clock()
 
@@ -160,7 +160,7 @@ class StereoRenderer:
         Args:    poses: true tool poses around the exposure. t_mid_ns: mid-exposure of the middle row, true time [ns].
                  rng: this frame's noise.
         """
-        self.times.restart()
+        self.times.restart_stage_clock()
         Ts_base_tcp = key_poses(poses, t_mid_ns, self._camera.readout_s, _N_SHUTTER_KEYS)
         half_ns = round(0.5e9 * self._camera.exposure_s)
         ends = np.stack([poses.pose_at(t_mid_ns - half_ns), poses.pose_at(t_mid_ns + half_ns)])
@@ -171,7 +171,7 @@ class StereoRenderer:
         """A pair with the tool at rest; noise from `rng`, or seed 0."""
         return self.render(StaticPose(T_base_tcp), 0, np.random.default_rng(0) if rng is None else rng)
 
-    def sharp(self, eye: EyeView, Ts_base_tcp: Array) -> Grey:
+    def render_sharp_image(self, eye: EyeView, Ts_base_tcp: Array) -> Grey:
         """Wall and OOI in one eye, before motion, point spread, tool and noise. `Ts_base_tcp` at the key rows."""
         keys = self.Ts_ooi_cam(eye, Ts_base_tcp)
         image = self._render_wall(eye, keys)
@@ -211,7 +211,7 @@ class StereoRenderer:
         return pixels[1] - pixels[0]
 
     def _render_eye_image(self, number: int, Ts_base_tcp: Array, ends: Array, rng: np.random.Generator) -> Grey:
-        image = self.sharp(self.eyes[number], Ts_base_tcp)
+        image = self.render_sharp_image(self.eyes[number], Ts_base_tcp)
         if self._camera.exposure_s > 0.0:
             image = motion_blur(image, self._motion_blur_vector_px(self.eyes[number], ends))
         self.times.mark("motion blur")

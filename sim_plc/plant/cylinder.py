@@ -92,7 +92,7 @@ def lever_table(geometry: TriangleCylinder | FourBarCylinder | None, low: float,
 
 
 @njit(cache=True, error_model="numpy")
-def lookup(table: Array, q0: float, step: float, q: float) -> float:
+def interpolate_table(table: Array, q0: float, step: float, q: float) -> float:
     """Linear interpolation in one table; the end values beyond its ends."""
     x = (q - q0) / step
     last = table.shape[0] - 1

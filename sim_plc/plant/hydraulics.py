@@ -25,7 +25,7 @@ def spool_step(
 
 
 @njit(cache=True, error_model="numpy")
-def opening(x: float, dead_band: float) -> float:
+def spool_opening(x: float, dead_band: float) -> float:
     """Effective opening of a spool with overlap: 0 inside +-dead_band, +-1 at full stroke."""
     if x > dead_band:
         return (x - dead_band) / (1.0 - dead_band)
@@ -35,7 +35,7 @@ def opening(x: float, dead_band: float) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def orifice(pressure_drop: float, laminar: float) -> float:
+def orifice_pressure_root(pressure_drop: float, laminar: float) -> float:
     """Signed root of the pressure drop with a finite slope at zero: dp / sqrt(|dp| + p_lam) [sqrt Pa]."""
     return pressure_drop / np.sqrt(abs(pressure_drop) + laminar)
 
@@ -49,11 +49,11 @@ def valve_flows(
     Model:   s > 0: qA = Kv s f(pS - pA), qB = -Kv s f(pB - pT); s < 0 mirrored.
     """
     if s > 0.0:
-        q_in = gain * s * max(orifice(p_supply - p_a, laminar), 0.0)
-        return q_in, -gain * s * orifice(p_b - p_tank, laminar), q_in
+        q_in = gain * s * max(orifice_pressure_root(p_supply - p_a, laminar), 0.0)
+        return q_in, -gain * s * orifice_pressure_root(p_b - p_tank, laminar), q_in
     if s < 0.0:
-        q_in = -gain * s * max(orifice(p_supply - p_b, laminar), 0.0)
-        return gain * s * orifice(p_a - p_tank, laminar), q_in, q_in
+        q_in = -gain * s * max(orifice_pressure_root(p_supply - p_b, laminar), 0.0)
+        return gain * s * orifice_pressure_root(p_a - p_tank, laminar), q_in, q_in
     return 0.0, 0.0, 0.0
 
 

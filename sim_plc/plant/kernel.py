@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from machine.rotations import Array
 from sim_plc.plant.aba import aba
-from sim_plc.plant.cylinder import lookup
-from sim_plc.plant.hydraulics import VAPOUR_PA, opening, play, pump_flow, spool_step, valve_flows
+from sim_plc.plant.cylinder import interpolate_table
+from sim_plc.plant.hydraulics import VAPOUR_PA, play, pump_flow, spool_opening, spool_step, valve_flows
 
 SUBSTEPS = 4
 STEP_S = 1e-3 / SUBSTEPS
@@ -102,11 +102,11 @@ def _actuator_step(j: int, q: float, qd: float, u: float, p_supply: float, par: 
     c, s = par.joint[j], state.joint[j]
     s[HELD_COMMAND] = play(s[HELD_COMMAND], u, c[HYSTERESIS])
     s[SPOOL], s[SPOOL_RATE] = spool_step(s[SPOOL], s[SPOOL_RATE], s[HELD_COMMAND], c[OMEGA], c[ZETA], c[RATE], STEP_S)
-    y = lookup(par.table_y[j], c[TABLE_Q0], c[TABLE_STEP], q)
-    lever = lookup(par.table_lever[j], c[TABLE_Q0], c[TABLE_STEP], q)
+    y = interpolate_table(par.table_y[j], c[TABLE_Q0], c[TABLE_STEP], q)
+    lever = interpolate_table(par.table_lever[j], c[TABLE_Q0], c[TABLE_STEP], q)
     yd = lever * qd
     flow_a, flow_b, drawn = valve_flows(
-        opening(s[SPOOL], c[DEAD_BAND]), c[FLOW_GAIN], s[P_A], s[P_B], p_supply, par.oil[P_TANK], par.oil[LAMINAR]
+        spool_opening(s[SPOOL], c[DEAD_BAND]), c[FLOW_GAIN], s[P_A], s[P_B], p_supply, par.oil[P_TANK], par.oil[LAMINAR]
     )
     leak = c[LEAKAGE] * (s[P_A] - s[P_B])
     rate_a = par.oil[BULK] / (c[DEAD_A] + c[AREA_A] * y) * (flow_a - c[AREA_A] * yd - leak)

@@ -6,7 +6,13 @@ from machine.rotations import Array
 from sim_plc.plant import kernel
 from sim_plc.plant.aba import aba_work
 from sim_plc.plant.kernel import Parameters
-from sim_plc.plant.statics import frames, gravity_torques, outboard_inertias, resting_pressures, sagged
+from sim_plc.plant.statics import (
+    frames,
+    gravity_torques,
+    outboard_inertias,
+    resting_pressures,
+    static_equilibrium_angles,
+)
 from sim_plc.plant.tree import FLEXES, MOTORS, N_JOINTS, Tree, build_tree
 from sim_plc.plant.truth import PlantTruth
 
@@ -91,7 +97,9 @@ class Plant:
         q = np.zeros(N_JOINTS)
         q[MOTORS] = q_start
         if not truth.rigid:
-            q = sagged(self.tree, truth.inertia.gravity_base_m_s2, q_start, truth.flex.stiffness_nm_rad)
+            q = static_equilibrium_angles(
+                self.tree, truth.inertia.gravity_base_m_s2, q_start, truth.flex.stiffness_nm_rad
+            )
         self.parameters = parameters_of(truth, self.tree, q)
         self.state = self._resting_state(q)
         self._advance = kernel.advance_rigid if truth.rigid else kernel.advance
@@ -103,7 +111,7 @@ class Plant:
         holding = -gravity_torques(self.tree, truth.inertia.gravity_base_m_s2, q)[MOTORS]
         for j in range(6):
             row = self.parameters.joint[j]
-            lever = kernel.lookup(
+            lever = kernel.interpolate_table(
                 self.parameters.table_lever[j], row[kernel.TABLE_Q0], row[kernel.TABLE_STEP], float(q[MOTORS[j]])
             )
             joint[j, kernel.P_A], joint[j, kernel.P_B] = resting_pressures(

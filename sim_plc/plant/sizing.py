@@ -7,7 +7,7 @@ import numpy as np
 
 from machine.description import Machine
 from machine.rotations import Array
-from sim_plc.plant.cylinder import LIFT_GEOMETRY, TILT_GEOMETRY, lever_table, lookup
+from sim_plc.plant.cylinder import LIFT_GEOMETRY, TILT_GEOMETRY, interpolate_table, lever_table
 from sim_plc.plant.statics import gravity_torques, steady_speed
 from sim_plc.plant.tree import MOTORS, N_JOINTS, Tree
 from sim_plc.plant.truth import ActuatorTruth, FrictionTruth, InertiaTruth, SupplyTruth, ValveTruth
@@ -66,7 +66,7 @@ def link_inertias(machine: Machine) -> InertiaTruth:
     )
 
 
-def actuators(machine: Machine) -> ActuatorTruth:
+def build_actuator_truth(machine: Machine) -> ActuatorTruth:
     """Slew and wrists rotary, lift and tilt asymmetric cylinders with their levers."""
     geometries = (None, LIFT_GEOMETRY, TILT_GEOMETRY, None, None, None)
     low = np.array([joint.q_min_rad for joint in machine.joints]) - 2.0 * STOP_MARGIN_RAD
@@ -106,7 +106,7 @@ def friction(scale: Array, viscous_only: bool) -> FrictionTruth:
     )
 
 
-def supply(ripple_pa: float, ripple_phase_rad: float) -> SupplyTruth:
+def build_supply_truth(ripple_pa: float, ripple_phase_rad: float) -> SupplyTruth:
     """Pump and tank."""
     return SupplyTruth(
         pressure_pa=SUPPLY_PA,
@@ -131,7 +131,7 @@ def joint_speeds(tree: Tree, gravity: Array, actuator: ActuatorTruth, gain: Arra
     holding = -gravity_torques(tree, gravity, q_all)[MOTORS]
     speeds = np.zeros((6, 2))
     for j in range(6):
-        lever = lookup(actuator.table_lever[j], actuator.table_q0_rad[j], actuator.table_step_rad[j], q[j])
+        lever = interpolate_table(actuator.table_lever[j], actuator.table_q0_rad[j], actuator.table_step_rad[j], q[j])
         for column, sign in enumerate((1.0, -1.0)):
             speed = 0.0
             for _ in range(3):

@@ -26,7 +26,7 @@ def gravity_torques(tree: Tree, gravity: Array, q: Array) -> Array:
     return np.einsum("ni,ni->n", R[:, :, 2], moments @ skew(gravity))
 
 
-def sagged(tree: Tree, gravity: Array, q_motor: Array, stiffness: Array) -> Array:
+def static_equilibrium_angles(tree: Tree, gravity: Array, q_motor: Array, stiffness: Array) -> Array:
     """Joint angles (11,) [rad] at rest with the motors held at q_motor (6,): k q_f = gravity torque at each spring."""
     q = np.zeros(N_JOINTS)
     q[MOTORS] = q_motor

@@ -37,6 +37,6 @@ class LocalPanel:
         return self.mode == "auto" or (self.enabled and self._fresh)
 
     @property
-    def withdrawn(self) -> bool:
+    def is_enable_withdrawn(self) -> bool:
         """Whether an armed machine must stop because its enable is gone."""
         return self.mode == "panel" and not self.enabled

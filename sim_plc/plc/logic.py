@@ -9,7 +9,7 @@ from machine.rotations import Array
 from protocol.codes import FaultBit, Interp, Mode, PlcState, RejectCode
 from protocol.framing import Framing
 from protocol.limits import axis_mask, cfg_id
-from protocol.messages import Command, axes8
+from protocol.messages import Command, pad_to_eight_axes
 from protocol.objection import Objection, object_to
 from protocol.plc_events import CommandAccepted, PlcAction, PlcLinkEvent, SessionOpened, StateChanged
 from protocol.plc_link import PlcLink, PlcLinkSettings
@@ -18,7 +18,7 @@ from sim_plc.plc.knot_ring import KnotRing, PlaybackView
 from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.monitor import Monitor
 from sim_plc.plc.reference import Motion, Reference
-from sim_plc.plc.sample import PlantSample, readable
+from sim_plc.plc.sample import PlantSample, with_finite_readings
 from sim_plc.plc.servo import check_target
 from sim_plc.plc.settings import CYCLES_LOST, REST_SPEED_RAD_S, plc_settings
 from sim_plc.plc.status import JointControl, PlcCounters, status_of
@@ -91,7 +91,7 @@ class PlcLogic:
     def cycle(self, t_plc_ns: int, sample: PlantSample) -> Array:
         """One cycle: valve commands (n,) [fraction of full command]; a view that the next cycle changes."""
         self._counters.cycles += 1
-        self._sample = sample = readable(sample)
+        self._sample = sample = with_finite_readings(sample)
         if self.link.state is PlcState.BOOT:
             self._apply_link_event(PlcEvent.BOOTED, t_plc_ns)
         self._monitor_sample(sample, t_plc_ns)
@@ -138,7 +138,7 @@ class PlcLogic:
         before, self._t_cycle_ns = self._t_cycle_ns, t_plc_ns
         faults = FaultBit.ESTOP if self.panel.estop_pressed else FaultBit(0)
         if self.state in ARMED_STATES:
-            if self.panel.withdrawn:
+            if self.panel.is_enable_withdrawn:
                 faults |= FaultBit.LOCAL_ENABLE_LOST
             if before is not None and t_plc_ns - before > CYCLES_LOST * self.settings.cycle_ns:
                 faults |= FaultBit.CYCLE_OVERRUN
@@ -158,7 +158,7 @@ class PlcLogic:
             if not (self.monitor.present and self.monitor.present & FaultBit.SENSOR):
                 reference.follow(sample.q_rad)
             return
-        if reference.starving():
+        if reference.is_starving():
             self._counters.starved = True
             self._counters.underruns += 1
             reference.stop_along_path()
@@ -244,7 +244,7 @@ class PlcLogic:
 
     def _view(self) -> PlaybackView:
         reference = self.reference
-        return PlaybackView(axes8(self.q_ref), reference.knot_playing, reference.t_play_ns)
+        return PlaybackView(pad_to_eight_axes(self.q_ref), reference.knot_playing, reference.t_play_ns)
 
     def _check(self, command: Command, state: PlcState) -> Objection | None:
         """What the PLC's own rules have against a command; changes nothing."""
@@ -283,7 +283,7 @@ class PlcLogic:
         if not 0.0 <= command.speed_override <= 1.0:
             return object_to(RejectCode.OVERRIDE, "speed_override")
         if command.mode is Mode.SERVO:
-            return check_target(command, axes8(self.q_ref), self.settings)
+            return check_target(command, pad_to_eight_axes(self.q_ref), self.settings)
         if command.interp is not Interp.QUINTIC:
             return object_to(RejectCode.INTERP, "interp")
         return self.ring.check(command, self._view())

@@ -132,7 +132,7 @@ def stop_time(
 
 
 @njit(cache=True)
-def starves(
+def is_short_of_knots(
     times: Array,
     knots: Array,
     last: int,
@@ -174,5 +174,5 @@ def warm_up(qdd_max: Array) -> None:
     times[1] = 1.0
     advance(times, knots, 1, 0, 0.0, 1.0, 1.0, 1e-3, qdd_max, out)
     stop_time(times, knots, 1, 0, 0.0, 1.0, 1e-3, qdd_max, 1.0)
-    starves(times, knots, 1, 0, 0.0, 1.0, 1.0, 1e-3, qdd_max, 1.0)
+    is_short_of_knots(times, knots, 1, 0, 0.0, 1.0, 1.0, 1e-3, qdd_max, 1.0)
     ramp_down(out, decel, 1e-3)

@@ -7,7 +7,7 @@ import numpy as np
 from machine.rotations import Array
 from protocol.timeouts import FADE_SPEED_FACTOR
 from sim_plc.plc.knot_ring import KnotRing
-from sim_plc.plc.path import AT_REST, SIZE, advance, ramp_down, starves, stop_time
+from sim_plc.plc.path import AT_REST, SIZE, advance, is_short_of_knots, ramp_down, stop_time
 from sim_plc.plc.servo import Servo
 from sim_plc.plc.settings import PlcSettings
 
@@ -157,14 +157,14 @@ class Reference:
             self._decel[:] = self._settings.qdd_stop
             self.motion = Motion.JOINT_STOP
 
-    def starving(self) -> bool:
+    def is_starving(self) -> bool:
         """Whether braking must begin now to be at rest before the last knot, the trajectory's end being unknown."""
         ring, settings = self._ring, self._settings
         if self.motion is not Motion.PLAY or ring.complete:
             return False
         if self.path_left_s > self._look_ahead_s:
             return False
-        return starves(
+        return is_short_of_knots(
             ring.times, ring.knots, ring.last, self._k, self._sigma, self._rate, self.speed_override,
             settings.cycle_s, settings.qdd_stop, 2.0 * self._look_ahead_s,
         )  # fmt: skip

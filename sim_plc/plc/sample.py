@@ -19,7 +19,7 @@ class PlantSample:
     p_tank_pa: float = 1e5
 
 
-def readable(sample: PlantSample) -> PlantSample:
+def with_finite_readings(sample: PlantSample) -> PlantSample:
     """The sample with 0 for a supply, tank or oil reading that is not finite; encoders stay as they are."""
     readings = (sample.p_supply_pa, sample.t_oil_c, sample.p_tank_pa)
     if all(map(math.isfinite, readings)):

@@ -32,7 +32,7 @@ def _braking_speed(distance: float, decel: float, dt: float) -> float:
 
 
 @njit(cache=True)
-def chase(
+def step_towards_target(
     out: Array,
     target: Array,
     speed: Array,
@@ -100,7 +100,9 @@ class Servo:
             reach = self._target[j] + self._speed[j] * age_s
             self._at[j] = min(max(reach, s.q_min[j]), s.q_max[j])
             self._moving[j] = 0.0 if stale or self._at[j] != reach else self._speed[j]
-        arrived = chase(out, self._at, self._moving, s.q_min, s.q_max, s.qd_max, s.qdd_stop, share, s.cycle_s)
+        arrived = step_towards_target(
+            out, self._at, self._moving, s.q_min, s.q_max, s.qd_max, s.qdd_stop, share, s.cycle_s
+        )
         return arrived and self.ending
 
 

@@ -7,7 +7,7 @@ from numba import njit
 
 from machine.rotations import Array
 from protocol.codes import AxisBit, Mode, WarnBit
-from protocol.messages import Axes, PlcStatus, axes8
+from protocol.messages import Axes, PlcStatus, pad_to_eight_axes
 from sim_plc.plc.knot_ring import KnotRing
 from sim_plc.plc.monitor import Monitor
 from sim_plc.plc.reference import Motion, Reference
@@ -80,7 +80,7 @@ def status_of(
 
 
 def _finite_axis_values(values: Array) -> Axes:
-    return axes8(tuple(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0).tolist()))
+    return pad_to_eight_axes(tuple(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0).tolist()))
 
 
 def _axis_words(settings: PlcSettings, monitor: Monitor, q: Array, q_ref: Array, valves: Array) -> tuple[int, ...]:

@@ -32,7 +32,7 @@ class RelayFigures:
     pcs: int
 
 
-class _Lane:
+class _PcConnection:
     """One PC: a socket towards the PLC, so that the PLC sees its PCs apart, and a channel each way."""
 
     def __init__(self, pc: Address, plc: Address, settings: RelaySettings, number: int) -> None:
@@ -54,7 +54,7 @@ class UdpRelay:
         self._settings, self._clock = settings, clock
         self._plc = _resolve_address(settings.plc_host, settings.plc_port)
         self._listener = _bind_udp_socket(settings.listen_host, settings.listen_port)
-        self._lanes: dict[Address, _Lane] = {}
+        self._lanes: dict[Address, _PcConnection] = {}
         self._opened = 0
         self._t_first_ns: int | None = None
         self._gone = RelayFigures(FaultCounts(), FaultCounts(), 0)
@@ -123,7 +123,7 @@ class UdpRelay:
             lane = self._lanes.get(pc) or self._open(pc)
             lane.to_plc.push(datagram, self._elapsed_ns(now_ns))
 
-    def _open(self, pc: Address) -> _Lane:
+    def _open(self, pc: Address) -> _PcConnection:
         """A lane for a new PC; beyond sixteen the oldest one is given up."""
         if len(self._lanes) >= _LANES_MAX:
             oldest = self._lanes.pop(next(iter(self._lanes)))
@@ -131,12 +131,12 @@ class UdpRelay:
             self._gone.to_plc.add(oldest.to_plc.counts)
             self._gone.to_pc.add(oldest.to_pc.counts)
         self._opened += 1
-        lane = self._lanes[pc] = _Lane(pc, self._plc, self._settings, self._opened)
+        lane = self._lanes[pc] = _PcConnection(pc, self._plc, self._settings, self._opened)
         lane.to_plc.faults, lane.to_pc.faults = self._faults
         log.info("PC %s:%d relayed to %s:%d", *pc, *self._plc)
         return lane
 
-    def _deliver_due_datagrams(self, lane: _Lane, elapsed_ns: int) -> None:
+    def _deliver_due_datagrams(self, lane: _PcConnection, elapsed_ns: int) -> None:
         for datagram in lane.to_plc.pop(elapsed_ns):
             with suppress(OSError):  # the PLC is not there: the datagram is lost, as in any network
                 lane.socket.send(datagram)

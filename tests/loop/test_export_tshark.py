@@ -13,13 +13,13 @@ import pytest
 from longreach.export_command import plc_parameters, st_sources
 from protocol import layout
 from protocol.framing import EAP_PORT, EapFraming
-from protocol.twincat.bundle import bundle
-from protocol.twincat.golden import Datagram, conversation, pcap
+from protocol.twincat.bundle import build_bundle_files
+from protocol.twincat.golden import Datagram, golden_messages, pcap
 from server.settings import read_machine
 
 TSHARK = shutil.which("tshark")
 PARAMETERS = plc_parameters(read_machine("hiab033"), "192.168.0.10.1.1", "192.168.0.20.1.1")
-GOLDENS = {golden.name: golden for golden in conversation(PARAMETERS)}
+GOLDENS = {golden.name: golden for golden in golden_messages(PARAMETERS)}
 FRAMINGS = ["eap", "raw"]
 
 
@@ -38,7 +38,7 @@ pytestmark = pytest.mark.skipif(bool(missing()), reason=missing() or "-")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("export")
-    for path, data in bundle(PARAMETERS, st_sources()).items():
+    for path, data in build_bundle_files(PARAMETERS, st_sources()).items():
         if path.startswith(("vectors/", "wireshark/")):
             (folder / Path(path).name).write_bytes(data)
     return folder

@@ -21,7 +21,7 @@ from protocol.client_link import ClientLink
 from protocol.client_run import Run
 from protocol.codes import PlcState
 from protocol.framing import RawFraming
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, pad_to_eight_axes
 from protocol.plc_link import PlcLink
 from sim_plc.draw_world import draw_world
 from sim_plc.plc.knot_checks import check_step
@@ -174,8 +174,8 @@ def test_a_pc_that_tells_a_false_end_is_noticed(monkeypatch):
 def moving_link():
     """A link whose PLC plays a motion and is at speed."""
     link = VirtualLink(Faults(), Faults(), seed=1).arm()
-    goal = axes8(tuple(q + 0.27 for q in Q_START))
-    knots = knots_between(axes8(Q_START), goal, ((0.0, 2000.0),) * len(Q_START), list(range(0, 2001, 50)))
+    goal = pad_to_eight_axes(tuple(q + 0.27 for q in Q_START))
+    knots = knots_between(pad_to_eight_axes(Q_START), goal, ((0.0, 2000.0),) * len(Q_START), list(range(0, 2001, 50)))
     refused = link.client.request_run(1, tuple(knots), link.t_ns)
     while not refused and link.plc.reference.t_play_ns < 1000 * MS:
         link.step()
@@ -251,8 +251,13 @@ def test_a_peak_between_the_checked_points_is_refused():
     A = axis.qdd_max
     qd1 = A * T * (HIDDEN_START + d0 / 2 + d1 / 3 + d2 / 4)
     q1 = A * T * T * (HIDDEN_START / 2 + d0 / 6 + d1 / 12 + d2 / 20)
-    a = Knot(0, axes8(()), axes8(()), axes8((A * HIDDEN_START,)))
-    b = Knot(round(T * 1e9), axes8((q1,)), axes8((qd1,)), axes8((A * (HIDDEN_START + d0 + d1 + d2),)))
+    a = Knot(0, pad_to_eight_axes(()), pad_to_eight_axes(()), pad_to_eight_axes((A * HIDDEN_START,)))
+    b = Knot(
+        round(T * 1e9),
+        pad_to_eight_axes((q1,)),
+        pad_to_eight_axes((qd1,)),
+        pad_to_eight_axes((A * (HIDDEN_START + d0 + d1 + d2),)),
+    )
     assert check_step(a, b, 1, TABLE) is not None
 
 
@@ -262,8 +267,8 @@ def test_a_peak_between_the_checked_points_is_refused():
 @pytest.mark.parametrize("seed", range(40))
 def test_drawn_motions_begin_at_the_reference_and_rise_in_time(seed):
     rng = random.Random(seed)
-    knots = roughen(TABLE, draw_motion(TABLE, axes8(Q_START), rng), rng)
-    assert knots[0] == Knot(0, axes8(Q_START), axes8(()), axes8(()))
+    knots = roughen(TABLE, draw_motion(TABLE, pad_to_eight_axes(Q_START), rng), rng)
+    assert knots[0] == Knot(0, pad_to_eight_axes(Q_START), pad_to_eight_axes(()), pad_to_eight_axes(()))
     assert all(a.t_ns < b.t_ns for a, b in pairwise(knots))
     assert max(map(abs, (*knots[-1].qd, *knots[-1].qdd))) == 0.0
     for j, axis in enumerate(TABLE.axes):
@@ -274,7 +279,10 @@ def test_drawn_motions_begin_at_the_reference_and_rise_in_time(seed):
 
 def test_reach_is_where_speed_or_acceleration_end():
     knots = knots_between(
-        axes8(()), axes8(tuple(reach(TABLE, j, 1.0) for j in range(6))), ((0.0, 1000.0),) * 6, list(range(0, 1001, 5))
+        pad_to_eight_axes(()),
+        pad_to_eight_axes(tuple(reach(TABLE, j, 1.0) for j in range(6))),
+        ((0.0, 1000.0),) * 6,
+        list(range(0, 1001, 5)),
     )
     for j, axis in enumerate(TABLE.axes):
         shares = (

@@ -10,7 +10,7 @@ import pytest
 from link_virtual import MACHINE, MS, NONE, Q_START, TABLE, Played, VirtualLink, playback
 
 from benchmarks.link.drill.motions import knots_between, reach
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, pad_to_eight_axes
 from sim_plc.relay.faults import Faults
 
 MACHINE_CYCLE_NS = round(MACHINE.plc_cycle_s * 1e9)
@@ -29,7 +29,7 @@ def motion(duration_ms: int, share: float, seed: int) -> tuple[Knot, ...]:
         goal.append(Q_START[j] + (way if Q_START[j] + way < axis.q_max - 0.05 else -way))
         windows.append((float(start), float(duration_ms)))
     times = list(range(0, duration_ms + 1, 50))
-    return tuple(knots_between(axes8(Q_START), axes8(tuple(goal)), tuple(windows), times))
+    return tuple(knots_between(pad_to_eight_axes(Q_START), pad_to_eight_axes(tuple(goal)), tuple(windows), times))
 
 
 MOTIONS = {

@@ -21,7 +21,7 @@ from machine.description import Machine, parse_machine_toml
 from protocol.codes import PlcState
 from protocol.framing import EapFraming, RawFraming
 from protocol.limits import limits_of
-from protocol.messages import axes8
+from protocol.messages import pad_to_eight_axes
 from protocol.plc_states import PlcEvent
 from recording.clock import mono_ns
 from server.errors import JobFailedError
@@ -97,7 +97,9 @@ def settings_for(plc: PlcThread) -> LinkSettings:
 
 
 def trajectory(joints: int, step_rad: float, duration_s: float, q_start: float = 0.0) -> JointTrajectory:
-    knots = smooth_knots(axes8((q_start,) * joints), axes8((q_start + step_rad,) * joints), duration_s)
+    knots = smooth_knots(
+        pad_to_eight_axes((q_start,) * joints), pad_to_eight_axes((q_start + step_rad,) * joints), duration_s
+    )
     arrays = [np.array([getattr(k, name)[:joints] for k in knots]) for name in ("q", "qd", "qdd")]
     return JointTrajectory(np.array([k.t_ns for k in knots]) / 1e9, *arrays)
 
@@ -110,7 +112,7 @@ async def until(condition: Callable[[], bool], timeout_s: float) -> bool:
 
 
 async def test_arm_run_cancel_and_disarm(plc: PlcThread, machine: Machine) -> None:
-    plc.plc.q_ref = axes8((0.0, 0.0, -0.5, 0.0, 0.0, 0.0))  # tilt's range does not contain zero
+    plc.plc.q_ref = pad_to_eight_axes((0.0, 0.0, -0.5, 0.0, 0.0, 0.0))  # tilt's range does not contain zero
     link = LinkClient(settings_for(plc), machine)
     seen = []
     await link.start()
@@ -165,7 +167,7 @@ async def test_arm_run_cancel_and_disarm(plc: PlcThread, machine: Machine) -> No
 def raw_plc(machine: Machine) -> Iterator[PlcThread]:
     thread = PlcThread(machine, "raw")
     thread.framing = "raw"  # type: ignore[attr-defined]
-    thread.plc.q_ref = axes8((0.0, 0.0, -0.5, 0.0, 0.0, 0.0))
+    thread.plc.q_ref = pad_to_eight_axes((0.0, 0.0, -0.5, 0.0, 0.0, 0.0))
     yield thread
     thread.close()
 

@@ -19,7 +19,7 @@ from protocol.client_events import ClientEvent, ClientPhase, TrajectoryEnded
 from protocol.client_link import ClientLink
 from protocol.codes import PlcState
 from protocol.framing import RawFraming
-from protocol.messages import Axes, axes8
+from protocol.messages import Axes, pad_to_eight_axes
 from recording.clock import mono_ns
 from server.errors import SettingsError
 from sim_plc.relay.faults import FaultCounts, Faults, FaultSettingsError
@@ -27,7 +27,7 @@ from sim_plc.relay.relay_process import UdpRelay
 from sim_plc.relay.settings import RelaySettings
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
-GOAL: Axes = axes8((0.1, -0.1, 0.05))
+GOAL: Axes = pad_to_eight_axes((0.1, -0.1, 0.05))
 EPOCH_NS = 3_600_000_000_000
 
 

@@ -21,7 +21,7 @@ async def endless_body(receive):
         message = await receive()
         parts.append(message.get("body", b""))
         more = message.get("more_body", False)
-    return guard._Body(b"".join(parts), receive)
+    return guard._BufferedBody(b"".join(parts), receive)
 
 
 def log_headers():

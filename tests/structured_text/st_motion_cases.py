@@ -10,11 +10,11 @@ from st_program import Program
 from st_sessions import quintic
 
 from protocol.codes import CommandFlag, Interp, Mode, RejectCode
-from protocol.messages import Command, Knot, axes8
+from protocol.messages import Command, Knot, pad_to_eight_axes
 
 CYCLE_S = 0.01
 SETTINGS = settings_of(CYCLE_S)
-START = Knot(0, axes8(tuple(Q_START.tolist())))
+START = Knot(0, pad_to_eight_axes(tuple(Q_START.tolist())))
 STEP = np.deg2rad([6.0, -4.0, 5.0, 9.0, -8.0, 12.0])
 KNOTS = (START, *quintic(START, Q_START + STEP, 2.0, 50))
 FLAT = tuple(replace(START, t_ns=i * 50 * MS) for i in range(90))
@@ -45,7 +45,9 @@ def traj(first: int = 0, knots: tuple[Knot, ...] = KNOTS[:6], **fields) -> Comma
 
 def servo(q: np.ndarray, qd: np.ndarray | None = None, **fields) -> Command:
     """A servo command."""
-    knot = Knot(0, axes8(tuple(q.tolist())), axes8(tuple((np.zeros(6) if qd is None else qd).tolist())))
+    knot = Knot(
+        0, pad_to_eight_axes(tuple(q.tolist())), pad_to_eight_axes(tuple((np.zeros(6) if qd is None else qd).tolist()))
+    )
     base = Command(1, 1, 0, mode=Mode.SERVO, traj_id=1, interp=Interp.LINEAR, cmd_flags=BEGIN, knots=(knot,))
     return replace(base, **fields)
 

@@ -7,7 +7,7 @@ import numpy as np
 from st_motion_pair import MS, MotionPair
 
 from protocol.codes import CommandFlag, Interp, Mode, RejectCode
-from protocol.messages import Command, Knot, axes8
+from protocol.messages import Command, Knot, pad_to_eight_axes
 from protocol.playback import Playback
 from sim_plc.plc.reference import Motion
 
@@ -71,8 +71,11 @@ def knots_of(pair: MotionPair, path: Wave, spacing_ms: tuple[int, int], rng: np.
     times, end = [0], round(path.duration_s * 1e9)
     while times[-1] < end:
         times.append(times[-1] + int(rng.integers(spacing_ms[0] * MS, spacing_ms[1] * MS + 1)))
-    zero = axes8(tuple(np.zeros(len(path.q0)).tolist()))
-    knots = [Knot(t, *(axes8(tuple(row.tolist())) for row in np.clip(path.at(t * 1e-9), -most, most))) for t in times]
+    zero = pad_to_eight_axes(tuple(np.zeros(len(path.q0)).tolist()))
+    knots = [
+        Knot(t, *(pad_to_eight_axes(tuple(row.tolist())) for row in np.clip(path.at(t * 1e-9), -most, most)))
+        for t in times
+    ]
     knots[0], knots[-1] = (replace(knots[i], qd=zero, qdd=zero) for i in (0, -1))
     return tuple(knots)
 
@@ -215,7 +218,9 @@ class Driver:
         if rng.random() < 0.05:
             q, qd = (s.q_min if rng.random() < 0.5 else s.q_max), qd * 1.2
         flags = CommandFlag.START | (CommandFlag.LAST_IS_END if ending else CommandFlag(0))
-        knot = Knot(0, axes8(tuple(q.tolist())), axes8(tuple((0.0 * qd if ending else qd).tolist())))
+        knot = Knot(
+            0, pad_to_eight_axes(tuple(q.tolist())), pad_to_eight_axes(tuple((0.0 * qd if ending else qd).tolist()))
+        )
         command = replace(self._base(Mode.SERVO), interp=Interp.LINEAR, cmd_flags=flags, knots=(knot,))
         if rng.random() < self.trouble.spoil:
             self.pair.deliver(spoilt(command, rng))
@@ -251,7 +256,7 @@ class Driver:
         if playback.splice is None or not covered:
             return playback
         self.pair.seen.events[f"correction: {code.name}"] += 1
-        return playback.spliced() if code is RejectCode.NONE else self._uncorrected
+        return playback.with_splice_accepted() if code is RejectCode.NONE else self._uncorrected
 
     def _corrected(self, playback: Playback) -> Playback:
         """Another tail, from somewhere that may be frozen already."""

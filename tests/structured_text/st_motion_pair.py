@@ -11,7 +11,7 @@ import numpy as np
 from machine.description import parse_machine_toml
 from protocol.codec import decode_command, encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
-from protocol.messages import Command, State, axes8
+from protocol.messages import Command, State, pad_to_eight_axes
 from protocol.objection import Objection, object_to
 from sim_plc.plc.knot_ring import KnotRing, PlaybackView
 from sim_plc.plc.reference import Motion, Reference
@@ -107,7 +107,7 @@ class MotionPair:
     def hold(self, q: np.ndarray, follow: bool = False) -> None:
         """Both stay at q (n,)."""
         (self.reference.follow if follow else self.reference.hold)(q)
-        self.st.stay("Follow" if follow else "HoldAt", axes8(tuple(q.tolist())))
+        self.st.stay("Follow" if follow else "HoldAt", pad_to_eight_axes(tuple(q.tolist())))
         self.compare("hold")
 
     def new_session(self) -> None:
@@ -146,8 +146,8 @@ class MotionPair:
         self.t_ns += self.settings.cycle_ns
         self.seen.cycles += 1
         self.seen.motions[self.motion.name] += 1
-        starving = self.reference.starving()
-        assert self.st.starving() == starving, f"t = {self.t_ns} ns: python {starving}"
+        starving = self.reference.is_starving()
+        assert self.st.is_starving() == starving, f"t = {self.t_ns} ns: python {starving}"
         if starving and watch:
             self.seen.events["starved"] += 1
             self.stop("StopAlongPath")
@@ -185,9 +185,9 @@ class MotionPair:
         override = self.motion in (Motion.HOLD, Motion.SERVO)
         return {
             "eMotion": MOTIONS.index(self.motion),
-            "aQRef": axes8(tuple(reference.q.tolist())),
-            "aQdRef": axes8(tuple(reference.qd.tolist())),
-            "aQddRef": axes8(tuple(reference.qdd.tolist())),
+            "aQRef": pad_to_eight_axes(tuple(reference.q.tolist())),
+            "aQdRef": pad_to_eight_axes(tuple(reference.qd.tolist())),
+            "aQddRef": pad_to_eight_axes(tuple(reference.qdd.tolist())),
             "nTrajId": ring.traj_id,
             "nKnotPlaying": reference.knot_playing,
             "nKnotLast": max(ring.last, 0),
@@ -199,7 +199,7 @@ class MotionPair:
 
     def _view(self) -> PlaybackView:
         reference = self.reference
-        return PlaybackView(axes8(tuple(reference.q.tolist())), reference.knot_playing, reference.t_play_ns)
+        return PlaybackView(pad_to_eight_axes(tuple(reference.q.tolist())), reference.knot_playing, reference.t_play_ns)
 
     def _check(self, command: Command) -> Objection | None:
         if command.mode is Mode.SERVO:
@@ -243,6 +243,6 @@ class MotionPair:
             self.reference.settle()
         else:
             self.reference.settle_at(q)
-            self.st.stay("HoldAt", axes8(tuple(q.tolist())))
+            self.st.stay("HoldAt", pad_to_eight_axes(tuple(q.tolist())))
         self._spent = True
         self.compare("settled")

@@ -9,7 +9,7 @@ from protocol.codec import encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState
 from protocol.layout import KNOTS_PER_COMMAND
 from protocol.limits import LimitTable, axis_mask, cfg_id
-from protocol.messages import Command, Knot, State, axes8
+from protocol.messages import Command, Knot, State, pad_to_eight_axes
 
 MS = 1_000_000
 Ticks = Generator[Command | None, None, None]
@@ -33,7 +33,7 @@ def quintic(start: Knot, q_end: np.ndarray, duration_s: float, spacing_ms: int) 
         last = i == count
         zero = np.zeros(n)
         rest = (q_end, zero, zero) if last else (q, qd, qdd)
-        knots.append(Knot(start.t_ns + i * spacing_ms * MS, *(axes8(tuple(v.tolist())) for v in rest)))
+        knots.append(Knot(start.t_ns + i * spacing_ms * MS, *(pad_to_eight_axes(tuple(v.tolist())) for v in rest)))
     return knots
 
 
@@ -123,7 +123,7 @@ class Pc:
         """A new trajectory from q_ref to somewhere near, under the next number."""
         n = len(self.table.axes)
         q0 = np.array(self.state.q_ref[:n]) if self.state else np.zeros(n)
-        start = Knot(0, axes8(tuple(q0.tolist())))
+        start = Knot(0, pad_to_eight_axes(tuple(q0.tolist())))
         middle = np.array([0.5 * (a.q_min + a.q_max) for a in self.table.axes])
         q1 = q0 + reach * np.where(
             self.rng.random(n) < 0.8, np.sign(middle - q0), -np.sign(middle - q0)
@@ -183,7 +183,7 @@ class Pc:
 
     def target(self, q: np.ndarray, qd: np.ndarray, flags: CommandFlag = CommandFlag.START) -> Command:
         """One servo command."""
-        knot = Knot(0, axes8(tuple(q.tolist())), axes8(tuple(qd.tolist())))
+        knot = Knot(0, pad_to_eight_axes(tuple(q.tolist())), pad_to_eight_axes(tuple(qd.tolist())))
         fields: dict[str, object] = {"traj_id": self.traj_id, "knots": (knot,), "interp": Interp.LINEAR}
         return self.command(Mode.SERVO, cmd_flags=flags, **fields)
 

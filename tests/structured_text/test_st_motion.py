@@ -30,7 +30,7 @@ from st_motion_pair import MotionPair, Seen, settings_of
 from st_sessions import quintic
 
 from protocol.codes import CommandFlag, RejectCode
-from protocol.messages import axes8
+from protocol.messages import pad_to_eight_axes
 from sim_plc.plc.reference import Motion
 
 # --- motions, bit by bit (the pair compares every cycle) --------------------------------------------------------------
@@ -167,7 +167,7 @@ def test_a_tail_is_replaced_and_a_new_session_starts_anew() -> None:
     run_out(pair)
     assert pair.q_ref == pytest.approx(Q_START + 0.8 * STEP, abs=1e-12)
     pair.new_session()
-    again = tuple(replace(knot, q=axes8(tuple(pair.q_ref.tolist()))) for knot in FLAT[:6])
+    again = tuple(replace(knot, q=pad_to_eight_axes(tuple(pair.q_ref.tolist()))) for knot in FLAT[:6])
     assert pair.deliver(traj(0, again, cmd_flags=BEGIN | END)) is RejectCode.NONE
     assert run_out(pair) == 25
 

@@ -26,7 +26,7 @@ from st_motion_pair import MS, Q_START, MotionPair, bits
 
 from protocol.codec import encode_command
 from protocol.codes import CommandFlag, Interp, Mode, RejectCode
-from protocol.messages import Command, Knot, axes8
+from protocol.messages import Command, Knot, pad_to_eight_axes
 from sim_plc.plc.knot_checks import segment_peaks
 from sim_plc.plc.reference import Motion
 
@@ -195,8 +195,15 @@ def test_peaks_between_knots_have_the_same_bits() -> None:
         # r: what the acceleration adds to that at the start: at the end, on average, and on average twice over
         r = rng.normal(size=3) * rng.choice([0.0, 1e-9, 1.0], 3, p=[0.1, 0.1, 0.8])
         end = (q + qd * T + (r[2] + 0.5 * qdd) * T * T, qd + (r[1] + qdd) * T, qdd + r[0])
-        first = Knot(0, axes8((float(q),)), axes8((float(qd),)), axes8((float(qdd),)))
-        second = Knot(t_ns, axes8((float(end[0]),)), axes8((float(end[1]),)), axes8((float(end[2]),)))
+        first = Knot(
+            0, pad_to_eight_axes((float(q),)), pad_to_eight_axes((float(qd),)), pad_to_eight_axes((float(qdd),))
+        )
+        second = Knot(
+            t_ns,
+            pad_to_eight_axes((float(end[0]),)),
+            pad_to_eight_axes((float(end[1]),)),
+            pad_to_eight_axes((float(end[2]),)),
+        )
         for made, knot in ((a, first), (b, second)):
             made.q[0], made.qd[0], made.qdd[0] = knot.q[0], knot.qd[0], knot.qdd[0]
         checks.method("FindPeaks", a, b, j=0, fSpan=T)

@@ -15,7 +15,7 @@ from protocol.client_link import ClientLink
 from protocol.codes import PlcState
 from protocol.framing import RawFraming
 from protocol.limits import limits_of
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, pad_to_eight_axes
 from protocol.timeouts import COMMAND_PERIOD
 from recording.clock import mono_ns
 
@@ -38,7 +38,9 @@ def knots_from(q0, machine):
         u = i / count
         s, sd = 10 * u**3 - 15 * u**4 + 6 * u**5, (30 * u**2 - 60 * u**3 + 30 * u**4) / T
         sdd = (60 * u - 180 * u**2 + 120 * u**3) / T**2
-        knots.append(Knot(i * 50_000_000, *(axes8(tuple(row)) for row in (q0 + s * step, sd * step, sdd * step))))
+        knots.append(
+            Knot(i * 50_000_000, *(pad_to_eight_axes(tuple(row)) for row in (q0 + s * step, sd * step, sdd * step)))
+        )
     return knots
 
 

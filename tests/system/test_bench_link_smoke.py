@@ -16,7 +16,7 @@ from benchmarks.link.real_time import Plan, bench, line, summary
 from machine.description import parse_machine_toml
 from protocol.gate import check_trajectory
 from protocol.limits import limits_of
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, pad_to_eight_axes
 from server.link.samples import knots_of
 from server.settings import read_machine_text
 
@@ -126,8 +126,11 @@ def test_percentiles_are_of_all_values():
 @pytest.mark.parametrize("seconds", [1.0, 20.0, 60.0])
 def test_back_and_forth_is_let_through_by_the_motion_gate(seconds):
     trajectory = back_and_forth(MACHINE, Q_START, seconds)
-    knots = [Knot(t, axes8(q), axes8(qd), axes8(qdd)) for t, q, qd, qdd in knots_of(trajectory, 6)]
-    assert check_trajectory(knots, axes8(tuple(Q_START)), limits_of(MACHINE.joints)) == ()
+    knots = [
+        Knot(t, pad_to_eight_axes(q), pad_to_eight_axes(qd), pad_to_eight_axes(qdd))
+        for t, q, qd, qdd in knots_of(trajectory, 6)
+    ]
+    assert check_trajectory(knots, pad_to_eight_axes(tuple(Q_START)), limits_of(MACHINE.joints)) == ()
     assert trajectory.duration_s == pytest.approx(max(6.0, 6.0 * round(seconds / 6.0)))
     assert np.abs(trajectory.q - Q_START).max() > np.deg2rad(5.0)
     np.testing.assert_allclose(np.diff(trajectory.t_s), KNOT_S)

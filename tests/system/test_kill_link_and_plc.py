@@ -14,7 +14,7 @@ from benchmarks.kills.repeated import UnknownVictimError, line, load_case, summa
 from benchmarks.kills.victims import children_of, holder_of_udp_port
 from machine.description import parse_machine_toml
 from protocol.codes import PlcState
-from protocol.messages import State, axes8
+from protocol.messages import State, pad_to_eight_axes
 from server.link.udp_end import UdpEnd
 from server.settings import read_machine_text
 
@@ -49,9 +49,9 @@ def a_state(i, plc_state, speed=0.0, rx_age_ms=10.0, q=Q):
         t_send_ns=10 * i * MS,
         plc_state=plc_state,
         rx_age_us=round(rx_age_ms * 1000),
-        q=axes8(q),
-        q_ref=axes8(q),
-        qd_ref=axes8((speed, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        q=pad_to_eight_axes(q),
+        q_ref=pad_to_eight_axes(q),
+        qd_ref=pad_to_eight_axes((speed, 0.0, 0.0, 0.0, 0.0, 0.0)),
     )
 
 
@@ -118,7 +118,7 @@ def test_what_does_not_hold_is_told(changes, text):
 
 
 def test_a_tool_that_goes_too_far_is_told():
-    far = tuple(replace(s, q=axes8((0.3, *Q[1:]))) if s.plc_state is PlcState.HOLD else s for s in a_move())
+    far = tuple(replace(s, q=pad_to_eight_axes((0.3, *Q[1:]))) if s.plc_state is PlcState.HOLD else s for s in a_move())
     violations = judged("link", 1, 1, 0.5, observed(move=far), 10.0).violations
     assert any("TCP travels" in violation for violation in violations)
 

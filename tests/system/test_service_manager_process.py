@@ -22,7 +22,17 @@ def test_the_server_reports_ready_alive_and_stopping(tmp_path):
         systemd.bind(str(tmp_path / "notify"))
         systemd.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
         environment = {**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "2000000"}
-        command = [sys.executable, "-P", "-m", "longreach.cli", "serve", "--port", str(ports.http), "--runs", "runs"]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "longreach.cli",
+            "serve",
+            "--port",
+            str(ports.http),
+            "--runs",
+            "runs",
+        ]
         command += ["--plc-port", str(ports.plc), "--plc-local-port", str(ports.plc_local)]
         server = subprocess.Popen(command, cwd=tmp_path, env=environment)
         try:

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from longreach.cli import app
-from longreach.settings_command import template
+from longreach.settings_command import settings_template
 from server.settings import ServerSettings, read_machine
 from server.version import library_versions
 
@@ -75,7 +75,7 @@ def test_templates_can_be_used_as_they_are(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("section", ["http", "plc", "recording"])
 def test_what_the_settings_template_shows_is_the_default(section: str) -> None:
-    lines = template().splitlines()
+    lines = settings_template().splitlines()
     start = lines.index(f"# [{section}]")
     shown: list[str] = []
     for line in lines[start:]:

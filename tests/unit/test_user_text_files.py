@@ -103,7 +103,9 @@ def test_the_list_of_a_data_set_too(tmp_path):
 def test_a_name_that_is_not_utf_8_is_refused_at_the_start_in_one_line(option):
     """Recordings hold the settings as UTF-8: nothing would be recorded."""
     made = subprocess.run(
-        [sys.executable, "-m", "longreach.cli", "serve", option, b"http://a/runs\xff"], capture_output=True, cwd=ROOT
+        [sys.executable, "-m", "longreach.cli", "serve", option, b"http://a/runs\xff"],
+        capture_output=True,
+        cwd=ROOT,
     )
     assert (made.returncode, made.stdout) == (2, b"")
     said = made.stderr.decode()

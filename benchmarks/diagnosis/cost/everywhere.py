@@ -55,7 +55,17 @@ def _run(recordings: Path, out: Path, *how: str) -> tuple[list[str], float]:
     for one in answers.glob("*.json"):
         one.unlink()
     began_s = time.monotonic()
-    command = [sys.executable, "-P", "-m", "longreach.cli", "diagnose-fleet", str(recordings), "--out", str(out), *how]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "longreach.cli",
+        "diagnose-fleet",
+        str(recordings),
+        "--out",
+        str(out),
+        *how,
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"longreach diagnose-fleet {' '.join(how)} ended with {done.returncode}: {done.stderr}")

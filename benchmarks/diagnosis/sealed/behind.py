@@ -14,7 +14,7 @@ from benchmarks.diagnosis.sealed.filters import filtered_by
 from benchmarks.diagnosis.sealed.own_plant import encoder_rows, true_at, truth
 from machine.description import StereoCamera
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
-from sim_plc.plant.statics import frames, sagged
+from sim_plc.plant.statics import frames, static_equilibrium_angles
 from sim_plc.plant.tree import MOTORS, N_JOINTS, Tree, build_tree
 from sim_plc.plant.truth import KinematicTruth, PlantTruth
 
@@ -156,7 +156,7 @@ def rest_poses(faults: Faults, rng: np.random.Generator, count: int) -> tuple[Ar
     out = np.zeros((len(readings), N_JOINTS))
     for k, reading in enumerate(readings):
         motors = np.concatenate([true_at(reading, encoder), own.WRIST_RAD])
-        q = sagged(structure.tree, structure.gravity, motors, plant.flex.stiffness_nm_rad)
+        q = static_equilibrium_angles(structure.tree, structure.gravity, motors, plant.flex.stiffness_nm_rad)
         q[MOTORS[:3]] += 0.5 * play * rng.uniform(-1.0, 1.0, 3)
         out[k] = q
     return readings, out

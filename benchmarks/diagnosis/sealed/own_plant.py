@@ -12,8 +12,8 @@ from machine.rotations import Array
 from sim_plc.draw_plant import draw_plant, nominal_kinematics
 from sim_plc.plant import kernel
 from sim_plc.plant.aba import aba
-from sim_plc.plant.cylinder import lookup
-from sim_plc.plant.hydraulics import VAPOUR_PA, opening, play, pump_flow, spool_step, valve_flows
+from sim_plc.plant.cylinder import interpolate_table
+from sim_plc.plant.hydraulics import VAPOUR_PA, play, pump_flow, spool_opening, spool_step, valve_flows
 from sim_plc.plant.kernel import lugre_step
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import gravity_torques
@@ -144,7 +144,7 @@ def _run(
                     moving[j] = 0.0
                 if moving[j] == 0.0 and abs(x) > w[f.BREAKAWAY]:
                     moving[j] = 1.0 if x > 0.0 else -1.0
-                o = opening(x, c[kernel.DEAD_BAND] + w[f.DEADBAND]) if moving[j] != 0.0 else 0.0
+                o = spool_opening(x, c[kernel.DEAD_BAND] + w[f.DEADBAND]) if moving[j] != 0.0 else 0.0
                 o *= (1.0 + w[f.FLOW]) * (1.0 + w[f.WARMING] * shared[kernel.TIME] / 60.0)
                 if x > 0.0:
                     o *= 1.0 + w[f.ASYMMETRY]
@@ -159,8 +159,8 @@ def _run(
                 i = par.motors[j]
                 c, s = par.joint[j], state.joint[j]
                 o = opened[j] * served if j < n else 0.0
-                y = lookup(par.table_y[j], c[kernel.TABLE_Q0], c[kernel.TABLE_STEP], state.q[i])
-                lever = lookup(par.table_lever[j], c[kernel.TABLE_Q0], c[kernel.TABLE_STEP], state.q[i])
+                y = interpolate_table(par.table_y[j], c[kernel.TABLE_Q0], c[kernel.TABLE_STEP], state.q[i])
+                lever = interpolate_table(par.table_lever[j], c[kernel.TABLE_Q0], c[kernel.TABLE_STEP], state.q[i])
                 yd = lever * state.qd[i]
                 pushed = 0.0  # flow [m or rad a second] past the valve: leak along the load, disturbance
                 if j < n:

@@ -3,7 +3,7 @@
 import random
 
 from protocol.limits import LimitTable
-from protocol.messages import Axes, Knot, axes8
+from protocol.messages import Axes, Knot, pad_to_eight_axes
 
 _PEAK_SPEED = 1.875  # of the quintic from rest to rest, times distance / duration
 _PEAK_ACCELERATION = 5.7735026919  # times distance / duration^2
@@ -35,7 +35,11 @@ def knots_between(q0: Axes, q1: Axes, windows_ms: tuple[tuple[float, float], ...
             q.append(a + (b - a) * p if p < 1.0 else b)
             qd.append((b - a) * v / T_s)
             qdd.append((b - a) * acc / (T_s * T_s))
-        knots.append(Knot(t_ms * _MS_NS, axes8(tuple(q)), axes8(tuple(qd)), axes8(tuple(qdd))))
+        knots.append(
+            Knot(
+                t_ms * _MS_NS, pad_to_eight_axes(tuple(q)), pad_to_eight_axes(tuple(qd)), pad_to_eight_axes(tuple(qdd))
+            )
+        )
     return knots
 
 
@@ -62,7 +66,7 @@ def draw_motion(table: LimitTable, q0: Axes, rng: random.Random) -> tuple[Knot, 
         up = rng.random() < 0.5 if min(room_up, room_down) > size else room_up > room_down
         targets.append(q0[j] + min(size, room_up) if up else q0[j] - min(size, room_down))
         windows.append((float(start_ms), float(end_ms)))
-    return tuple(knots_between(q0, axes8(tuple(targets)), tuple(windows), times_ms))
+    return tuple(knots_between(q0, pad_to_eight_axes(tuple(targets)), tuple(windows), times_ms))
 
 
 def _window(times_ms: list[int], rng: random.Random) -> tuple[int, int]:
@@ -83,7 +87,7 @@ def roughen(table: LimitTable, knots: tuple[Knot, ...], rng: random.Random) -> t
         for j, axis in enumerate(table.axes):
             off = rng.uniform(-size, size) * axis.qdd_max
             qdd[j] = min(max(qdd[j] + off, -axis.qdd_max), axis.qdd_max)
-        rough[k] = Knot(knots[k].t_ns, knots[k].q, knots[k].qd, axes8(tuple(qdd[: len(table.axes)])))
+        rough[k] = Knot(knots[k].t_ns, knots[k].q, knots[k].qd, pad_to_eight_axes(tuple(qdd[: len(table.axes)])))
     return tuple(rough)
 
 
@@ -109,7 +113,7 @@ def draw_tail(
     tail = []
     for i in range(1, count + 1):
         columns = [_to_rest(splice, goals[j], j, T_s, i / count) for j in range(n)]
-        q, qd, qdd = (axes8(tuple(column[k] for column in columns)) for k in range(3))
+        q, qd, qdd = (pad_to_eight_axes(tuple(column[k] for column in columns)) for k in range(3))
         tail.append(Knot(splice.t_ns + i * spacing_ns, q, qd, qdd))
     return first, tuple(tail)
 

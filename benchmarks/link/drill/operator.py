@@ -7,7 +7,7 @@ from protocol.client_events import ClientPhase
 from protocol.client_link import ClientLink
 from protocol.errors import LocalProtocolError
 from protocol.limits import LimitTable
-from protocol.messages import Axes, Knot, axes8
+from protocol.messages import Axes, Knot, pad_to_eight_axes
 from protocol.timeouts import MS, TAIL_AHEAD_NS
 from sim_plc.plc.local_panel import LocalPanel
 
@@ -66,11 +66,11 @@ class Operator:
             client.request_servo(self._traj_id, t_ns)
             self.servos += 1
             self._servo_until_ns = t_ns + self._rng.randrange(300 * MS, 1500 * MS)
-            q_ref = client.state.q_ref if client.state else axes8(())
-            self._servo = (q_ref, axes8(tuple(0.0 for _ in self._table.axes)))
+            q_ref = client.state.q_ref if client.state else pad_to_eight_axes(())
+            self._servo = (q_ref, pad_to_eight_axes(tuple(0.0 for _ in self._table.axes)))
         else:
             state = client.state
-            knots = draw_motion(self._table, state.q_ref if state else axes8(()), self._rng)
+            knots = draw_motion(self._table, state.q_ref if state else pad_to_eight_axes(()), self._rng)
             rough = roughen(self._table, knots, self._rng) if self._rng.random() < 0.5 else knots
             if not client.request_run(self._traj_id, rough, t_ns):
                 knots = rough
@@ -93,10 +93,12 @@ class Operator:
                 return
             if self._rng.random() < 0.2:
                 share = self._rng.choice((0.0, 0.5, 1.0))
-                qd = axes8(tuple(self._rng.uniform(-share, share) * axis.qd_max for axis in self._table.axes))
+                qd = pad_to_eight_axes(
+                    tuple(self._rng.uniform(-share, share) * axis.qd_max for axis in self._table.axes)
+                )
             axes = self._table.axes
             ahead = [min(max(a + v * 0.02, x.q_min), x.q_max) for a, v, x in zip(q, qd, axes, strict=False)]
-            self._servo = (axes8(tuple(ahead)), qd)
+            self._servo = (pad_to_eight_axes(tuple(ahead)), qd)
             if self._rng.random() < 0.97:
                 client.set_servo_target(*self._servo, t_ns)
         except LocalProtocolError:

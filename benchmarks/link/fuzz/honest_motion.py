@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from random import Random
 
 from protocol.limits import LimitTable
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, pad_to_eight_axes
 
 _LOADS = (0.3, 0.7, 0.95, 0.999, 1.0, 1.02, 1.2)  # of the limits: the last ones break them
 _STEPS_NS = (50_000_000, 50_000_000, 50_000_000, 20_000_000, 100_000_000, 200_000_000, 5_000_000)
@@ -42,7 +42,9 @@ def sampled(before: Knot, q_end: Sequence[float], n_steps: int, step_ns: int) ->
         if i == n_steps:
             points = [(end, 0.0, 0.0) for end in q_end]
         q, qd, qdd = zip(*points, strict=True)
-        knots.append(Knot(before.t_ns + i * step_ns, axes8(q), axes8(qd), axes8(qdd)))
+        knots.append(
+            Knot(before.t_ns + i * step_ns, pad_to_eight_axes(q), pad_to_eight_axes(qd), pad_to_eight_axes(qdd))
+        )
     return tuple(knots)
 
 
@@ -59,7 +61,7 @@ def trajectory(q_ref: Sequence[float], table: LimitTable, rng: Random) -> tuple[
         acceleration_s = math.sqrt(_PEAK_ACCELERATION * abs(end - q) / (load * axis.qdd_max))
         duration_s = max(duration_s, speed_s, acceleration_s)
     n_steps = min(max(math.ceil(duration_s * 1e9 / step_ns), 1), _MOST_KNOTS)
-    first = Knot(0, axes8(tuple(q_ref[: len(q_end)])))
+    first = Knot(0, pad_to_eight_axes(tuple(q_ref[: len(q_end)])))
     return (first, *sampled(first, q_end, n_steps, step_ns))
 
 

@@ -10,7 +10,7 @@ from protocol.codec import encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState
 from protocol.layout import KNOTS_PER_COMMAND
 from protocol.limits import LimitTable, axis_mask, cfg_id
-from protocol.messages import ZEROS, Command, Knot, State, axes8
+from protocol.messages import ZEROS, Command, Knot, State, pad_to_eight_axes
 from protocol.playback import Playback
 
 _MODULUS = 0x1_0000_0000
@@ -95,7 +95,7 @@ class HonestPc:
             traj_id=(state.traj_id if running else state.traj_id + 1) % _MODULUS,
             interp=Interp.LINEAR,
             cmd_flags=rng.choice((CommandFlag.START, CommandFlag.START, CommandFlag.LAST_IS_END)),
-            knots=(Knot(0, axes8(tuple(q)), axes8(tuple(qd))),),
+            knots=(Knot(0, pad_to_eight_axes(tuple(q)), pad_to_eight_axes(tuple(qd))),),
         )
         return encode_command(command)
 

@@ -8,7 +8,7 @@ from benchmarks.link.fuzz.oracle_fields import CommandFields
 from protocol.codec import encode_state
 from protocol.codes import CommandFlag, LinkState, Mode, PlcState, RejectCode
 from protocol.limits import LimitTable, axis_mask, cfg_id
-from protocol.messages import State, axes8
+from protocol.messages import State, pad_to_eight_axes
 
 _PERIOD_NS = 10_000_000
 _RAMP_TICKS = 30
@@ -23,7 +23,8 @@ class HonestPlc:
         middle = tuple(0.5 * (axis.q_min + axis.q_max) for axis in table.axes)
         self.state = State(
             0, first_seq, 50_000_000_000, PlcState.DISARMED, nonce=77, axis_mask=axis_mask(table),
-            cfg_id=cfg_id(table), q=axes8(middle), q_ref=axes8(middle), link_state=LinkState.NO_SESSION,
+            cfg_id=cfg_id(table), q=pad_to_eight_axes(middle),
+            q_ref=pad_to_eight_axes(middle), link_state=LinkState.NO_SESSION,
         )  # fmt: skip
         self._step_ns = 50_000_000
         self._ramp_ticks = 0

@@ -18,7 +18,7 @@ from protocol.client_link import ClientLink
 from protocol.errors import LocalProtocolError
 from protocol.framing import RawFraming
 from protocol.limits import limits_of
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, pad_to_eight_axes
 from protocol.timeouts import COMMAND_PERIOD
 from recording.clock import mono_ns
 from server.camera.contracts import FrameReport, VisionSettings
@@ -100,7 +100,7 @@ class InServerLink:
     async def run(self, trajectory: JointTrajectory) -> MotionEnded:
         """Play a trajectory from the present reference and wait for its end. Raises: LinkRefusedError."""
         knots = [
-            Knot(t, axes8(q), axes8(qd), axes8(qdd))
+            Knot(t, pad_to_eight_axes(q), pad_to_eight_axes(qd), pad_to_eight_axes(qdd))
             for t, q, qd, qdd in knots_of(trajectory, len(self._machine.joints))
         ]
         self._traj_id += 1

@@ -48,7 +48,7 @@ class _AtRest:
         self.brightness += weight * (brightness - self.brightness)
         self.count += 1
 
-    def refuses(self, alike: float, change_grey: float, brightness: float) -> bool:
+    def is_too_similar(self, alike: float, change_grey: float, brightness: float) -> bool:
         """Whether so little difference is too little for this camera."""
         if self.count < LEARNT_MIN or abs(brightness - self.brightness) > LIGHT_CHANGED_FRAC * self.brightness:
             return alike > ALIKE_MIN and change_grey < CHANGE_MAX_GREY
@@ -81,7 +81,7 @@ class FrozenMonitor:
         if np.isnan(alike):
             return ""
         at_rest = self._at_rest[name]
-        if at_rest.refuses(alike, change_grey, brightness):
+        if at_rest.is_too_similar(alike, change_grey, brightness):
             return (
                 f"camera frozen: the {name} image repeats but for its compression (noise {100 * alike:.0f} % the same, "
                 f"change {change_grey:.2f} grey levels); restart the camera, check its cable"

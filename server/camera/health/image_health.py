@@ -85,7 +85,7 @@ INTERVAL_MAX_S = 1.0  # a limit of 280 px: beyond, nothing can be said
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class _MarkerSighting:
     """Corners (n, 2) of a marker in one eye, and their common speed [px/ns]; None at the first sighting."""
 
     corners_px: Array
@@ -97,7 +97,7 @@ class JumpMonitor:
 
     def __init__(self) -> None:
         self._t_ns, self._interval_ns = 0, 0
-        self._seen: dict[tuple[int, str], _Seen] = {}
+        self._seen: dict[tuple[int, str], _MarkerSighting] = {}
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
         """The marker that is furthest off, where any is too far; its first two sightings are not judged."""
@@ -118,13 +118,13 @@ class JumpMonitor:
                     continue
                 key, found = (view.marker_id, eye), np.ascontiguousarray(corners, dtype=np.float64)
                 if key not in before:
-                    self._seen[key] = _Seen(found)
+                    self._seen[key] = _MarkerSighting(found)
                     continue
                 speed = before[key].speed
                 off_px = _median_corner_offset(
                     found, before[key].corners_px + (0.0 if speed is None else speed * interval_ns)
                 )
-                self._seen[key] = _Seen(found, off_px / interval_ns + (0.0 if speed is None else speed))
+                self._seen[key] = _MarkerSighting(found, off_px / interval_ns + (0.0 if speed is None else speed))
                 if speed is not None:
                     offs_px.append(off_px)
             alike = bool(offs_px) and float(np.linalg.norm(offs_px[0] - offs_px[-1])) < ALIKE_MAX_PX

@@ -37,7 +37,7 @@ def _update_running_averages(grey: Thumb, before: Thumb, weight: float, mean: Ma
             change[i, j] += weight * (0.25 * abs(int(grey[i, j]) - int(before[i, j])) - change[i, j])
 
 
-class _Eye:
+class _EyeStatistics:
     """Mean grey and mean change of one eye while the scene moves."""
 
     def __init__(self) -> None:
@@ -57,7 +57,7 @@ class _Eye:
             _update_running_averages(eye.grey, self.before, max(WEIGHT, 1.0 / self.count), self.mean, self.change)
         self.before[:] = eye.grey
 
-    def suspects(self) -> Image:
+    def spot_candidate_mask(self) -> Image:
         """Where the mean is darker and the change smaller than all around, as 0 and 1."""
         size = (SURROUNDINGS, SURROUNDINGS)
         mean_around = cv2.blur(self.mean, size, borderType=cv2.BORDER_REFLECT)
@@ -71,14 +71,14 @@ class SpotMonitor:
     """Both eyes' maps; judged now and then, the verdict stands in between."""
 
     def __init__(self) -> None:
-        self._eyes = {"left": _Eye(), "right": _Eye()}
+        self._eyes = {"left": _EyeStatistics(), "right": _EyeStatistics()}
         self._number = 0
         self._verdict: tuple[Finding, ...] = ()
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
         """Learn from this pair; every so often look for spots."""
         if pair.first:
-            self._eyes = {"left": _Eye(), "right": _Eye()}
+            self._eyes = {"left": _EyeStatistics(), "right": _EyeStatistics()}
             self._verdict = ()
         for name, eye in pair.eyes:
             self._eyes[name].learn(eye)
@@ -91,7 +91,7 @@ class SpotMonitor:
         left, right = self._eyes["left"], self._eyes["right"]
         if min(left.count, right.count) < PAIRS_MIN or left.mean.shape != right.mean.shape:
             return ()
-        suspects = {name: eye.suspects() for name, eye in self._eyes.items()}
+        suspects = {name: eye.spot_candidate_mask() for name, eye in self._eyes.items()}
         findings = []
         for name, other in (("left", "right"), ("right", "left")):
             spot = _largest_unmatched_spot(suspects[name], suspects[other], leftwards=name == "left")

@@ -9,7 +9,7 @@ import numpy as np
 from machine.kinematics import tcp_poses
 from protocol.gate import check_trajectory
 from protocol.limits import limits_of
-from protocol.messages import axes8
+from protocol.messages import pad_to_eight_axes
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import fingerprint
@@ -73,7 +73,7 @@ def check_driven(ctx: PlanContext, trajectory: JointTrajectory) -> None:
 
 def _check_motion_gate(ctx: PlanContext, trajectory: JointTrajectory) -> None:
     knots = knots_of(trajectory, ctx.chain.n)
-    refused = check_trajectory(knots_from(knots), axes8(knots[0][1]), limits_of(ctx.machine.joints))
+    refused = check_trajectory(knots_from(knots), pad_to_eight_axes(knots[0][1]), limits_of(ctx.machine.joints))
     if refused:
         raise JobFailedError(f"{refusals_text(refused)}", "plan_gate")
 

@@ -30,7 +30,7 @@ def position(
     """
     watch = _StopWatch(clock_ns)
     taken = first = yield from good_look(ctx)
-    watch.lap("look")
+    watch.record_lap_time("look")
     if is_look_inside_tolerance(ctx, taken):
         ctx.knowledge.moves.clear()
         return _position_result(ctx, first, taken, ctx.knowledge.calibration, watch)
@@ -40,12 +40,12 @@ def position(
         possible_path(ctx, taken.reading)  # it will be driven from here
     _begin_run(ctx, taken, recalibrate)
     taken = yield from orient(ctx, taken)
-    watch.lap("orient")
+    watch.record_lap_time("orient")
     if ctx.knowledge.mount is None:
         yield from calibrate(ctx, taken)
-        watch.lap("calibrate")
+        watch.record_lap_time("calibrate")
         taken = yield from good_look(ctx)
-        watch.lap("look after calibration")
+        watch.record_lap_time("look after calibration")
     taken = yield from _move_until_inside(ctx, taken, watch, clock_ns)
     return _position_result(ctx, first, taken, ctx.knowledge.calibration, watch)
 
@@ -80,9 +80,9 @@ def _move_until_inside(
             break
         assured = yield from assured_preview(ctx, taken, clock_ns(), goal.moves_max - number)
         if assured.paths:
-            watch.lap("calibrate again")
+            watch.record_lap_time("calibrate again")
         taken = yield from execute(ctx, assured.previewed, number)
-        watch.lap(f"move {number}")
+        watch.record_lap_time(f"move {number}")
         error = error_of(taken)
         yield Progress("error", error.distance_mm, goal.tolerance_mm, "mm", f"after move {number}")
     return taken
@@ -124,7 +124,7 @@ class _StopWatch:
         self._start_ns = self._last_ns = clock_ns()
         self.laps: list[tuple[str, float]] = []
 
-    def lap(self, name: str) -> None:
+    def record_lap_time(self, name: str) -> None:
         now_ns = self._clock_ns()
         self.laps.append((name, round((now_ns - self._last_ns) * 1e-9, 2)))
         self._last_ns = now_ns

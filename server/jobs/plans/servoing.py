@@ -19,7 +19,7 @@ from server.jobs.plans.looking import good_look
 from server.jobs.plans.pair_gate import PairGate
 from server.jobs.plans.steering_path import (
     SteeredPath,
-    correction_for,
+    corrected_tail,
     goal_of,
     joints_near,
     next_pair_request,
@@ -171,7 +171,7 @@ def _process_pairs_until_end(ctx: PlanContext, steered: SteeredPath) -> Generato
             yield StopMove(text)
             raise JobFailedError(f"{text}; clear the view, then look again", LOST_CODE)
         note_tail(steered, seen)
-        correction = correction_for(ctx, steered, seen)
+        correction = corrected_tail(ctx, steered, seen)
         if correction is not None:
             yield correction
 

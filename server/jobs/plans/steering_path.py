@@ -67,7 +67,7 @@ def note_tail(steered: SteeredPath, seen: PairSeen) -> None:
         steered.offered = steered.T_offered = None
 
 
-def correction_for(ctx: PlanContext, steered: SteeredPath, seen: PairSeen) -> Correct | None:
+def corrected_tail(ctx: PlanContext, steered: SteeredPath, seen: PairSeen) -> Correct | None:
     """A new tail to where the goal is seen now; None while one is on its way, near the end, or not worth it."""
     if not steered.corrects:
         return None

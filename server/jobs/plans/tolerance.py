@@ -13,10 +13,10 @@ def is_look_inside_tolerance(ctx: PlanContext, taken: LookTaken) -> bool:
     goal, error = ctx.settings.position, error_of(taken)
     if ctx.method == "paper":
         return inside_as_paper(error, goal.tolerance_mm)
-    return inside(error, goal.tolerance_mm, goal.tolerance_deg)
+    return is_within_tolerance(error, goal.tolerance_mm, goal.tolerance_deg)
 
 
-def inside(error: ErrorMm, tolerance_mm: float, tolerance_deg: float) -> bool:
+def is_within_tolerance(error: ErrorMm, tolerance_mm: float, tolerance_deg: float) -> bool:
     """Whether every axis and the rotation are inside the tolerance with two sigma to spare."""
     axes = ((error.x_mm, error.sigma_x_mm), (error.y_mm, error.sigma_y_mm), (error.z_mm, error.sigma_z_mm))
     position = all(abs(value) + SIGMAS_TO_SPARE * sigma <= tolerance_mm for value, sigma in axes)

@@ -45,7 +45,7 @@ def test_six_failures_lock_for_a_minute_and_a_minute_of_peace_forgets():
     assert lockout.locked_s("a", 5.0 + LOCKED_S) == 0.0
     lockout.failed("a", 6.0 + LOCKED_S)
     assert lockout.locked_s("a", 6.0 + LOCKED_S) == 0.0
-    lockout.passed("a")
+    lockout.clear_failed_attempts("a")
     for number in range(ADDRESSES_MAX + 10):
         lockout.failed(f"address {number}", 0.0)
     assert len(lockout._failed) == ADDRESSES_MAX

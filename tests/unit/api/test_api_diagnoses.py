@@ -33,7 +33,7 @@ async def test_all_recordings_are_handed_to_one_diagnosis(tmp_path):
 async def test_one_waits_for_another_and_a_third_is_refused(tmp_path):
     diagnoses = standing_in(tmp_path, WAIT)
     first = diagnoses.start(tmp_path / "a.mcap")
-    second = diagnoses.queue((tmp_path / "a.mcap", tmp_path / "b.mcap"), "job")
+    second = diagnoses.queue_diagnosis((tmp_path / "a.mcap", tmp_path / "b.mcap"), "job")
     assert (first.state, second.state, second.job_id) == ("running", "waiting", "job")
     with pytest.raises(BusyError):
         diagnoses.start(tmp_path / "c.mcap")
@@ -61,7 +61,7 @@ async def test_one_that_is_stopped_before_its_first_step_has_ended(tmp_path):
 
 async def test_several_runs_by_rest(open_bench, tmp_path, monkeypatch):
     started = []
-    monkeypatch.setattr(Diagnoses, "_begun", lambda self, one: started.append(one) or one)
+    monkeypatch.setattr(Diagnoses, "_start_diagnosis", lambda self, one: started.append(one) or one)
     for name in ("a", "b"):
         (tmp_path / "runs" / f"{name}.mcap").write_bytes(b"")
     async with open_bench.client() as client:

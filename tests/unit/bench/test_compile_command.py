@@ -106,7 +106,12 @@ def test_after_it_no_process_of_the_system_compiles(cache: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     for arguments in (["-m", "longreach.cli", "compile"], ["-c", MISSING]):
         done = subprocess.run(
-            [sys.executable, "-P", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+            [sys.executable, "-P", *arguments],
+            cwd=ROOT,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert done.returncode == 0, done.stderr
     missing = [place for place in json.loads(done.stdout) if not place.startswith(LATER)]

@@ -49,7 +49,12 @@ def test_no_child_process_however_started_imports_from_the_working_folder(tmp_pa
     (script := tmp_path / "children.py").write_text(CHILDREN)
     cwd = foreign(tmp_path / "work")
     done = subprocess.run(
-        [sys.executable, "-P", str(script)], cwd=cwd, env=environment(), capture_output=True, text=True, timeout=120
+        [sys.executable, "-P", str(script)],
+        cwd=cwd,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     assert done.returncode == 0, done.stderr
     for path in json.loads(done.stdout):
@@ -126,7 +131,7 @@ def test_code_is_compiled_into_a_temporary_cache_where_nothing_can_be_written(
     for name in (surroundings.CACHE, "no_proxy", "NO_PROXY", "PYTHONSAFEPATH"):
         monkeypatch.setenv(name, "")
     monkeypatch.setattr(surroundings.tempfile, "gettempdir", lambda: str(tmp_path))
-    monkeypatch.setattr(surroundings, "_writable", lambda folder: tmp_path in folder.parents)
+    monkeypatch.setattr(surroundings, "_is_folder_writable", lambda folder: tmp_path in folder.parents)
     prepare()
     made = Path(os.environ[surroundings.CACHE])
     assert made.parent == tmp_path
@@ -153,7 +158,7 @@ def test_an_images_compiled_code_is_used_from_where_it_can_only_be_read(
         monkeypatch.setenv(name, "")
     monkeypatch.setenv(surroundings.CACHE, str(image))
     monkeypatch.setattr(surroundings.tempfile, "gettempdir", lambda: str(tmp_path))
-    monkeypatch.setattr(surroundings, "_writable", lambda folder: image not in (folder, *folder.parents))
+    monkeypatch.setattr(surroundings, "_is_folder_writable", lambda folder: image not in (folder, *folder.parents))
     for _ in range(2):  # a second process finds what the first one made
         monkeypatch.setenv(surroundings.CACHE, str(image))
         prepare()

@@ -36,7 +36,7 @@ def reference(t_s: np.ndarray) -> np.ndarray:
 def drive(plant: Actuators, duration_s: float = 3.0, loads: bool = False) -> Drive:
     t = np.arange(0.0, duration_s, 0.004)
     cycles = round(duration_s / plant.cycle_s)
-    rows = (cycles - 1) // plant.decimate + 1
+    rows = (cycles - 1) // plant.cycles_per_row + 1
     load = np.full((rows, plant.n), -0.6) * np.linspace(0.5, 1.0, rows)[:, None]
     both = (load, np.full((rows, plant.n), -0.001)) if loads else None
     return drive_by_sent(plant, t, reference(t), 0.0, cycles, both)

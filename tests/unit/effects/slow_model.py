@@ -27,7 +27,7 @@ def nominal_rows(plant: Actuators, drive: Drive) -> tuple[list[list[float]], lis
             share = 1.0 - math.exp(-T / tau) if tau > 0.0 else 1.0
             lagged[j] += share * (kp * (q_ref[j] - q[j]) - lagged[j])
             u[j] = min(max(lagged[j], -1.0), 1.0)
-        if k % plant.decimate == 0:
+        if k % plant.cycles_per_row == 0:
             us.append(list(u))
             qs.append(list(q))
         for _ in range(plant.substeps):
@@ -169,10 +169,10 @@ def slow_rows(plant: Actuators, joint: np.ndarray, machine: np.ndarray, drive: D
         enc = [one.encoder() for one in joints]
         us = [one.control(T) for one in joints]
         links = [one.link_side(T) for one in joints]
-        if k % plant.decimate == 0:
+        if k % plant.cycles_per_row == 0:
             for name, values in (("ref", [one.ref for one in joints]), ("u", us), ("enc", enc), ("link", links)):
                 rows[name].append(values)
-        row = k // plant.decimate
+        row = k // plant.cycles_per_row
         load = drive.load[row] + machine[columns.PAYLOAD] * drive.load_kg[row]
         for _ in range(plant.substeps):
             speeds = [one.valve(us[j], dt, load[j]) for j, one in enumerate(joints)]

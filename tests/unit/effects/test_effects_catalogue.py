@@ -116,8 +116,8 @@ def test_a_fit_starts_inside_the_bounds_and_off_neutral(effect) -> None:
         assert parameter.contains(parameter.start)
         assert parameter.role == "shape" or parameter.start != parameter.neutral
         assert parameter.contains(parameter.neutral)
-        assert parameter.high <= parameter.highest <= parameter.admitted
-        assert not parameter.contains(parameter.admitted * 1.01)
+        assert parameter.high <= parameter.highest <= parameter.max_admitted
+        assert not parameter.contains(parameter.max_admitted * 1.01)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)

@@ -41,7 +41,7 @@ def planned(ctx, world, desk, resume=False, wall_free=False):
 
 def driving(ctx, world, desk, told):
     body = IdentifyRequest(kind="identify", plan_hash=told.plan_hash)
-    return drive_identification(ctx, *desk.executable(body, world.t_ns))
+    return drive_identification(ctx, *desk.require_fresh_plan(body, world.t_ns))
 
 
 @pytest.fixture

@@ -33,7 +33,7 @@ async def test_a_trajectory_that_was_judged_while_the_machine_was_stopped_is_not
         judging.set()
         await judged.wait()
 
-    monkeypatch.setattr(LinkClient, "_judge", judge)
+    monkeypatch.setattr(LinkClient, "_check_motion_gate", judge)
     link = LinkClient(LinkSettings(), read_machine("hiab033"))
     link._process = process = Process()
     link._on_report(HealthReport(ARMED, 0))

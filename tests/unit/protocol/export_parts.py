@@ -5,7 +5,7 @@ import struct
 from functools import cache
 
 from longreach.export_command import plc_parameters, st_sources
-from protocol.twincat.bundle import bundle
+from protocol.twincat.bundle import build_bundle_files
 from server.settings import read_machine
 
 MACHINE = read_machine("hiab033")
@@ -16,7 +16,7 @@ _CONSTANT = re.compile(r"^\s+(\w+)\s*:\s*(.+?)\s*:=\s*(.+?);", re.MULTILINE)
 
 @cache
 def exported() -> dict[str, bytes]:
-    return bundle(PARAMETERS, st_sources())
+    return build_bundle_files(PARAMETERS, st_sources())
 
 
 def declaration(path: str) -> str:

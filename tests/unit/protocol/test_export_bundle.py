@@ -11,10 +11,10 @@ from protocol.codes import RejectCode
 from protocol.gate import check_trajectory
 from protocol.layout import command_field_at
 from protocol.messages import Command, State
-from protocol.twincat.bundle import bundle
-from protocol.twincat.golden import conversation
+from protocol.twincat.bundle import build_bundle_files
+from protocol.twincat.golden import golden_messages
 
-GOLDENS = {golden.name: golden.message for golden in conversation(PARAMETERS)}
+GOLDENS = {golden.name: golden.message for golden in golden_messages(PARAMETERS)}
 
 
 def command(name: str) -> Command:
@@ -31,7 +31,7 @@ def state(name: str) -> State:
 
 def test_another_machine_is_another_export() -> None:
     axes = (replace(PARAMETERS.table.axes[0], qd_max=0.1), *PARAMETERS.table.axes[1:])
-    other = bundle(replace(PARAMETERS, table=replace(PARAMETERS.table, axes=axes)), st_sources())
+    other = build_bundle_files(replace(PARAMETERS, table=replace(PARAMETERS.table, axes=axes)), st_sources())
     changed = {path for path, data in exported().items() if data != other[path]}
     assert {"README.md", "twincat/GVLs/GVL_HmMachine.TcGVL", "vectors/eap.pcap", "MANIFEST.txt"} <= changed
     assert "twincat/POUs/FB_HmLink.TcPOU" not in changed
@@ -47,7 +47,7 @@ def test_the_gate_judges_the_golden_trajectories_as_they_claim() -> None:
 
 @pytest.mark.parametrize("offset", [48, 288, 0])
 def test_refused_fields_are_named_with_their_value(offset: int) -> None:
-    (golden,) = (golden for golden in conversation(PARAMETERS) if golden.name == "trajectory-refused")
+    (golden,) = (golden for golden in golden_messages(PARAMETERS) if golden.name == "trajectory-refused")
     q = command("trajectory-refused").knots[1].q[0]
     expected = {48: "mode = 3", 288: f"knot[1].q[0] = {q:.6g}", 0: ""}[offset]
     assert layout.command_field_text(golden.payload, offset) == expected

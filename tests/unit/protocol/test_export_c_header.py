@@ -8,7 +8,7 @@ import pytest
 from export_parts import PARAMETERS, exported
 
 from protocol import codes, layout
-from protocol.twincat.golden import conversation
+from protocol.twincat.golden import golden_messages
 
 GCC, GXX = shutil.which("gcc"), shutil.which("g++")
 needs_gcc = pytest.mark.skipif(GCC is None, reason="gcc is not installed (Debian: apt-get install gcc)")
@@ -72,7 +72,7 @@ def test_its_assertions_bite(tmp_path, old, new):
 @needs_gcc
 def test_a_c_program_reads_a_golden_command(tmp_path):
     assert GCC is not None
-    (golden,) = (golden for golden in conversation(PARAMETERS) if golden.name == "trajectory")
+    (golden,) = (golden for golden in golden_messages(PARAMETERS) if golden.name == "trajectory")
     (tmp_path / "hmlink.h").write_text(HEADER)
     (tmp_path / "reader.c").write_text(READER)
     (tmp_path / "command.bin").write_bytes(golden.payload)

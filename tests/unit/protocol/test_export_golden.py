@@ -15,10 +15,10 @@ from protocol.errors import MalformedError
 from protocol.framing import EapFraming, RawFraming
 from protocol.layout import COMMAND_SIZE, STATE_SIZE
 from protocol.messages import Command, State
-from protocol.twincat.golden import KEY, conversation, framed
+from protocol.twincat.golden import KEY, framed_datagram, golden_messages
 from sim_plc.plc.knot_ring import KnotRing, PlaybackView
 
-CONVERSATION = {golden.name: golden for golden in conversation(PARAMETERS)}
+CONVERSATION = {golden.name: golden for golden in golden_messages(PARAMETERS)}
 JSON = json.loads(exported()["vectors/conversation.json"])["messages"]
 
 
@@ -133,7 +133,7 @@ def test_captures_hold_the_conversation_between_the_right_ends(name, eap, ports)
         assert header[12:20] == ends
         assert sum(struct.unpack(">10H", header)) % 0xFFFF == 0  # the header's checksum
         assert struct.unpack_from(">HHH", udp) == (*udp_ports, len(udp))
-        assert udp[8:] == framed(golden, PARAMETERS, eap)
+        assert udp[8:] == framed_datagram(golden, PARAMETERS, eap)
         assert eap or RawFraming().unwrap(udp[8:]) == golden.payload
 
 

@@ -10,7 +10,7 @@ from export_parts import MACHINE, PARAMETERS, exported
 
 from longreach.export_command import plc_parameters, st_sources
 from protocol.errors import LocalProtocolError
-from protocol.twincat.bundle import bundle, project
+from protocol.twincat.bundle import build_bundle_files, project
 from protocol.twincat.pou import parse_pou
 from protocol.twincat.solution import NAME
 
@@ -42,7 +42,9 @@ END_FUNCTION_BLOCK
 
 
 def test_two_exports_are_the_same_bytes():
-    again = bundle(plc_parameters(MACHINE, "10.1.2.3.1.1", "10.1.2.4.1.1"), dict(reversed(st_sources().items())))
+    again = build_bundle_files(
+        plc_parameters(MACHINE, "10.1.2.3.1.1", "10.1.2.4.1.1"), dict(reversed(st_sources().items()))
+    )
     assert again == exported()
     assert list(again) == list(exported())
 

@@ -11,7 +11,7 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from longreach.rerun_view import convert, library
+from longreach.rerun_view import convert, import_rerun_module
 from machine.description import parse_machine_toml
 from recording.messages import CODECS
 from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, LOG_TOPIC, TRANSFORM_TOPIC
@@ -78,7 +78,7 @@ def _attachments(recording: Path) -> dict[str, bytes]:
 def _there(target: Path) -> tuple[Rows, dict[str, bytes]]:
     """Rows of the converted recording by entity, in the order of their log time, and its attachments by name."""
     rows, attached = defaultdict[str, list[Any]](list), dict[str, bytes]()
-    for chunk in library("rerun.chunk").RrdReader(str(target)).stream():
+    for chunk in import_rerun_module("rerun.chunk").RrdReader(str(target)).stream():
         batch = chunk.to_record_batch()
         if "message_log_time" in batch.schema.names:
             rows[str(chunk.entity_path)] += batch.to_pylist()

@@ -46,7 +46,7 @@ def full_bag(path: Path, plugin: str, distribution: int = 0) -> Path:
             bag.controller_state("/arm_controller/controller_state", t, ["j1", "j2"])
             if k % 10 == 0:
                 bag.pose("/vrpn/hand/pose", t, [np.cos(t), 0.0, 0.2])
-        text = bag.make("std_msgs/msg/String", data="hello")
+        text = bag.create_version("std_msgs/msg/String", data="hello")
         bag.write("/chatter", "std_msgs/msg/String", text, 0.0)
     return path
 
@@ -89,7 +89,7 @@ def test_a_velocity_command_becomes_the_share_of_the_fastest(tmp_path: Path, urd
     u = column(read_run(tmp_path / "out").of(PlcState), "u_frac")
     assert np.abs(u - [0.5, -0.5]).max() < 1e-12
     assert any("velocity-controlled" in note for note in done.assembled.notes)
-    assert [entry.name for entry in done.found.guesses] == ["/forward_velocity_controller/commands"]
+    assert [entry.name for entry in done.found.guessed_entries] == ["/forward_velocity_controller/commands"]
 
 
 def test_nothing_is_guessed_in_silence(tmp_path: Path, urdf: Path) -> None:
@@ -110,7 +110,9 @@ def test_names_that_differ_are_mapped(tmp_path: Path, urdf: Path) -> None:
             bag.joint_state("/b", k * STEP_S, ["j1", "j2"], reference(k * STEP_S))
     mapping = tmp_path / "mapping.toml"
     mapping.write_text('[ros]\nencoders = "/a"\nreference = "/b"\n', encoding="utf-8")
-    done = convert_foreign(tmp_path / "bag", tmp_path / "out", urdf, mapping, lambda found, _: not found.guesses)
+    done = convert_foreign(
+        tmp_path / "bag", tmp_path / "out", urdf, mapping, lambda found, _: not found.guessed_entries
+    )
     assert np.abs(column(read_run(tmp_path / "out").of(PlcState), "q_ref_rad")[-1] - reference(2.99)).max() < 1e-12
     assert done.assembled.q is not None
     mapping.write_text('[ros]\nencoders = "/c"\n', encoding="utf-8")
@@ -140,7 +142,7 @@ def test_bags_that_are_none_are_refused_with_a_reason(tmp_path: Path, urdf: Path
     (tmp_path / "cut" / "metadata.yaml").write_text(": {{", encoding="utf-8")
     assert "YAML" in refused(tmp_path / "cut") or "metadata" in refused(tmp_path / "cut")
     with BagMaker(tmp_path / "talk", "MCAP") as talk:
-        talk.write("/chatter", "std_msgs/msg/String", talk.make("std_msgs/msg/String", data="x"), 0.0)
+        talk.write("/chatter", "std_msgs/msg/String", talk.create_version("std_msgs/msg/String", data="x"), 0.0)
     assert "no joint positions" in refused(tmp_path / "talk")
     assert "/chatter" in refused(tmp_path / "talk")
 

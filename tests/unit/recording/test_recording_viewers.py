@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from rerun_arrivals import Arrival, arrivals
 
-from longreach.rerun_view import RerunError, blueprint, convert
+from longreach.rerun_view import RerunError, convert, write_blueprint
 from machine.description import parse_machine_toml
 from recording.content import Attachment
 from recording.foxglove import FramePose
@@ -125,7 +125,7 @@ def test_everything_arrives_in_rerun(recorded, tmp_path):
     assert set(found) == {row_type.topic for row_type in ROW_TYPES} | set(FOXGLOVE) | {"attachments"}
     assert [one for one in found.values() if not one.whole] == []
     assert found[TRANSFORM_TOPIC].written == 2 * N
-    blueprint(tmp_path / "all.rbl")
+    write_blueprint(tmp_path / "all.rbl")
     assert (tmp_path / "all.rbl").stat().st_size > 0
 
 

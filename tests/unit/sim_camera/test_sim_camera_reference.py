@@ -56,7 +56,7 @@ def test_fast_picture_is_the_dense_one(machine: Machine, renderer: StereoRendere
     eye = renderer.eyes[1]
     Ts_base_tcp = key_poses(Sideways(oblique(machine), 0.3), 0, READOUT_S, 5)
     dense = reference_window(renderer, eye, Ts_base_tcp, window)
-    fast = renderer.sharp(eye, Ts_base_tcp)
+    fast = renderer.render_sharp_image(eye, Ts_base_tcp)
     renderer.structure.paint(fast, 1, Ts_base_tcp[2])
     fast = fast[window.v0 : window.v1, window.u0 : window.u1].astype(float)
     a, b = (cv2.GaussianBlur(image, (5, 5), 0.6)[4:-4, 4:-4] for image in (dense, fast))

@@ -117,14 +117,14 @@ def test_exposures_stay_on_their_grid_and_missed_ones_are_counted() -> None:
 def test_rate_falls_when_work_is_long_and_rises_again() -> None:
     governor = RateGovernor(15.0)
     for _ in range(40):
-        governor.worked(0.030)
+        governor.record_busy_time(0.030)
     assert (governor.rate_hz, governor.reduced) == (15.0, False)
-    changes = [governor.worked(0.100) for _ in range(15)]
+    changes = [governor.record_busy_time(0.100) for _ in range(15)]
     assert sum(changes) == 1
     assert governor.reduced
     assert governor.rate_hz == pytest.approx(8.5)
     for _ in range(40):
-        governor.worked(0.030)
+        governor.record_busy_time(0.030)
     assert not governor.reduced
 
 

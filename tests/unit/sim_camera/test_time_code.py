@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sim_plc.camera.process import BITS, CELLS, HEIGHT_FRAC, UNIT_NS, painted
+from sim_plc.camera.process import BITS, CELLS, HEIGHT_FRAC, UNIT_NS, paint_time_code
 from sim_plc.camera.texture import Grey
 
 PICTURE = np.random.default_rng(3).integers(0, 255, (720, 1280), dtype=np.uint8)
@@ -27,7 +27,7 @@ def read(image: Grey, t_near_ns: int) -> int | None:
 @pytest.mark.parametrize("width", [1280, 960, 700])
 @pytest.mark.parametrize("t_ns", [0, 123_456_700_000, 86_400_000_000_000 * 5 + 1_700_000])
 def test_what_was_painted_is_read(width, t_ns):
-    jpeg = cv2.imencode(".jpg", painted(PICTURE, t_ns), [cv2.IMWRITE_JPEG_QUALITY, 60])[1]
+    jpeg = cv2.imencode(".jpg", paint_time_code(PICTURE, t_ns), [cv2.IMWRITE_JPEG_QUALITY, 60])[1]
     small = cv2.resize(cv2.imdecode(jpeg, 0), (width, round(width * 720 / 1280)), interpolation=cv2.INTER_AREA)
     assert read(small, t_ns + 3_000_000_000) == t_ns - t_ns % 100_000
 
@@ -37,4 +37,4 @@ def test_a_picture_without_code_tells_nothing():
 
 
 def test_the_rest_of_the_picture_is_untouched():
-    assert np.array_equal(painted(PICTURE, 5)[24:], PICTURE[24:])
+    assert np.array_equal(paint_time_code(PICTURE, 5)[24:], PICTURE[24:])

@@ -9,7 +9,7 @@ from machine.kinematics import tcp_pose
 from sim_plc.draw_plant import nominal_kinematics
 from sim_plc.plant import sizing
 from sim_plc.plant.aba import aba, aba_work
-from sim_plc.plant.statics import frames, gravity_torques, sagged
+from sim_plc.plant.statics import frames, gravity_torques, static_equilibrium_angles
 from sim_plc.plant.tree import FLEXES, MOTORS, N_JOINTS, build_tree
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -70,7 +70,7 @@ def _sag_m(tree, q_motor):
     rigid = np.zeros(N_JOINTS)
     rigid[MOTORS] = q_motor
     heights = []
-    for q in (rigid, sagged(tree, GRAVITY, q_motor, SPRINGS_NM_RAD)):
+    for q in (rigid, static_equilibrium_angles(tree, GRAVITY, q_motor, SPRINGS_NM_RAD)):
         R, p = frames(tree, q)
         heights.append((R[-1] @ tree.T_last_tcp[:3, 3] + p[-1])[2])
     return heights[0] - heights[1]
@@ -84,13 +84,13 @@ def test_sag_of_the_default_plant_is_of_the_expected_size(tree):
 
 
 def test_sag_is_where_the_springs_carry_the_weight(tree):
-    q = sagged(tree, GRAVITY, np.deg2rad([20.0, 40.0, -80.0, 5.0, -40.0, 3.0]), SPRINGS_NM_RAD)
+    q = static_equilibrium_angles(tree, GRAVITY, np.deg2rad([20.0, 40.0, -80.0, 5.0, -40.0, 3.0]), SPRINGS_NM_RAD)
     residual = gravity_torques(tree, GRAVITY, q)[FLEXES] - SPRINGS_NM_RAD * q[FLEXES]
     assert np.abs(residual).max() < 1e-6  # N m
 
 
 def test_full_command_gives_the_nominal_speeds(nominal, tree):
-    actuator = sizing.actuators(nominal)
+    actuator = sizing.build_actuator_truth(nominal)
     gain = sizing.flow_gains(nominal, tree, GRAVITY, actuator)
     wanted = np.array([joint.velocity_gain_rad_s for joint in nominal.joints])
     speeds = sizing.joint_speeds(tree, GRAVITY, actuator, gain, sizing.SIZING_POSTURE_RAD)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sim_plc.plant.cylinder import LIFT_GEOMETRY, TILT_GEOMETRY, FourBarCylinder, lever_table, lookup
-from sim_plc.plant.hydraulics import opening, orifice, play, pump_flow, spool_step, valve_flows
+from sim_plc.plant.cylinder import LIFT_GEOMETRY, TILT_GEOMETRY, FourBarCylinder, interpolate_table, lever_table
+from sim_plc.plant.hydraulics import orifice_pressure_root, play, pump_flow, spool_opening, spool_step, valve_flows
 from sim_plc.plant.kernel import lugre_step
 
 
@@ -49,10 +49,10 @@ def test_friction_without_bristles_is_viscous_only():
 
 
 def test_dead_band_swallows_small_openings_and_keeps_full_stroke():
-    assert opening(0.02, 0.03) == 0.0
-    assert opening(-0.03, 0.03) == 0.0
-    assert opening(1.0, 0.03) == pytest.approx(1.0)
-    assert opening(-0.5, 0.0) == -0.5
+    assert spool_opening(0.02, 0.03) == 0.0
+    assert spool_opening(-0.03, 0.03) == 0.0
+    assert spool_opening(1.0, 0.03) == pytest.approx(1.0)
+    assert spool_opening(-0.5, 0.0) == -0.5
 
 
 def test_spool_follows_a_step_like_its_second_order_model():
@@ -66,9 +66,9 @@ def test_spool_follows_a_step_like_its_second_order_model():
 
 
 def test_orifice_is_a_signed_root_with_a_finite_slope_at_zero():
-    assert orifice(9e6, 2e5) == pytest.approx(9e6 / np.sqrt(9.2e6))
-    assert orifice(-9e6, 2e5) == -orifice(9e6, 2e5)
-    assert orifice(1.0, 2e5) == pytest.approx(1.0 / np.sqrt(2e5), rel=1e-4)
+    assert orifice_pressure_root(9e6, 2e5) == pytest.approx(9e6 / np.sqrt(9.2e6))
+    assert orifice_pressure_root(-9e6, 2e5) == -orifice_pressure_root(9e6, 2e5)
+    assert orifice_pressure_root(1.0, 2e5) == pytest.approx(1.0 / np.sqrt(2e5), rel=1e-4)
 
 
 def test_closed_valve_passes_nothing_and_no_oil_flows_back_to_the_supply():
@@ -92,7 +92,7 @@ def test_cylinders_fit_their_stroke_and_levers_are_the_slope(geometry, low_deg, 
     assert y.max() < 0.545  # m
     assert lever.min() > 0.12  # m/rad: no dead point inside the range
     assert np.trapezoid(lever, np.linspace(low, high, len(y))) == pytest.approx(y[-1] - y[0], abs=1e-5)
-    assert lookup(y, low, (high - low) / (len(y) - 1), high + 1.0) == y[-1]
+    assert interpolate_table(y, low, (high - low) / (len(y) - 1), high + 1.0) == y[-1]
 
 
 def test_a_linkage_that_cannot_close_says_so():

@@ -170,7 +170,12 @@ print(*plant.state.q.tolist())
     for disabled in ("0", "1"):
         environment = {**os.environ, "NUMBA_DISABLE_JIT": disabled}
         done = subprocess.run(
-            [sys.executable, "-c", program], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+            [sys.executable, "-c", program],
+            cwd=ROOT,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         outputs.append(np.array([float(word) for word in done.stdout.split()]))
     np.testing.assert_allclose(outputs[1], outputs[0], rtol=0.0, atol=1e-12)  # rad

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from machine.effects.entries import EffectEntry
-from sim_plc.plant.hydraulics import opening
+from sim_plc.plant.hydraulics import spool_opening
 from tests.unit.sim_plc.command_side import side_numbers
 
 
@@ -17,5 +17,5 @@ def test_a_dead_band_takes_its_width_off_a_full_command_only_where_it_says_so(ke
     side = side_numbers((dead_band(kept, "kept"), dead_band(lost, "lost")), 2, 1e-3)
     for x in np.linspace(-1.0, 1.0, 41):
         expected = np.copysign(max(abs(x) - kept - lost, 0.0) / (1.0 - kept), x)
-        assert opening(x, side.dead[0]) * side.full_flow[0] == pytest.approx(expected, abs=1e-12)
+        assert spool_opening(x, side.dead[0]) * side.full_flow[0] == pytest.approx(expected, abs=1e-12)
     assert (side.dead[1], side.full_flow[1]) == (0.0, 1.0)

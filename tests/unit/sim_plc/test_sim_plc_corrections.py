@@ -7,7 +7,7 @@ from virtual_plc import MS, Q_START, TABLE, VirtualPlc, quintic_knots
 from protocol.client_events import RejectSeen, TailAnswered, TrajectoryEnded
 from protocol.codes import HeaderFlag, PlcState
 from protocol.errors import LocalProtocolError
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, pad_to_eight_axes
 from sim_plc.plc.reference import Motion
 
 STEP = np.deg2rad([8.0, 3.0, 4.0, 3.0, 2.0, 3.0])
@@ -33,7 +33,9 @@ def corrected(knots, first, shift):
         sd, sdd = (30 * u**2 - 60 * u**3 + 30 * u**4) / T, (60 * u - 180 * u**2 + 120 * u**3) / T**2
         n = len(shift)
         q, qd, qdd = (np.array(x[:n]) + d * shift for x, d in ((knot.q, s), (knot.qd, sd), (knot.qdd, sdd)))
-        tail.append(Knot(knot.t_ns, axes8(tuple(q)), axes8(tuple(qd)), axes8(tuple(qdd))))
+        tail.append(
+            Knot(knot.t_ns, pad_to_eight_axes(tuple(q)), pad_to_eight_axes(tuple(qd)), pad_to_eight_axes(tuple(qdd)))
+        )
     return tuple(tail)
 
 
@@ -156,7 +158,7 @@ def test_corrections_that_make_no_sense_are_told_at_once():
         virtual.client.request_tail(1, 0, tail, virtual.t_ns)
     with pytest.raises(LocalProtocolError, match="at least 200 ms"):
         virtual.client.request_tail(1, 7, corrected(knots, 7, np.zeros(6)), virtual.t_ns)
-    jump = tuple(Knot(k.t_ns, axes8((k.q[0] + 0.05, *k.q[1:6])), k.qd, k.qdd) for k in tail)
+    jump = tuple(Knot(k.t_ns, pad_to_eight_axes((k.q[0] + 0.05, *k.q[1:6])), k.qd, k.qdd) for k in tail)
     assert virtual.client.request_tail(1, 25, jump, virtual.t_ns) != ()
     virtual.step(4000)
     assert virtual.plc.q_ref == pytest.approx(Q_END, abs=1e-9)

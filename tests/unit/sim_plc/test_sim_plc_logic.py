@@ -23,7 +23,7 @@ from protocol.codec import decode_state, encode_command
 from protocol.codes import AxisBit, CommandFlag, HeaderFlag, Interp, Mode, PlcState, RejectCode, WarnBit
 from protocol.errors import LocalProtocolError
 from protocol.framing import RawFraming
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, pad_to_eight_axes
 from protocol.playback import Playback
 from sim_plc.plc.reference import Motion
 from sim_plc.plc.settings import plc_settings
@@ -304,4 +304,4 @@ def test_prefilled_knots_wait_for_the_start_flag():
     virtual.step(100)
     assert virtual.plc.state is PlcState.HOLD
     assert virtual.plc.q_ref == Q_START
-    assert Knot(0, axes8(Q_START)) == knots[0]
+    assert Knot(0, pad_to_eight_axes(Q_START)) == knots[0]

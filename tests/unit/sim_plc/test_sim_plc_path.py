@@ -5,9 +5,9 @@ import pytest
 from numpy.polynomial import Polynomial
 from scipy.interpolate import BPoly
 
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, pad_to_eight_axes
 from sim_plc.plc.knot_checks import segment_peaks
-from sim_plc.plc.path import SIZE, advance, path_point, ramp_down, starves, stop_time
+from sim_plc.plc.path import SIZE, advance, is_short_of_knots, path_point, ramp_down, stop_time
 
 N = 6
 DT = 1e-3
@@ -103,7 +103,7 @@ def test_look_ahead_brakes_in_time_for_the_last_knot():
     q, qd, qdd = t[:, None] * direction, np.tile(direction, (20, 1)), np.zeros((20, N))
     times, knots = ring_of(t, q, qd, qdd)
     k, sigma, rate, out = 0, 0.0, 1.0, np.empty((3, N))
-    while not starves(times, knots, 19, k, sigma, rate, 1.0, DT, LIMITS, 2.0):
+    while not is_short_of_knots(times, knots, 19, k, sigma, rate, 1.0, DT, LIMITS, 2.0):
         k, sigma, rate = advance(times, knots, 19, k, sigma, rate, 1.0, DT, LIMITS, out)
     while rate > 0.0:
         k, sigma, rate = advance(times, knots, 19, k, sigma, rate, 0.0, DT, LIMITS, out)
@@ -145,8 +145,8 @@ def test_peaks_between_knots_agree_with_the_polynomial():
         T = 0.05
         q0, v0, a0, q1, v1, a1 = rng.normal(size=6) * [1, 0.3, 1, 0.01, 0.3, 1]
         q1 = q0 + (v0 + v1) / 2 * T + q1 * 0.1
-        knots = [Knot(0, axes8((q0,)), axes8((v0,)), axes8((a0,)))]
-        knots.append(Knot(50_000_000, axes8((q1,)), axes8((v1,)), axes8((a1,))))
+        knots = [Knot(0, pad_to_eight_axes((q0,)), pad_to_eight_axes((v0,)), pad_to_eight_axes((a0,)))]
+        knots.append(Knot(50_000_000, pad_to_eight_axes((q1,)), pad_to_eight_axes((v1,)), pad_to_eight_axes((a1,))))
         A = np.array([[T**3, T**4, T**5], [3 * T**2, 4 * T**3, 5 * T**4], [6 * T, 12 * T**2, 20 * T**3]])
         c = np.linalg.solve(A, [q1 - q0 - v0 * T - a0 / 2 * T * T, v1 - v0 - a0 * T, a1 - a0])
         poly = Polynomial([q0, v0, a0 / 2, *c])

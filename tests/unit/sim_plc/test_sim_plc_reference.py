@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from virtual_plc import MACHINE, MS, Q_START, TABLE
 
-from protocol.messages import Command, Knot, axes8
+from protocol.messages import Command, Knot, pad_to_eight_axes
 from sim_plc.plc.knot_ring import KnotRing, PlaybackView
 from sim_plc.plc.reference import Motion, Reference
 from sim_plc.plc.settings import plc_settings
@@ -30,14 +30,16 @@ def curved_knots(seed, count=60):
         q = np.array(Q_START) + amplitude * f * s
         qd = amplitude * (fd * s + f * omega * c)
         qdd = amplitude * (fdd * s + 2 * fd * omega * c - f * omega**2 * s)
-        knots.append(Knot(i * 50 * MS, axes8(tuple(q)), axes8(tuple(qd)), axes8(tuple(qdd))))
+        knots.append(
+            Knot(i * 50 * MS, pad_to_eight_axes(tuple(q)), pad_to_eight_axes(tuple(qd)), pad_to_eight_axes(tuple(qdd)))
+        )
     return knots
 
 
 def playing(seed):
     ring = KnotRing(TABLE)
     knots = curved_knots(seed)
-    view = PlaybackView(axes8(Q_START))
+    view = PlaybackView(pad_to_eight_axes(Q_START))
     for first in range(0, len(knots), 6):
         part = tuple(knots[first : first + 6])
         ring.load(Command(1, 1, 0, traj_id=1, knot_first=first, knots=part), view)

@@ -7,15 +7,15 @@ import pytest
 from virtual_plc import MS, Q_START, TABLE, quintic_knots
 
 from protocol.codes import CommandFlag, Interp, Mode, RejectCode
-from protocol.messages import Command, Knot, axes8
+from protocol.messages import Command, Knot, pad_to_eight_axes
 from protocol.timeouts import RING_KNOTS
 from sim_plc.plc.knot_ring import KnotRing, PlaybackView
 from sim_plc.plc.path import SIZE
 
 Q_END = tuple((np.array(Q_START) + np.deg2rad([6.0, -4.0, 5.0, 8.0, -6.0, 9.0])).tolist())
 KNOTS = quintic_knots(Q_START, Q_END, 6.0)
-AT_START = PlaybackView(axes8(Q_START))
-FLAT = tuple(Knot(i * 50 * MS, axes8(Q_START)) for i in range(400))
+AT_START = PlaybackView(pad_to_eight_axes(Q_START))
+FLAT = tuple(Knot(i * 50 * MS, pad_to_eight_axes(Q_START)) for i in range(400))
 
 
 def code_of(objection):
@@ -28,7 +28,7 @@ def command(**fields):
 
 
 def with_axis(values, axis, value):
-    return axes8(tuple(value if i == axis else v for i, v in enumerate(values[:6])))
+    return pad_to_eight_axes(tuple(value if i == axis else v for i, v in enumerate(values[:6])))
 
 
 def changed(index, **fields):
@@ -78,7 +78,7 @@ def test_limits_of_every_axis_hold_on_both_sides(axis, sign):
     limits = TABLE.axes[axis]
     edge = limits.q_max if sign > 0 else limits.q_min
     for q, code in ((edge - sign * 1e-6, RejectCode.NONE), (edge + sign * 1e-6, RejectCode.LIMIT_Q)):
-        start = axes8(with_axis(Q_START, axis, q)[:6])
+        start = pad_to_eight_axes(with_axis(Q_START, axis, q)[:6])
         knots = tuple(Knot(i * 50 * MS, start) for i in range(3))
         assert code_of(KnotRing(TABLE).check(command(knots=knots), PlaybackView(start))) is code
 
@@ -90,9 +90,9 @@ def test_a_knot_too_fast_to_stop_inside_the_range_is_refused():
     for q, code in ((limits.q_max - room, RejectCode.NONE), (limits.q_max - 0.7 * room, RejectCode.LIMIT_Q)):
         ring = loaded(2)  # beyond the start, where a knot may move
         ring.load(command(traj_id=2, knots=KNOTS[:2]), AT_START)
-        before = Knot(0, axes8((q - qd * 0.1, *Q_START[1:])), axes8((qd,)))
+        before = Knot(0, pad_to_eight_axes((q - qd * 0.1, *Q_START[1:])), pad_to_eight_axes((qd,)))
         ring._kept[1], ring.times[1] = before, 0.0
-        knot = Knot(100 * MS, axes8((q, *Q_START[1:])), axes8((qd,)))
+        knot = Knot(100 * MS, pad_to_eight_axes((q, *Q_START[1:])), pad_to_eight_axes((qd,)))
         assert code_of(ring.check(command(traj_id=2, knot_first=2, knots=(knot,)), AT_START)) is code
 
 
@@ -117,7 +117,7 @@ def test_the_ring_holds_64_knots_and_no_more():
         ring.load(command(knot_first=first, knots=FLAT[first : first + 6]), AT_START)
     assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:64]), AT_START)) is RejectCode.NONE
     assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:65]), AT_START)) is RejectCode.RING_FULL
-    later = PlaybackView(axes8(Q_START), playing=1, t_play_ns=60 * MS)
+    later = PlaybackView(pad_to_eight_axes(Q_START), playing=1, t_play_ns=60 * MS)
     assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:65]), later)) is RejectCode.NONE
     ring.load(command(knot_first=60, knots=FLAT[60:65]), later)
     assert ring.last == 64
@@ -129,7 +129,9 @@ def test_the_ring_holds_64_knots_and_no_more():
 def test_a_long_trajectory_passes_through_the_ring():
     ring = KnotRing(TABLE)
     for first in range(0, 394):
-        view = PlaybackView(axes8(Q_START), playing=max(first - 2, 0), t_play_ns=max(first - 2, 0) * 50 * MS)
+        view = PlaybackView(
+            pad_to_eight_axes(Q_START), playing=max(first - 2, 0), t_play_ns=max(first - 2, 0) * 50 * MS
+        )
         sent = command(knot_first=first, knots=FLAT[first : first + 6])
         assert code_of(ring.check(sent, view)) is RejectCode.NONE
         ring.load(sent, view)
@@ -154,8 +156,8 @@ def test_only_a_tail_beyond_the_frozen_horizon_is_replaced():
     tail = (KNOTS[8], replace(KNOTS[9], q=tuple(q_other)), KNOTS[10])
     plain = command(knot_first=8, knots=tail)
     flagged = command(knot_first=8, knots=tail, cmd_flags=CommandFlag.TAIL_REPLACES)
-    near = PlaybackView(axes8(Q_START), playing=7, t_play_ns=KNOTS[9].t_ns - 99 * MS)
-    far = PlaybackView(axes8(Q_START), playing=7, t_play_ns=KNOTS[9].t_ns - 100 * MS)
+    near = PlaybackView(pad_to_eight_axes(Q_START), playing=7, t_play_ns=KNOTS[9].t_ns - 99 * MS)
+    far = PlaybackView(pad_to_eight_axes(Q_START), playing=7, t_play_ns=KNOTS[9].t_ns - 100 * MS)
     assert code_of(ring.check(plain, far)) is RejectCode.KNOT_CHANGED
     assert code_of(ring.check(flagged, near)) is RejectCode.KNOT_CHANGED
     assert code_of(ring.check(flagged, far)) is RejectCode.NONE
@@ -167,7 +169,7 @@ def test_only_a_tail_beyond_the_frozen_horizon_is_replaced():
 
 def test_a_replaced_tail_must_join_smoothly():
     ring = loaded(12)
-    far = PlaybackView(axes8(Q_START), playing=2, t_play_ns=KNOTS[2].t_ns)
+    far = PlaybackView(pad_to_eight_axes(Q_START), playing=2, t_play_ns=KNOTS[2].t_ns)
     broken = replace(KNOTS[9], q=with_axis(KNOTS[9].q, 0, KNOTS[9].q[0] + 0.01))
     sent = command(knot_first=8, knots=(KNOTS[8], broken), cmd_flags=CommandFlag.TAIL_REPLACES)
     assert code_of(ring.check(sent, far)) is RejectCode.CONTINUITY

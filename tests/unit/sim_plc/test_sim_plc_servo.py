@@ -6,7 +6,7 @@ from virtual_plc import MS, Q_START, TABLE, VirtualPlc
 
 from protocol.client_events import TrajectoryEnded
 from protocol.codes import Mode, PlcState
-from protocol.messages import ZEROS, axes8
+from protocol.messages import ZEROS, pad_to_eight_axes
 from protocol.timeouts import COMMAND_LOST, SERVO_STALE
 from sim_plc.plc.reference import Motion
 
@@ -28,7 +28,7 @@ def steer(virtual, ms, target_of):
     """Every 20 ms the target of that time; times count from the call."""
     for t_ms in range(0, ms, 20):
         q, qd = target_of(t_ms / 1000.0)
-        virtual.client.set_servo_target(axes8(tuple(q)), axes8(tuple(qd)), virtual.t_ns)
+        virtual.client.set_servo_target(pad_to_eight_axes(tuple(q)), pad_to_eight_axes(tuple(qd)), virtual.t_ns)
         virtual.step(20)
 
 
@@ -48,7 +48,7 @@ def test_a_slow_target_is_followed_and_the_end_is_at_rest_on_it():
     steer(virtual, 1000, lambda t: (np.array(Q_START) + rate * t, rate))
     assert np.abs(np.array(virtual.plc.q_ref) - (np.array(Q_START) + rate)).max() < 0.002  # rad: half a command of way
     final = np.array(Q_START) + rate
-    virtual.client.set_servo_target(axes8(tuple(final)), ZEROS, virtual.t_ns)
+    virtual.client.set_servo_target(pad_to_eight_axes(tuple(final)), ZEROS, virtual.t_ns)
     virtual.client.finish_servo()
     virtual.step(1000)
     assert virtual.plc.state is PlcState.HOLD
@@ -112,7 +112,7 @@ def test_a_target_that_is_too_far_is_refused_by_the_gate_and_the_motion_is_stopp
     virtual = servoing()
     far = np.array(Q_START)
     far[0] += 0.3 * QD_MAX[0]
-    virtual.client.set_servo_target(axes8(tuple(far)), ZEROS, virtual.t_ns)
+    virtual.client.set_servo_target(pad_to_eight_axes(tuple(far)), ZEROS, virtual.t_ns)
     virtual.step(500)
     (end,) = ended(virtual)
     assert "target minus q_ref" in end.reason

@@ -9,7 +9,7 @@ from protocol.client_link import ClientLink
 from protocol.codes import PlcState
 from protocol.framing import RawFraming
 from protocol.limits import limits_of
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, pad_to_eight_axes
 from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.logic import PlcLogic
 from sim_plc.plc.sample import PlantSample
@@ -78,5 +78,12 @@ def quintic_knots(q0, q1, duration_s, step_s=0.05):
         sd = (30 * u**2 - 60 * u**3 + 30 * u**4) / duration_s
         sdd = (60 * u - 180 * u**2 + 120 * u**3) / duration_s**2
         q, qd, qdd = q0 + s * (q1 - q0), sd * (q1 - q0), sdd * (q1 - q0)
-        knots.append(Knot(round(i * step_s * 1e9), axes8(tuple(q)), axes8(tuple(qd)), axes8(tuple(qdd))))
+        knots.append(
+            Knot(
+                round(i * step_s * 1e9),
+                pad_to_eight_axes(tuple(q)),
+                pad_to_eight_axes(tuple(qd)),
+                pad_to_eight_axes(tuple(qdd)),
+            )
+        )
     return tuple(knots)

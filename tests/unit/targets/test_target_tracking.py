@@ -88,7 +88,7 @@ def test_the_own_tool_over_the_patch_does_not_count_against_it():
 
 
 class _Mask:
-    left = right = ()
+    left_polygons = right_polygons = ()
 
     def update(self, views):
         pass

@@ -8,7 +8,7 @@ from bundle_scenes import FOCAL_PX, SIGMA_PX, make_scene, rays_of
 
 from machine.rotations import rotation_from_rotvec
 from server.vision.bundle import adjust_bundle
-from server.vision.bundle_contracts import BundleLoss, BundleSettings, make_layout, make_work
+from server.vision.bundle_contracts import BundleLoss, BundleSettings, kernel_layout_and_start, make_work
 from server.vision.bundle_covariance import gaussian_factor
 from server.vision.bundle_reduced import assemble, choose_charts
 from server.vision.bundle_residuals import CAUCHY, HUBER, NONE, linearise, loss, weight
@@ -51,7 +51,7 @@ def scene():
 
 def test_reduced_system_is_the_schur_complement_of_the_numeric_one(scene):
     problem = scene.problem
-    layout, start, _ = make_layout(problem, BundleSettings(loss=BundleLoss.NONE))
+    layout, start, _ = kernel_layout_and_start(problem, BundleSettings(loss=BundleLoss.NONE))
     work = make_work(layout)
     linearise(layout, start, work)
     choose_charts(layout, start, work)

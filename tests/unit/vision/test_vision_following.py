@@ -77,14 +77,14 @@ def test_a_marker_is_followed_through_motion_with_the_corners_a_search_finds(dic
                 followed = follower.follow(marker_id, image)
                 assert followed is not None
                 assert np.abs(followed.corners_px - searched[marker_id].corners_px).max() < 0.03
-        follower.remember(searched)
+        follower.store_marker_positions(searched)
 
 
 def test_another_marker_in_the_same_place_is_not_followed(dictionary):
     follower = MarkerFollower(machine().camera, dictionary)
     image, _ = printed(dictionary, 7)
     found = {one.marker_id: refined_marker(one, image, dictionary, None) for one in find_markers(image, dictionary)}
-    follower.remember(found)
+    follower.store_marker_positions(found)
     assert follower.follow(7, image) is not None
     other, _ = printed(dictionary, 8)
     assert follower.follow(7, other) is None

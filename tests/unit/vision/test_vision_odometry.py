@@ -13,8 +13,8 @@ from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import rotation_from_rotvec
 from server.vision.contracts import OdometryStatus
 from server.vision.odometry import StereoOdometry
-from server.vision.odometry_align import align
-from server.vision.odometry_features import allowed_mask, coverage, inside_mask, spread_corners
+from server.vision.odometry_align import align_reference_patches
+from server.vision.odometry_features import allowed_mask, covered_cell_count, inside_mask, spread_corners
 from server.vision.odometry_motion import covariance_in_vo, predict_pose, with_scale_error
 from server.vision.odometry_pose import StereoPoints, coarse_pose, refine_camera
 
@@ -154,7 +154,7 @@ def test_masked_places_hold_no_features():
     assert len(corners) > 150
     assert inside_mask(mask, corners).all()
     assert np.linalg.norm(corners - [900, 400], axis=1).min() > 20
-    assert coverage(corners, image.shape) > 25
+    assert covered_cell_count(corners, image.shape) > 25
     assert not inside_mask(mask, np.array([[np.nan, 3.0], [-4.0, 9.0], [1e9, 5.0]])).any()
 
 
@@ -165,7 +165,9 @@ def test_patches_are_found_to_a_hundredth_of_a_pixel():
     moved = cv2.warpAffine(base, np.array([[1, 0, shift[0]], [0, 1, shift[1]]]), (400, 400), flags=cv2.INTER_LANCZOS4)
     reference, image = (np.clip(one, 0, 255).astype(np.uint8) for one in (base, 0.8 * moved + 20))
     points = rng.uniform(60, 340, (60, 2)).round()
-    found = align(reference, points, np.tile(np.eye(2), (60, 1, 1)), image, points + rng.uniform(-1, 1, (60, 2)))
+    found = align_reference_patches(
+        reference, points, np.tile(np.eye(2), (60, 1, 1)), image, points + rng.uniform(-1, 1, (60, 2))
+    )
     assert found.good.mean() > 0.9
     error = (found.points_px - points - shift)[found.good]
     assert np.abs(error.mean(axis=0)).max() < 0.01, "px"

@@ -18,7 +18,7 @@ from server.vision.odometry_features import recognise
 from server.vision.odometry_keyframe import ray_sigma, triangulated
 from server.vision.odometry_motion import Motion, moved_by_twist, row_fractions, standing_motion
 from server.vision.odometry_sensitivity import Sensitivity
-from server.vision.odometry_sight import StereoMatches, optical_flow, plausible
+from server.vision.odometry_sight import StereoMatches, optical_flow, plausible_match_mask
 
 CAMERA = machine().camera
 PINHOLE = replace(CAMERA, distortion=(0.0, 0.0, 0.0, 0.0, 0.0))
@@ -35,7 +35,7 @@ def test_epipolar_gate_chirality_and_image_border():
     centre = np.array([PINHOLE.cx_px, PINHOLE.cy_px])
     place = centre + 52.8
     right = place + np.array([[-30.0, 0.3], [-30.0, 1.4], [30.0, 0.0], [-1.0, 0.0], [-700.0, 0.0]])
-    good = plausible(PINHOLE, left, right, np.ones(5, dtype=bool))
+    good = plausible_match_mask(PINHOLE, left, right, np.ones(5, dtype=bool))
     assert good.tolist() == [True, False, False, False, False], "row gate, behind the eyes, too far, outside"
 
 
@@ -83,20 +83,20 @@ def test_velocity_is_carried_on_and_unknown_after_a_gap():
         return pose(np.eye(3), np.array([0.1 * t_s + 0.15 * t_s**2, 0.0, 0.0]))
 
     motion: Motion = standing_motion(at(0.0), 0)
-    assert not motion.steady
+    assert not motion.is_velocity_known
     for k in (1, 2, 3):
         motion = motion.moved_to(at(0.03 * k), 30_000_000 * k)
     assert motion.twist().value[3] == pytest.approx(0.1 + 0.3 * 0.09, abs=1e-6), "m/s at the last pose"
     late = motion.moved_to(at(2.0), 2_000_000_000)
-    assert not late.steady
+    assert not late.is_velocity_known
     assert late.twist().sigma[3] > 0.1, "m/s: nothing is known"
 
 
 def test_a_told_readout_stays_and_an_unknown_one_is_learned():
-    assert readout_of(0.011).learned(0.5, 1e9).value_s == 0.011
+    assert readout_of(0.011).updated_with_step(0.5, 1e9).value_s == 0.011
     readout = readout_of(None)
     for _ in range(60):
-        readout = readout.learned(0.011 - readout.value_s, 2e7)
+        readout = readout.updated_with_step(0.011 - readout.value_s, 2e7)
     assert readout.value_s == pytest.approx(0.011, abs=3e-4), "s"
     assert readout.sigma_s < 1e-3
 

@@ -11,7 +11,7 @@ from machine.poses import transform_points
 from machine.targets import Board
 from server.vision.charuco import board_corners
 from server.vision.marker_search import dictionary_by_name, find_markers, refined_marker
-from server.vision.odometry_align import align
+from server.vision.odometry_align import align_reference_patches
 
 CAMERA = machine().camera
 OFF_MAX_PX = 0.1  # mean over many corners; half a pixel is five times that
@@ -92,7 +92,9 @@ def test_odometry_patches_are_sampled_at_pixel_centres(scale):
     image = np.round(texture((u - shift[0]) * scale, (v - shift[1]) * scale)).astype(np.uint8)
     points = np.array([[40.0, 42.0], [51.3, 40.6], [45.5, 50.5]])
     exact = points / scale + shift
-    found = align(reference, points, np.repeat(scale * np.eye(2)[None], 3, axis=0), image, exact + 0.7)
+    found = align_reference_patches(
+        reference, points, np.repeat(scale * np.eye(2)[None], 3, axis=0), image, exact + 0.7
+    )
     assert found.good.all()
     assert np.abs(found.points_px - exact).max() < 0.05, "px"
 

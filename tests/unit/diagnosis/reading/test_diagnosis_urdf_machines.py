@@ -82,7 +82,7 @@ def test_limits_are_the_files_and_else_the_urdfs() -> None:
         ('"j2"', '"j2"\ntype = "revolute"', "joint 2 (j2): type = 'revolute', but the URDF's is prismatic"),
         ('"j2"', '"j2"\ntype = "linear"', "joint 2: type = 'linear'; give 'revolute' or 'prismatic'"),
         ('"j2"', '"j1"', "[[joint]] names ['j1', 'j1'] repeat"),
-        ('[[joint]]\nname = "j1"', "[[joint]]\n[[joint]]", "3 [[joint]], some without a name, and 2 URDF joints move"),
+        ('[[joint]]\nname = "j1"', "[[joint]]\n[[joint]]", "3 [[joint]], not all with a name, but 2 URDF joints move"),
         ('"j2"', '"j2"\nq_min_m = 3.0', "q_min_m = 3 is not below q_max_m = 2 of the URDF"),
     ],
 )

@@ -12,9 +12,9 @@ from diagnosis.replay.side_by_side import side_by_side
 @pytest.fixture(params=["1", "2"])
 def threads(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", request.param)
-    module._pool.cache_clear()
+    module._thread_pool.cache_clear()
     yield int(request.param)
-    module._pool.cache_clear()
+    module._thread_pool.cache_clear()
 
 
 def test_results_keep_their_order_and_errors_come_out(threads: int) -> None:

@@ -10,7 +10,7 @@ from rich.console import Console
 from diagnosis.budget import budget_of
 from diagnosis.reading.read import read_for_diagnosis
 from diagnosis.search.work import WorkProgress
-from longreach.diagnose_command import EVERY_S, Outlook, in_words, left_s, outlook
+from longreach.diagnose_command import EVERY_S, Outlook, console_progress, in_words, left_s
 
 SEGMENTS = ("repeat", "repeat", "repeat", "repeat", "steps", "workcycle")
 
@@ -37,8 +37,8 @@ def test_another_fit_of_a_cell_makes_more_work_and_none_less() -> None:
     work = WorkProgress(lambda _text, done, _total: heard.append(done))
     for step in (lambda: work.begin("a cell"), work.again, work.end):
         step()
-    work.conclude("weighing", 0.0)
-    work.conclude("localising", 0.85)
+    work.report_concluding_progress("weighing", 0.0)
+    work.report_concluding_progress("localising", 0.85)
     assert heard == sorted(heard)
 
 
@@ -64,7 +64,7 @@ def test_a_share_never_goes_back_and_is_never_all_before_the_end() -> None:
     shown.heard("searching structure", 5.0, 10.0)
     shown.heard("searching structure", 5.5, 30.0)  # a name was found
     shown.heard("localising", 30.0, 30.0)
-    shown.also("next experiment")
+    shown.report_final_step("next experiment")
     assert [share for _, share in said] == [0.01, 0.5, 0.5, 0.99, 0.99]
     assert said[0][0] == "searching structure: 1 % done, remaining time unknown"
     assert said[2][0] == "searching structure: 50 % done, 15 to 60 s left"
@@ -72,7 +72,7 @@ def test_a_share_never_goes_back_and_is_never_all_before_the_end() -> None:
 
 def test_beside_a_terminal_a_line_comes_every_few_seconds_and_none_of_a_short_one() -> None:
     stream, now = io.StringIO(), iter([0.0, EVERY_S, 2.1 * EVERY_S, 2.2 * EVERY_S, 4.0 * EVERY_S])
-    with outlook(Console(file=stream), now_s=lambda: next(now)) as shown:
+    with console_progress(Console(file=stream), now_s=lambda: next(now)) as shown:
         for share in range(1, 5):
             shown.heard("searching structure", share, 10.0)
     assert [line[:26] for line in stream.getvalue().splitlines()] == [

@@ -12,7 +12,7 @@ from diagnosis.whole_model.evidence import evidence_of
 from diagnosis.whole_model.invariant import most_invariant
 from diagnosis.whole_model.parts import library_of
 from diagnosis.whole_model.probability import probability
-from diagnosis.whole_model.solve import WholeFit, exchanged, fit_and_prune
+from diagnosis.whole_model.solve import WholeFit, fit_and_prune, refit_with_exchanged_term
 from machine.effects.layout import ParameterSets
 
 GAIN_NAME, LAG_NAME = "flow_gain_error", "valve_lag"
@@ -49,7 +49,7 @@ def imitation(usual: tuple[tuple[str, float], ...] | None) -> WholeFit:
     fit = fit_and_prune(cell, library_of(cell))
     assert named(fit) == ["flow_gain_error"]
     gain, lag = (next(term for term in fit.best.terms if term.effect.name == name) for name in (GAIN_NAME, LAG_NAME))
-    return exchanged(fit, gain, (lag,))
+    return refit_with_exchanged_term(fit, gain, (lag,))
 
 
 def test_an_imitation_is_doubtful_for_its_scatter_and_gives_way_to_the_cause() -> None:
