@@ -69,7 +69,7 @@ def export_plc(
 ) -> None:
     """Write the TwinCAT program, EAP sheet, Wireshark dissector, C header, golden vectors and guides."""
     _require_empty(folder, force)
-    _require_net_ids({"--pc-net-id": pc_net_id, "--plc-net-id": plc_net_id})
+    _require_valid_net_ids({"--pc-net-id": pc_net_id, "--plc-net-id": plc_net_id})
     _require_addresses({"--pc-address": pc_address, "--plc-address": plc_address})
     ends = (pc_net_id, plc_net_id, pc_address, plc_address)
     written = build_bundle_files(plc_parameters(read_machine(machine), *ends), st_sources())
@@ -94,7 +94,7 @@ def _require_empty(folder: Path, force: bool) -> None:
         raise typer.BadParameter(f"{folder} is not empty: give another folder, or --force")
 
 
-def _require_net_ids(options: Mapping[str, str]) -> None:
+def _require_valid_net_ids(options: Mapping[str, str]) -> None:
     for name, net_id in options.items():
         try:
             parse_net_id(net_id)

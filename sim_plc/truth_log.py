@@ -64,7 +64,7 @@ class TruthLog:
             self._file.flush()
 
     def close(self) -> None:
-        """Finish the file."""
+        """Close truth.csv; later rows cannot be written."""
         self._file.close()
 
 

@@ -22,7 +22,7 @@ from diagnosis.log.nominal import Nominal
 from diagnosis.reading.read import Read
 from diagnosis.search.candidates import SEEN_BY_ENCODER, Candidate, on_an_arm
 from diagnosis.search.cell import Cell, ResidualRows
-from machine.effects.arm import weight_nm
+from machine.effects.arm import gravity_torque_bound_nm
 from machine.effects.kernel import PAYLOAD
 from machine.effects.layout import (
     BASE_COMPLIANCE,
@@ -98,7 +98,7 @@ def join_cells(parts: list[Cell]) -> Cell:
 
 
 def _join_residual_rows(rows: list[ResidualRows]) -> ResidualRows:
-    def shifted(name: str) -> NDArray[np.int64]:
+    def joined_with_offsets(name: str) -> NDArray[np.int64]:
         out, first = [], 0
         for row in rows:
             numbers = getattr(row, name)
@@ -107,7 +107,13 @@ def _join_residual_rows(rows: list[ResidualRows]) -> ResidualRows:
         return np.concatenate(out).astype(np.int64)
 
     fold = np.concatenate([row.fold for row in rows]).astype(np.int64)
-    return ResidualRows(fold, shifted("block"), shifted("series"), shifted("channel"), alike=shifted("together"))
+    return ResidualRows(
+        fold,
+        joined_with_offsets("block"),
+        joined_with_offsets("series"),
+        joined_with_offsets("channel"),
+        alike=joined_with_offsets("together"),
+    )
 
 
 def _relevant_parameters(part: Cell) -> tuple[bool, list[int] | None]:
@@ -177,7 +183,7 @@ def cells_fitting_joint(cells: list[Cell], nominal: Nominal) -> list[Cell]:
     sizes that such an arm can have.
     """
     if nominal.arm is not None:
-        torque_nm = weight_nm(nominal.arm)
+        torque_nm = gravity_torque_bound_nm(nominal.arm)
         cells = [
             replace(cell, candidates=tuple(on_an_arm(candidate, torque_nm) for candidate in cell.candidates))
             for cell in cells

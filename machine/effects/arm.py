@@ -56,7 +56,7 @@ class Arm:
         return len(self.before)
 
 
-def weight_nm(arm: Arm) -> float:
+def gravity_torque_bound_nm(arm: Arm) -> float:
     """Torque [N m] of all masses at the whole length of an arm: the most that gravity could do to it."""
     links = np.linalg.norm((arm.before @ arm.after)[:, :3, 3], axis=1)
     length_m = float(links.sum()) + float(np.linalg.norm(arm.T_flange_tcp[:3, 3]))

@@ -75,14 +75,14 @@ def hold_router(service: JobService, memory: PanelMemory) -> APIRouter:
         if not await accept_socket(socket):
             return
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await _serve(socket, service, memory)
+            await _serve_hold_to_run(socket, service, memory)
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await socket.close()
 
     return router
 
 
-async def _serve(socket: WebSocket, service: JobService, memory: PanelMemory) -> None:
+async def _serve_hold_to_run(socket: WebSocket, service: JobService, memory: PanelMemory) -> None:
     try:
         async with asyncio.timeout(PRESS_WAIT_S):
             text = await socket.receive_text()

@@ -22,7 +22,7 @@ from server.camera.health.blur import sharpness
 from server.camera.health.image_health import ImageHealth
 from server.camera.own_structure import SpreadPairs
 from server.camera.smallest_offset import SmallestOffset, aged_offset
-from server.camera.target_measuring import TargetMeasuring
+from server.camera.target_measuring import TargetMeasurementWorker
 from server.targets.tool_mask import ToolMask
 from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
 
@@ -122,7 +122,7 @@ class VisionPipeline:
         pose_sources: Mapping[PoseSourceName, ObjectPoseSource],
         make_odometry: Callable[[], Odometry],
         camera: StereoCamera | None = None,
-        targets: TargetMeasuring | None = None,
+        targets: TargetMeasurementWorker | None = None,
     ) -> None:
         self._settings = settings
         self._targets = targets
@@ -161,7 +161,7 @@ class VisionPipeline:
             self._targets.execute_command(command)
 
     def targets_measured(self) -> list[TargetAnswer]:
-        """Measured targets, found marks and taught views that are ready, each once."""
+        """Measured targets, found marks and taught views finished since the last call; each is returned once only."""
         return [] if self._targets is None else self._targets.finished()
 
     def close(self) -> None:

@@ -34,7 +34,7 @@ from server.camera.health.image_health import ImageHealth
 from server.camera.pipeline import Odometry, VisionPipeline
 from server.camera.sources.opening import open_ahead
 from server.camera.sources.side_by_side import decode_grey
-from server.camera.target_measuring import TargetMeasuring
+from server.camera.target_measuring import TargetMeasurementWorker
 from server.targets.source import TargetPoseSource
 from server.targets.tool_mask import ToolMask
 from server.vision.contracts import Image, ObjectPoseSource
@@ -67,7 +67,7 @@ def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline
             tool_ids[board.first_id] = fewest / max(fewest - 2, 1)
     source = TargetPoseSource(markers, machine.camera, ToolMask(tool_ids, settings.mask_scale))
     sources: dict[PoseSourceName, ObjectPoseSource] = {"stereo": source, "mono": MonoArucoPoseSource(machine)}
-    targets = TargetMeasuring(machine.camera, source)
+    targets = TargetMeasurementWorker(machine.camera, source)
     return VisionPipeline(settings, tool_ids, sources, make_odometry, machine.camera, targets)
 
 

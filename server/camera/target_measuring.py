@@ -45,7 +45,7 @@ class KeptPair:
     markers: PairObservation | None
 
 
-class TargetMeasuring:
+class TargetMeasurementWorker:
     """Keeps the pairs that were shown and measures in them on request."""
 
     def __init__(self, camera: StereoCamera, source: TargetPoseSource, settings: TargetSettings | None = None) -> None:
@@ -75,7 +75,7 @@ class TargetMeasuring:
         return None
 
     def finished(self) -> list[TargetAnswer]:
-        """Answers that are ready, each once."""
+        """Answers finished since the last call; each is returned once only."""
         ready = []
         while self._running and self._running[0].done():
             ready.append(self._running.popleft().result())

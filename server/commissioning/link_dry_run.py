@@ -157,7 +157,7 @@ async def _listen(site: Site) -> list[Figure]:
 # --- playback -------------------------------------------------------------------------------------------------------
 
 
-def dry_guard(q_start: Array) -> Guard:
+def guard_against_dry_run_movement(q_start: Array) -> Guard:
     """Objects as soon as a joint moves although the PLC says that its valves are closed."""
 
     def look(sample: PlcSample) -> str:
@@ -183,7 +183,9 @@ async def _plan_small_trajectory(site: Site, q_goal: Array, duration_s: float) -
 async def _play_dry_run_motion(site: Site) -> tuple[PlayedMotion, JointTrajectory]:
     start = await wait_for_rest(site)
     trajectory = await _plan_small_trajectory(site, dry_run_goal(site.machine, start.q_ref), PLAY_S)
-    return await run_trajectory(site, trajectory, "playing in dry run", dry_guard(start.q)), trajectory
+    return await run_trajectory(
+        site, trajectory, "playing in dry run", guard_against_dry_run_movement(start.q)
+    ), trajectory
 
 
 def playback_figures(played: PlayedMotion, wanted: JointTrajectory, machine: Machine) -> list[Figure]:
@@ -218,7 +220,9 @@ async def _test_silence_stop(site: Site) -> list[Figure]:
     trajectory = await _plan_small_trajectory(site, dry_run_goal(site.machine, start.q_ref), SILENT_PLAY_S)
     text = "playing in dry run, then silence"
     try:
-        stopped = await run_and_stop(site, trajectory, StopKind.SILENCE, text, guard=dry_guard(start.q))
+        stopped = await run_and_stop(
+            site, trajectory, StopKind.SILENCE, text, guard=guard_against_dry_run_movement(start.q)
+        )
     except EndedByItselfError as error:
         return [by_itself("silence", error)]
     stop = stop_figures(stopped.samples, stopped.t_trigger_plc_ns, site.machine)

@@ -44,7 +44,7 @@ class Steering:
 
     async def start(self, trajectory: JointTrajectory) -> None:
         """Hand the trajectory to the link; its refusal is reported by `end` or shows as an ended motion."""
-        self._listen()
+        self._subscribe_to_vision_reports()
         self._tail = None
         await self._let_go_on(FIRST_PAIR_S)
         self._motion = asyncio.create_task(self._cell.link.run(trajectory), name="steered-motion")
@@ -55,7 +55,7 @@ class Steering:
 
         A pair without a fault lets the motion go on; without one the link ends it, whatever this process does.
         """
-        self._listen()
+        self._subscribe_to_vision_reports()
         seen = await self._wait_for_pair(request)
         if not seen.fault and not seen.ended:
             await self._let_go_on(request.silence_max_s + GRACE_S)
@@ -120,7 +120,7 @@ class Steering:
     async def _let_go_on(self, for_s: float) -> None:
         await self._cell.link.steer_until(mono_ns() + int(for_s * 1e9))
 
-    def _listen(self) -> None:
+    def _subscribe_to_vision_reports(self) -> None:
         if not self._listening:
             self._listening, self._t_arrival_s = True, mono_s()
             self._cell.vision.on_report(self._on_report)

@@ -183,7 +183,7 @@ def check_shapes(problem: BundleProblem) -> None:
             raise BundleInputError(f"{name} has to hold whole numbers from 0 to {limit - 1}")
 
 
-def _seen_rays(problem: BundleProblem) -> tuple[Array, Mask]:
+def _rays_and_seen_mask(problem: BundleProblem) -> tuple[Array, Mask]:
     """Rays (n, 4) with 0 where an eye does not see the point, and which coordinates are measured (n, 4)."""
     uv = np.full((len(problem.frames), 4), np.nan)
     uv[:, : problem.uv.shape[1]] = problem.uv
@@ -199,7 +199,7 @@ def kernel_layout_and_start(
 ) -> tuple[BundleLayout, BundleState, Indices]:
     """Layout and start, and the order (n,) in which the observations were sorted."""
     order = np.argsort(problem.points, kind="stable")
-    rays, seen = _seen_rays(problem)
+    rays, seen = _rays_and_seen_mask(problem)
     focal = np.array(problem.focal_px, dtype=float)
     with np.errstate(all="ignore"):
         scale = np.tile(focal, 2) / np.repeat(problem.sigma_px, 2, axis=1)

@@ -46,7 +46,7 @@ def way_to(ctx: PlanContext, q_from: Array, q_to: Array, purpose: str) -> tuple[
     plan = plan_joint_move(ctx.machine, q_from, q_to, drive_settings(ctx), ctx.wall)
     if plan.trajectory is None:
         raise JobFailedError(f"{purpose}: {plan.reason}", f"plan_{plan.status.value}")
-    check_driven(ctx, plan.trajectory)
+    refuse_unsafe_reference(ctx, plan.trajectory)
     return (Step(plan.trajectory, purpose),)
 
 
@@ -55,7 +55,7 @@ def drive_settings(ctx: PlanContext) -> PlanSettings:
     return replace(plan_settings(ctx), shape_reference=False, limit_share=LIMIT_SHARE)
 
 
-def check_driven(ctx: PlanContext, trajectory: JointTrajectory) -> None:
+def refuse_unsafe_reference(ctx: PlanContext, trajectory: JointTrajectory) -> None:
     """Joint ranges, wall and motion gate along a course of the reference: joints may rest a stall away from it.
 
     Raises: JobFailedError: the first that refuses.
@@ -103,7 +103,7 @@ def begin_drive(
     reading = expect_reply((yield ReadMachine()), MachineReading)
     require_reference(reading, q_ref_start)
     for trajectory in trajectories:  # a look since then may have found a wall, or found it nearer
-        check_driven(ctx, trajectory)
+        refuse_unsafe_reference(ctx, trajectory)
     if ctx.knowledge.q_start is None:
         ctx.knowledge.q_start = reading.q_rad
     yield Record(path_of(ctx, trajectories), text)

@@ -9,7 +9,14 @@ from machine.kinematics import tcp_poses
 from server.calibration.contracts import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
-from server.jobs.plans.drive_steps import Step, check_driven, clearance_of, drive_settings, steps_hash, way_to
+from server.jobs.plans.drive_steps import (
+    Step,
+    clearance_of,
+    drive_settings,
+    refuse_unsafe_reference,
+    steps_hash,
+    way_to,
+)
 from server.jobs.records import DriveSegment, IdentificationPlan
 from server.motion.approach import play_of
 from server.motion.contracts import JointTrajectory, join_trajectories
@@ -123,7 +130,7 @@ def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array)
             refused = JobFailedError(fitted.reason, f"plan_{fitted.status.value}")
             continue
         try:
-            check_driven(ctx, fitted)
+            refuse_unsafe_reference(ctx, fitted)
             way = way_to(ctx, here, q_home, "to where the motions begin")
         except JobFailedError as error:
             refused = error

@@ -13,7 +13,12 @@ from server.commissioning.check_list import compare_limits, compare_zeros, encod
 from server.commissioning.contracts import Verdict, result_of_figures
 from server.commissioning.joint_ranges import end_figure, range_figures
 from server.commissioning.joint_signs import expected_motion, jog_step, joint_signs, pressures_plausible, why_end_jog
-from server.commissioning.link_dry_run import closed_figures, dry_guard, dry_run_goal, playback_figures
+from server.commissioning.link_dry_run import (
+    closed_figures,
+    dry_run_goal,
+    guard_against_dry_run_movement,
+    playback_figures,
+)
 from server.commissioning.moving import MachineReading, NoLeaveError, NotReadyError, PlayedMotion, at_rest, gentle_plan
 from server.commissioning.stopping import EndedByItselfError, StopKind, by_itself, run_and_stop
 from server.link.contracts import MotionEnded
@@ -292,7 +297,7 @@ def test_a_playback_without_motion_is_told():
 
 
 def test_the_dry_guard_objects_to_motion():
-    guard = dry_guard(Q)
+    guard = guard_against_dry_run_movement(Q)
     assert guard(sample(0.0)) == ""
     assert "in a dry run" in guard(sample(0.0, q_rad=(Q[0] + 0.01, *Q[1:])))
 

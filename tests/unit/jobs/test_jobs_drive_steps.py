@@ -7,7 +7,14 @@ import pytest
 from test_jobs_plans import CHAIN, MACHINE, Q_START, World, context
 
 from server.errors import JobFailedError, PlanRefusedError
-from server.jobs.plans.drive_steps import STARTED_RAD, begin_drive, check_driven, clearance_of, steps_hash, way_to
+from server.jobs.plans.drive_steps import (
+    STARTED_RAD,
+    begin_drive,
+    clearance_of,
+    refuse_unsafe_reference,
+    steps_hash,
+    way_to,
+)
 from server.jobs.requests import Arm
 from server.motion.contracts import JointTrajectory
 from server.motion.identification_courses import Course, course_trajectory
@@ -44,16 +51,16 @@ def towards(world, metres):
 
 def test_the_wall_and_a_range_refuse():
     world, ctx = World(), context()
-    check_driven(ctx, motion(size_rad=0.05, joint=3))
+    refuse_unsafe_reference(ctx, motion(size_rad=0.05, joint=3))
     assert clearance_of(ctx, motion()) == np.inf
     ctx.knowledge.T_base_ooi = towards(world, 0.06)  # 60 mm away, 50 mm must stay
     with pytest.raises(JobFailedError, match="from the wall") as refused:
-        check_driven(ctx, motion(size_rad=0.05, joint=3))
+        refuse_unsafe_reference(ctx, motion(size_rad=0.05, joint=3))
     assert refused.value.code == "plan_wall"
     far = Q_START.copy()
     far[1] = MACHINE.joints[1].q_max_rad - 0.01
     with pytest.raises(JobFailedError, match="limit") as refused:
-        check_driven(context(), motion(size_rad=0.05, joint=2, start=far))
+        refuse_unsafe_reference(context(), motion(size_rad=0.05, joint=2, start=far))
     assert refused.value.code == "plan_joint_limit"
 
 
