@@ -24,7 +24,7 @@ from protocol.codec import decode_state, encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
 from protocol.errors import LocalProtocolError, RemoteProtocolError
 from protocol.framing import Framing
-from protocol.gate import GateView, Refusal, check_tail, check_trajectory, gate_command
+from protocol.gate import GateView, Refusal, check_tail, check_trajectory, gate
 from protocol.limits import LimitTable, axis_mask, cfg_id
 from protocol.messages import ZEROS, Axes, Command, Knot, State
 from protocol.playback import Playback, Window
@@ -398,7 +398,7 @@ class ClientLink:
             q_ref=state.q_ref if state else ZEROS,
             knot_before=self._knot_before(command),
         )
-        verdict = gate_command(command, view, self.table)
+        verdict = gate(command, view, self.table)
         if verdict.refusals:
             text = "; ".join(refusal.text for refusal in verdict.refusals)
             self._pending.append(GateRefused(text))

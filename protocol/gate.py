@@ -58,7 +58,7 @@ class GateVerdict:
     refusals: tuple[Refusal, ...] = ()
 
 
-def gate_command(command: Command, view: GateView, table: LimitTable) -> GateVerdict:
+def gate(command: Command, view: GateView, table: LimitTable) -> GateVerdict:
     """Pass the command unchanged, or replace it by a STOP without knots."""
     refusals = tuple(_command_refusals(command, view, table))
     if not refusals:

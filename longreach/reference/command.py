@@ -118,7 +118,7 @@ def fault_bits() -> str:
 # Every subcommand with its arguments and options, as the command line itself describes them.
 
 
-def command_tables() -> str:
+def commands() -> str:
     """One table for each command."""
     from longreach.cli import app  # here: it imports this package
 
@@ -180,6 +180,6 @@ def reference() -> str:
         ("Alarms", alarms()),
         ("Reject codes of the PLC link", reject_code_table()),
         ("Fault bits of the PLC", fault_bits()),
-        ("Commands", command_tables()),
+        ("Commands", commands()),
     )
     return ABOUT + "".join(f"\n## {title}\n\n{text}\n" for title, text in parts)

@@ -98,7 +98,7 @@ def machine_router(service: JobService) -> APIRouter:
             return problem_response(404, "Unknown diagnosis", f"no diagnosis {body.diagnosis_id}", "unknown_diagnosis")
         try:
             answer = await asyncio.to_thread(service.diagnoses.result, one)
-            version = await asyncio.to_thread(service.versions.create_version, answer, one.diagnosis_id)
+            version = await asyncio.to_thread(service.versions.make, answer, one.diagnosis_id)
         except (ServerError, CompensationError) as error:
             return problem_response(409, "No version", str(error), "no_version", "see GET /v1/diagnoses")
         return JSONResponse(_version_view(version).model_dump(mode="json"), status_code=201)

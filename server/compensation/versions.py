@@ -77,7 +77,7 @@ class MachineVersions:
         """The one of that id."""
         return self._read(self._path(version_id))
 
-    def create_version(self, answer: dict[str, Any], diagnosis_id: str) -> MachineVersion:
+    def make(self, answer: dict[str, Any], diagnosis_id: str) -> MachineVersion:
         """A version of the effects that a budget takes for a machine file, all switched on; it is kept, not used yet.
 
         Raises: CompensationError: the answer holds no confirmed effect, or was found with another machine file.

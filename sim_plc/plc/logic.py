@@ -158,7 +158,7 @@ class PlcLogic:
             if not (self.monitor.present and self.monitor.present & FaultBit.SENSOR):
                 reference.follow(sample.q_rad)
             return
-        if reference.is_starving():
+        if reference.starving():
             self._counters.starved = True
             self._counters.underruns += 1
             reference.stop_along_path()

@@ -157,7 +157,7 @@ class Reference:
             self._decel[:] = self._settings.qdd_stop
             self.motion = Motion.JOINT_STOP
 
-    def is_starving(self) -> bool:
+    def starving(self) -> bool:
         """Whether braking must begin now to be at rest before the last knot, the trajectory's end being unknown."""
         ring, settings = self._ring, self._settings
         if self.motion is not Motion.PLAY or ring.complete:

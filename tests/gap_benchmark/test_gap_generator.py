@@ -181,6 +181,7 @@ def test_nothing_is_right_only_as_none_and_a_refusal_claims_nothing() -> None:
     assert held["false"] == []
 
 
+@pytest.mark.slow
 def test_a_name_that_the_scorer_can_tell_apart_is_false(monkeypatch: pytest.MonkeyPatch) -> None:
     effect = {"name": "valve_lag", "joint": 1, "values": {"time_constant_s": 0.1}, "option": "", "direction": []}
     drawn = {"effect": effect, "limit": 0.01, "factor": 10.0, "stage": "actuator"}

@@ -146,8 +146,8 @@ class MotionPair:
         self.t_ns += self.settings.cycle_ns
         self.seen.cycles += 1
         self.seen.motions[self.motion.name] += 1
-        starving = self.reference.is_starving()
-        assert self.st.is_starving() == starving, f"t = {self.t_ns} ns: python {starving}"
+        starving = self.reference.starving()
+        assert self.st.starving() == starving, f"t = {self.t_ns} ns: python {starving}"
         if starving and watch:
             self.seen.events["starved"] += 1
             self.stop("StopAlongPath")

@@ -1,5 +1,6 @@
 """What belongs together when something is added: each test names the places that were missed (docs/how-to/)."""
 
+import re
 from pathlib import Path
 from typing import get_args
 
@@ -78,7 +79,7 @@ NOT_COMPENSATED = set(
     ]
 )
 JOBS = {get_args(body.model_fields["kind"].annotation)[0]: body for body in get_args(JobBody)}
-WITHOUT_BUTTON = {"servo", "pattern"}  # over REST only
+WITHOUT_BUTTON = {"servo", "pattern", "line"}  # over REST only
 OWN_HOLD = {"jog", "identify"}  # their buttons are held by scripts of their own
 SOURCES = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(get_args(CameraSettings)[0])}
 
@@ -135,12 +136,14 @@ def test_a_camera_source_is_whole(kind):
 def test_a_job_is_whole(kind):
     name = JOBS[kind].__name__
     scripts = text_of(*(str(path.relative_to(ROOT)) for path in (ROOT / "web" / "static").glob("*.js")))
+    steps = "".join(re.findall(r"^const (?:MAIN|MINOR) = .*$", text_of("web/static/steps.js"), re.MULTILINE))
     moves = next(line for line in text_of("web/static/steps.js").splitlines() if line.startswith("const MOVES"))
     places = {
         "a case in server/jobs/service.py": name in JobService._plan.__code__.co_names
         or f"case {name}()" in text_of("server/jobs/service.py"),
         "an example in server/api/examples.py": name in EXAMPLES,
-        "a button in web/static, or WITHOUT_BUTTON here": (f'"{kind}"' in scripts) != (kind in WITHOUT_BUTTON),
+        "a button in web/static, or WITHOUT_BUTTON here": (f'"{kind}"' in steps or f'kind: "{kind}"' in scripts)
+        != (kind in WITHOUT_BUTTON),
         "MOVES in web/static/steps.js (what moves is held on REAL), or STILL in server/api/hold_rule.py": (
             kind in STILL | WITHOUT_BUTTON | OWN_HOLD or f'"{kind}"' in moves
         ),

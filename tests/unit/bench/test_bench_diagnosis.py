@@ -29,6 +29,7 @@ def test_the_faults_are_on_the_last_joints() -> None:
     assert {one.joint for one in Size(1).effects} == {1}
 
 
+@pytest.mark.slow
 def test_a_diagnosis_is_timed_and_compared_with_what_is_wrong(tmp_path: Path) -> None:
     write_short(tmp_path / "both", 2)
     one = timed(Size(1), tmp_path / "both")

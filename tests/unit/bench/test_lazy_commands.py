@@ -54,7 +54,7 @@ def test_each_is_there_and_the_list_says_what_it_says_of_itself(one):
     assert command.name == one.name
     module, _, attribute = one.where.partition(":")
     if isinstance(getattr(importlib.import_module(module), attribute), typer.Typer):
-        assert command.command_tables
+        assert command.commands
     assert " ".join(command.help.split()) == one.about
 
 

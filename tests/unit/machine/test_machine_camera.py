@@ -136,5 +136,8 @@ def test_empty_stacks_and_wrong_shapes():
 def test_kernel_runs_as_plain_python_with_the_same_result():
     rays = points(20)[:, :2]
     arguments = (rays, np.array(CAMERA.distortion), fold_radius(CAMERA.distortion))
-    plain, compiled = camera_module.undistorted.py_func(*arguments), camera_module.undistorted(*arguments)
+    plain, compiled = (
+        camera_module.undistort_normalised.py_func(*arguments),
+        camera_module.undistort_normalised(*arguments),
+    )
     assert np.abs(plain - compiled).max() < 1e-13

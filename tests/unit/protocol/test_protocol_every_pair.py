@@ -257,7 +257,7 @@ class Pc:
         return encode_state(self.state)
 
     def feed(self, **changes: Any) -> list[Any]:
-        return self.link.receive(self.create_version(**changes), self.t_ns)
+        return self.link.receive(self.make(**changes), self.t_ns)
 
     def sent(self) -> str:
         datagram = self.link.send(self.t_ns)
@@ -337,7 +337,7 @@ def test_every_phase_with_what_is_no_news(phase: ClientPhase) -> None:
         assert pc.link.phase(pc.t_ns) is phase
     if pc.session_open:
         assert pc.link.receive(good, pc.t_ns) == []
-        far = pc.create_version(seq=pc.state.seq + 1002)
+        far = pc.make(seq=pc.state.seq + 1002)
         assert [event.code for event in pc.link.receive(far, pc.t_ns)] == [RejectCode.SEQ_JUMP]
         assert pc.link.phase(pc.t_ns) is phase
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from protocol import gate_command as gate_module
+from protocol import gate as gate_module
 from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
-from protocol.gate import GateView, check_trajectory, gate_command
+from protocol.gate import GateView, check_trajectory, gate
 from protocol.limits import AxisLimits, LimitTable
 from protocol.messages import ZEROS, Axes, Command, Knot
 
@@ -90,7 +90,7 @@ GOOD: tuple[tuple[str, Command, GateView], ...] = (
 
 @pytest.mark.parametrize(("name", "command", "view"), GOOD)
 def test_what_is_safe_passes_unchanged(name: str, command: Command, view: GateView) -> None:
-    verdict = gate_command(command, view, TABLE)
+    verdict = gate(command, view, TABLE)
     assert verdict.refusals == (), name
     assert verdict.sent is command
 
@@ -235,7 +235,7 @@ BAD = bad_cases()
 
 @pytest.mark.parametrize("case", BAD, ids=lambda case: case.name)
 def test_what_is_not_safe_becomes_a_stop_with_its_reason(case: Bad) -> None:
-    verdict = gate_command(case.command, case.view, TABLE)
+    verdict = gate(case.command, case.view, TABLE)
     assert case.code in {refusal.code for refusal in verdict.refusals}
     assert verdict.sent.mode is Mode.STOP
     assert verdict.sent.knots == ()
@@ -251,19 +251,19 @@ def test_up_to_the_limits_everything_passes(factor: float) -> None:
     for axis, limits in enumerate(TABLE.axes):
         for sign in (-1, 1):
             fast = moving(axis, qd=sign * limits.qd_max * factor)
-            assert gate_command(trajectory(fast), replace(VIEW, knot_before=before(fast, axis)), TABLE).refusals == ()
+            assert gate(trajectory(fast), replace(VIEW, knot_before=before(fast, axis)), TABLE).refusals == ()
             hard = moving(axis, qdd=sign * limits.qdd_max * factor)
-            assert gate_command(trajectory(hard), replace(VIEW, knot_before=before(hard, axis)), TABLE).refusals == ()
+            assert gate(trajectory(hard), replace(VIEW, knot_before=before(hard, axis)), TABLE).refusals == ()
         for value in (limits.q_min, limits.q_max):
             there = tuple(value * factor if i == axis else x for i, x in enumerate(HERE))
             knots = tuple(replace(k, q=there) for k in REST)
             view = replace(VIEW, knot_before=Knot(50 * MS, there))
-            assert gate_command(trajectory(knots), view, TABLE).refusals == ()
+            assert gate(trajectory(knots), view, TABLE).refusals == ()
     for dt_ns in (5 * MS, 200 * MS):
-        assert gate_command(trajectory(moving(0, dt_ns=dt_ns)), VIEW, TABLE).refusals == ()
-    assert gate_command(trajectory(REST), replace(VIEW, state_age_ns=100 * MS), TABLE).refusals == ()
+        assert gate(trajectory(moving(0, dt_ns=dt_ns)), VIEW, TABLE).refusals == ()
+    assert gate(trajectory(REST), replace(VIEW, state_age_ns=100 * MS), TABLE).refusals == ()
     near = tuple(replace(k, q=(0.3 + 0.99e-5, *k.q[1:])) for k in START)
-    assert gate_command(trajectory(near, 0), HOLDING, TABLE).refusals == ()
+    assert gate(trajectory(near, 0), HOLDING, TABLE).refusals == ()
 
 
 def test_a_whole_trajectory_is_checked_before_its_start() -> None:

@@ -52,13 +52,13 @@ class BagMaker:
 
     def header(self, t: float) -> object:
         ns = T0_NS + round(t * 1e9)
-        stamp = self.create_version("builtin_interfaces/msg/Time", sec=ns // 10**9, nanosec=ns % 10**9)
-        return self.create_version("std_msgs/msg/Header", stamp=stamp, frame_id="")
+        stamp = self.make("builtin_interfaces/msg/Time", sec=ns // 10**9, nanosec=ns % 10**9)
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id="")
 
     def point(self, positions: object) -> object:
         empty = np.zeros(0)
-        still = self.create_version("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
-        return self.create_version(
+        still = self.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
+        return self.make(
             "trajectory_msgs/msg/JointTrajectoryPoint",
             positions=np.asarray(positions, float),
             velocities=empty,
@@ -76,15 +76,15 @@ class BagMaker:
         empty = np.zeros(0)
         kind = "sensor_msgs/msg/JointState"
         fields = {"position": np.asarray(positions, float), "velocity": empty, "effort": empty}
-        self.write(topic, kind, self.create_version(kind, header=self.header(t), name=names, **fields), t)
+        self.write(topic, kind, self.make(kind, header=self.header(t), name=names, **fields), t)
 
     def controller_state(self, topic: str, t: float, names: list[str]) -> None:
-        many = self.create_version(
+        many = self.make(
             "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint",
             transforms=[],
             velocities=[],
             accelerations=[],
-            time_from_start=self.create_version("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+            time_from_start=self.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
         )
         kind = self.store.types[CONTROLLER_STATE]
         given = {
@@ -103,15 +103,15 @@ class BagMaker:
         self.write(topic, CONTROLLER_STATE, message, t)
 
     def array(self, topic: str, t: float, values: object) -> None:
-        layout = self.create_version("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+        layout = self.make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
         kind = "std_msgs/msg/Float64MultiArray"
-        self.write(topic, kind, self.create_version(kind, layout=layout, data=np.asarray(values, float)), t)
+        self.write(topic, kind, self.make(kind, layout=layout, data=np.asarray(values, float)), t)
 
     def pose(self, topic: str, t: float, xyz: object, quat_xyzw: object = (0.0, 0.0, 0.0, 1.0)) -> None:
         x, y, z = np.asarray(xyz, float).tolist()
-        place = self.create_version("geometry_msgs/msg/Point", x=x, y=y, z=z)
+        place = self.make("geometry_msgs/msg/Point", x=x, y=y, z=z)
         i, j, k, w = np.asarray(quat_xyzw, float).tolist()
-        turn = self.create_version("geometry_msgs/msg/Quaternion", x=i, y=j, z=k, w=w)
-        pose = self.create_version("geometry_msgs/msg/Pose", position=place, orientation=turn)
+        turn = self.make("geometry_msgs/msg/Quaternion", x=i, y=j, z=k, w=w)
+        pose = self.make("geometry_msgs/msg/Pose", position=place, orientation=turn)
         kind = "geometry_msgs/msg/PoseStamped"
-        self.write(topic, kind, self.create_version(kind, header=self.header(t), pose=pose), t)
+        self.write(topic, kind, self.make(kind, header=self.header(t), pose=pose), t)

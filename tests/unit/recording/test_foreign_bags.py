@@ -46,7 +46,7 @@ def full_bag(path: Path, plugin: str, distribution: int = 0) -> Path:
             bag.controller_state("/arm_controller/controller_state", t, ["j1", "j2"])
             if k % 10 == 0:
                 bag.pose("/vrpn/hand/pose", t, [np.cos(t), 0.0, 0.2])
-        text = bag.create_version("std_msgs/msg/String", data="hello")
+        text = bag.make("std_msgs/msg/String", data="hello")
         bag.write("/chatter", "std_msgs/msg/String", text, 0.0)
     return path
 
@@ -142,7 +142,7 @@ def test_bags_that_are_none_are_refused_with_a_reason(tmp_path: Path, urdf: Path
     (tmp_path / "cut" / "metadata.yaml").write_text(": {{", encoding="utf-8")
     assert "YAML" in refused(tmp_path / "cut") or "metadata" in refused(tmp_path / "cut")
     with BagMaker(tmp_path / "talk", "MCAP") as talk:
-        talk.write("/chatter", "std_msgs/msg/String", talk.create_version("std_msgs/msg/String", data="x"), 0.0)
+        talk.write("/chatter", "std_msgs/msg/String", talk.make("std_msgs/msg/String", data="x"), 0.0)
     assert "no joint positions" in refused(tmp_path / "talk")
     assert "/chatter" in refused(tmp_path / "talk")
 
