@@ -152,7 +152,7 @@ class Interrupted:
 
 
 def test_two_hundred_interruptions_leave_whole_parts_and_a_next_step(stage, tmp_path, monkeypatch):
-    monkeypatch.setattr(drive_steps, "refuse_unsafe_reference", lambda _ctx, _trajectory: None)  # it takes seconds, 200 times
+    monkeypatch.setattr(drive_steps, "refuse_unsafe_reference", lambda *_: None)  # it takes seconds, 200 times
     told = planned(stage.ctx, stage.world, stage.desk)
     whole, start = stage.desk.session.planned, stage.world.q_ref.copy()
     length = 2 * sum(len(part.steps) for part in whole.parts) + 2 * told.looks
