@@ -21,7 +21,7 @@ def identify(
         float, typer.Option(help="approximate duration [min]; shorter drives identify less", min=1.5, max=6.0)
     ] = 6.0,
     wall_free: Annotated[
-        bool, typer.Option(help="there is no wall within reach; required where none is measured")
+        bool, typer.Option(help="you confirm that no wall is within reach; required where none is measured")
     ] = False,
     resume: Annotated[bool, typer.Option(help="only the remaining parts of a paused drive")] = False,
     use: Annotated[bool, typer.Option("--use", help="use the effects found from now on")] = False,

@@ -85,7 +85,9 @@ class PlanIdentifyRequest(JobRequest):
     minutes: float = Field(
         default=6.0, ge=1.5, le=6.0, description="approximate duration; shorter drives identify less"
     )
-    wall_free: bool = Field(default=False, description="there is no wall within reach; required where none is measured")
+    wall_free: bool = Field(
+        default=False, description="confirms that no wall is in reach; required where none is measured"
+    )
     resume: bool = Field(default=False, description="only the remaining parts of a paused drive")
 
 
@@ -121,4 +123,6 @@ class ParkRequest(JobRequest):
     """Fold the machine. Refused (`no_wall`) before the first look for a wall, but for `wall_free`."""
 
     kind: Literal["park"]
-    wall_free: bool = Field(default=False, description="there is no wall within reach; required before the first look")
+    wall_free: bool = Field(
+        default=False, description="confirms that no wall is in reach; required before the first look"
+    )
