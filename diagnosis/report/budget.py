@@ -87,7 +87,7 @@ def budget_sections(result: dict[str, Any]) -> str:
                 "What costs how much at the tool", _waterfall_chart(budget["effects"], tool, ("stands", "gets_there"))
             ),
             html_section("What the camera misplaces", _waterfall_chart(budget["effects"], camera, ("sees",))),
-            html_section("Three columns", _columns_table(budget["columns"])),
+            html_section("Where the error arises", _columns_table(budget["columns"])),
             html_section("Every effect", _effects_table(budget["effects"])),
             html_section("Every stage and joint", _stages_table(result["stages"])),
         ]
@@ -154,11 +154,11 @@ def _effects_table(effects: list[dict[str, Any]]) -> str:
             f"{effect['tool_mm']:.3g} ({effect['tool_low_mm']:.3g} to {effect['tool_high_mm']:.3g})",
             f"{100 * effect['share_frac']:.1f} %",
             f"{100 * effect['probability']:.0f} %",
-            effect["status"] + _alternatives_text(effect),
+            (effect["status"] + _alternatives_text(effect)).replace("_", " "),
         ]
         for effect in effects
     ]
-    return html_table(("effect", "column", "mm at the tool (90 %)", "share of the square", "probability", ""), rows)
+    return html_table(("effect", "where", "mm at the tool (90 %)", "share of the square", "probability", ""), rows)
 
 
 def _stages_table(stages: list[dict[str, Any]]) -> str:
