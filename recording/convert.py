@@ -71,7 +71,7 @@ def _require_room(recording: Recording, to_utc_ns: int) -> None:
             if not COUNT_LEAST <= getattr(row, name) <= COUNT_MOST:
                 fault = f"{name} = {getattr(row, name)}, limits {COUNT_LEAST} to {COUNT_MOST}"
                 raise RecordingError(
-                    f"{_row_location(recording, kind, numbers[kind])}: {fault}; leave the cell empty if there is none"
+                    f"{_row_location(recording, kind, numbers[kind])}: {fault}; leave the cell empty without a value"
                 )
         t_utc_ns = pc_time_ns(row, recording.run) + to_utc_ns
         if not 0 <= t_utc_ns <= TIME_MOST_NS:

@@ -289,9 +289,9 @@ class StereoOdometry:
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
         if located.jumped:  # a step over places that look alike is not a motion
             motion = standing_motion(T_vo_cam, sight.t_exposure_ns)
-        full = self._settings.keyframe_below_frac * np.array([self._full_points, self._full_coverage])
+        frac = self._settings.keyframe_below_frac
         wanted = (
-            wants_keyframe(inliers_px, self._shape, *full)
+            wants_keyframe(inliers_px, self._shape, frac * self._full_points, frac * self._full_coverage)
             and (motion.is_velocity_known or not self._has_rolling_shutter)
             and not located.doubt
         )

@@ -59,14 +59,14 @@ def untold(result: dict[str, Any]) -> set[str]:
     return set(_fields(result)) - set(re.findall(r"`(\w+)`", FIELDS.read_text(encoding="utf-8")))
 
 
-def _fields(told: Any) -> Iterator[str]:
+def _fields(stated: Any) -> Iterator[str]:
     """Every key but those that are names themselves: of a parameter, of an experiment."""
-    if isinstance(told, list):
-        for one in told:
+    if isinstance(stated, list):
+        for one in stated:
             yield from _fields(one)
-    if isinstance(told, dict):
-        yield from told
-        for key, value in told.items():
+    if isinstance(stated, dict):
+        yield from stated
+        for key, value in stated.items():
             named = isinstance(value, dict) and key in ("parameters", "used", "alternatives")
             yield from _fields(list(value.values()) if named else value)
 
@@ -83,18 +83,18 @@ def test_the_example_of_rest_has_the_fields_of_an_answer() -> None:
 
 @pytest.mark.parametrize("limit", [0.00123456789, -0.00123456789, 123456.7, 0.99999999, -5e-9, 0.0])
 def test_a_printed_limit_leaves_nothing_out(limit: float) -> None:
-    told = _value_with_limits(np.array([limit, limit, limit]), "1")
-    assert told["low"] <= limit <= told["high"]
-    assert told["high"] - told["low"] <= 1.01e-5 * abs(limit)
+    stated = _value_with_limits(np.array([limit, limit, limit]), "1")
+    assert stated["low"] <= limit <= stated["high"]
+    assert stated["high"] - stated["low"] <= 1.01e-5 * abs(limit)
 
 
 def test_a_base_is_tilted_about_level_axes_only() -> None:
     (tilt,) = candidates_of_effects(("base_tilt",), ())
     assert [slot.index for slot in tilt.slots] == [0, 1]  # about the upright it is the bias of the first encoder
     direction = effect_named("base_tilt").direction
-    told = _size_and_direction("tilt_rad", "rad", direction, np.array([[3e-3, 2e-3, 4e-3], [-4e-3, -5e-3, -3e-3]]))
-    assert told["axis"]["value"] == [0.6, -0.8, 0.0]
-    assert told["tilt_rad"]["value"] == pytest.approx(5e-3)
+    stated = _size_and_direction("tilt_rad", "rad", direction, np.array([[3e-3, 2e-3, 4e-3], [-4e-3, -5e-3, -3e-3]]))
+    assert stated["axis"]["value"] == [0.6, -0.8, 0.0]
+    assert stated["tilt_rad"]["value"] == pytest.approx(5e-3)
 
 
 def test_nothing_is_found_where_nothing_is_wrong(tmp_path: Path) -> None:
