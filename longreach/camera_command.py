@@ -22,7 +22,14 @@ from server.camera.check_scale import Tape
 from server.camera.contracts import StereoSource
 from server.camera.own_structure import Masks, mask_polygons
 from server.camera.sources.opening import open_source
-from server.camera.sources.settings import DeviceSource, HttpSource, RectifiedSource, RtspSource, SourceSettings
+from server.camera.sources.settings import (
+    DeviceSource,
+    FileSource,
+    HttpSource,
+    RectifiedSource,
+    RtspSource,
+    SourceSettings,
+)
 from server.errors import SettingsError
 from server.settings import read_machine, read_settings
 from server.settings_camera import (
@@ -57,7 +64,7 @@ EyeSize = Annotated[str | None, typer.Option(help="one eye's size, such as 1226x
 MachineFile = Annotated[str | None, typer.Option("--machine", help="machine file, or the name of a shipped one")]
 Seconds = Annotated[float, typer.Option(min=1.0, max=600.0, help="duration of the check [s]")]
 Pairs = Annotated[int, typer.Option(min=1, max=200, help="number of pairs analysed in detail")]
-HIDDEN_DAMAGE = "the decoder of an RTSP stream hides damage until the next key frame, so looks cannot exclude it"
+HIDDEN_DAMAGE = "accept_inter_coded: the decoder may hide damage until the next key frame, and looks then be wrong"
 AsJson = Annotated[bool, typer.Option("--json", help="print the findings only, as JSON")]
 
 
@@ -208,12 +215,8 @@ def _camera_check_findings(
             None if tape_mm is None else Tape(1e-3 * tape_mm),
             masks,
         )
-    if isinstance(plain, RtspSource):
-        findings.append(
-            CheckFinding(
-                "coding", Level.WARN, HIDDEN_DAMAGE, "use a camera with MJPEG, or keep its network free of loss"
-            )
-        )
+    if isinstance(plain, FileSource | RtspSource) and plain.accept_inter_coded:
+        findings.append(CheckFinding("coding", Level.WARN, HIDDEN_DAMAGE, "use a camera with Motion JPEG"))
     if stereo.state and not gathering.n:
         findings.insert(0, CheckFinding("source", Level.FAIL, stereo.state, "fix what this line states"))
     return findings

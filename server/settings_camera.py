@@ -74,18 +74,23 @@ class DeviceCameraSettings(_CameraSection):
 
 
 class RtspCameraSettings(_CameraSection):
-    """A network camera whose stream shows both eyes side by side."""
+    """A network camera whose stream shows both eyes side by side.
+
+    `accept_inter_coded`: also H.264, H.265 and the like, whose decoder hides damage until the next key frame.
+    """
 
     kind: Literal["rtsp"]
     url: Annotated[str, Field(pattern=r"^rtsps?://[^/\s]+"), Shown]
     timeout_s: Annotated[float, Field(ge=0.5, le=60.0)] = 5.0
+    accept_inter_coded: bool = False
 
 
 class FileCameraSettings(_CameraSection):
-    """A video file of side-by-side frames."""
+    """A video file of side-by-side frames; `accept_inter_coded` as for RTSP."""
 
     kind: Literal["file"]
     path: str
+    accept_inter_coded: bool = False
 
 
 class FolderCameraSettings(_CameraSection):

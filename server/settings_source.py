@@ -41,9 +41,9 @@ def plain_source(camera: CameraSettings) -> PlainSource:
             device = camera.index if camera.path is None else camera.path
             return DeviceSource(device, camera.width_px, camera.height_px, camera.rate_hz, camera.pixel_format)
         case RtspCameraSettings():
-            return RtspSource(camera.url, camera.timeout_s)
+            return RtspSource(camera.url, camera.timeout_s, camera.accept_inter_coded)
         case FileCameraSettings():
-            return FileSource(camera.path)
+            return FileSource(camera.path, camera.accept_inter_coded)
         case FolderCameraSettings():
             return FolderSource(camera.left_glob, camera.right_glob, camera.rate_hz, camera.stamp_unit)
         case EurocCameraSettings():

@@ -15,6 +15,19 @@ from server.camera.sources.live import HELD_UP, LiveSource
 Picture = NDArray[Any]
 Capture = cv2.VideoCapture
 OpenCapture = Callable[[int | str], Capture]
+# Codecs that code each picture by itself. Others show damage until the next key frame, and FFmpeg does not report it.
+INTRA_CODED = frozenset({"MJPG", "MPNG", "FFV1"})
+
+
+def require_intra_coded(capture: Capture, subject: str) -> None:
+    """Raises: CameraError: the pictures depend on those before, so damage in one stays in the next, unseen."""
+    code = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("ascii", "replace").strip("\0 ").upper()
+    if code not in INTRA_CODED:
+        raise CameraError(
+            f"{subject}: codec '{code or 'unknown'}' hides damaged pictures until the next key frame, and a look may "
+            "then be wrong by several mm; set the camera to Motion JPEG, or accept this with [camera] "
+            "accept_inter_coded = true"
+        )
 
 
 class CapturedSource(LiveSource[tuple[Picture, int, int, int, int]]):

@@ -11,6 +11,7 @@ from server.camera.contracts import StereoFrame, StereoSource
 from server.camera.errors import CameraError, StreamError
 from server.camera.rectification import Rectifier, rectification_of
 from server.camera.sources.ahead import AheadSource
+from server.camera.sources.capture import require_intra_coded
 from server.camera.sources.device import DeviceStereoSource
 from server.camera.sources.folder import EurocStereoSource, FolderStereoSource
 from server.camera.sources.http import HttpStereoSource
@@ -81,6 +82,8 @@ class FileStereoSource:
         self._capture = cv2.VideoCapture(settings.path) if Path(settings.path).is_file() else None
         if self._capture is None or not self._capture.isOpened():
             raise CameraError(f"video file '{settings.path}' cannot be opened; give a file of side-by-side frames")
+        if not settings.accept_inter_coded:
+            require_intra_coded(self._capture, f"video file '{settings.path}'")
         rate_hz = float(self._capture.get(cv2.CAP_PROP_FPS)) or 30.0
         self._pacing = Pacing(rate_hz)
         self._period_ns = int(1e9 / rate_hz)

@@ -11,7 +11,7 @@ import numpy as np
 
 from recording.clock import mono_ns
 from server.camera.errors import CameraError
-from server.camera.sources.capture import Capture, CapturedSource, OpenCapture, Picture
+from server.camera.sources.capture import Capture, CapturedSource, OpenCapture, Picture, require_intra_coded
 from server.camera.sources.settings import RtspSource
 from server.camera.sources.side_by_side import split_side_by_side
 from server.shown_address import without_password
@@ -70,6 +70,12 @@ class RtspStereoSource(CapturedSource):
             raise CameraError(
                 f"{self._subject} gives no stream; check address, user, password and that RTSP is switched on"
             )
+        if not self._settings.accept_inter_coded:
+            try:
+                require_intra_coded(capture, self._subject)
+            except CameraError:
+                capture.release()
+                raise
         self._last_ns, self._by_arrival = None, False
         return capture
 

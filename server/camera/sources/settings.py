@@ -39,6 +39,7 @@ class RtspSource:
 
     url: str
     timeout_s: float = 5.0
+    accept_inter_coded: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +47,7 @@ class FileSource:
     """A video file of side-by-side frames, played once at its own rate."""
 
     path: str
+    accept_inter_coded: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,6 +46,7 @@ def source_of(tmp_path: Path, section: str) -> SourceSettings:
             DeviceSource("/dev/v4l/by-id/zed", 1344, 376, 100.0, "MJPG"),
         ),
         ('kind = "rtsp"\nurl = "rtsp://cam/both"\ntimeout_s = 2.0', RtspSource("rtsp://cam/both", 2.0)),
+        ('kind = "rtsp"\nurl = "rtsp://c/b"\naccept_inter_coded = true', RtspSource("rtsp://c/b", 5.0, True)),
         ('kind = "file"\npath = "a.mp4"', FileSource("a.mp4")),
         ('kind = "folder"\nleft_glob = "l/*"\nright_glob = "r/*"\nrate_hz = 10.0', FolderSource("l/*", "r/*", 10.0)),
         ('kind = "euroc"\npath = "V1_01"\nspeed = 0.5', EurocSource("V1_01", 0.5)),

@@ -231,6 +231,18 @@ def test_video_file_gives_every_frame(tmp_path: Path) -> None:
         assert float(frame.right.mean()) == pytest.approx(10, abs=3.0)
 
 
+def test_inter_coded_video_file_needs_consent(tmp_path: Path) -> None:
+    path = str(tmp_path / "clip.mp4")
+    writer = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (160, 64))
+    writer.write(np.zeros((64, 160, 3), np.uint8))
+    writer.release()
+    with pytest.raises(CameraError, match="codec 'FMP4' hides damaged pictures.*accept_inter_coded = true"):
+        open_source(FileSource(path))
+    source = open_source(FileSource(path, accept_inter_coded=True))
+    assert source.read(1.0) is not None
+    source.close()
+
+
 def test_missing_video_file_is_refused() -> None:
     with pytest.raises(CameraError, match="cannot be opened"):
         open_source(FileSource("no/such/file.avi"))
