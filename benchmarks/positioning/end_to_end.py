@@ -110,7 +110,7 @@ def join_truth(result: dict[str, Any], truth: dict[str, np.ndarray]) -> list[Ste
     """Each look of the result beside the true error over the 0.3 s before it, when the machine was at rest."""
     looks = [("start", result["start"], result["t_start_plc_ns"])]
     for move in result["moves"]:
-        name = f"orientation {move['number']}" if move["kind"] == "orientation" else f"move {move['number']}"
+        name = f"{move['kind']} {move['number']}"
         looks.append((name, move["after"], move["t_rest_plc_ns"]))
     steps = []
     for name, image, t_plc_ns in looks:

@@ -82,7 +82,7 @@ def looks_of(result: dict[str, Any]) -> list[tuple[str, dict[str, float], int]]:
         return [(look["name"], look["error"], look["t_plc_ns"]) for look in result["looks"]]
     found = []
     for move in result["moves"]:
-        name = "oriented" if move["kind"] == "orientation" else f"move {move['number']}"
+        name = {"orientation": "oriented", "move": f"move {move['number']}"}.get(move["kind"], move["kind"])
         if move["after"] is not None:
             found.append((name, move["after"], move["t_rest_plc_ns"]))
     return found

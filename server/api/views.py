@@ -150,10 +150,10 @@ class PlanView(View):
 
 
 class MoveView(View):
-    """One executed orientation step or move."""
+    """One executed orientation step, approach or move."""
 
     number: int
-    kind: Literal["orientation", "move"]
+    kind: Literal["orientation", "approach", "move"]
     before: ErrorView
     after: ErrorView | None
     predicted_sigma_mm: list[float]

@@ -50,13 +50,13 @@ class ComparedMove:
 
 @dataclass(frozen=True, slots=True)
 class MoveRecord:
-    """One orientation step or one look-then-move, with the errors before and after it.
+    """One orientation step, approach or look-then-move, with the errors before and after it.
 
     `t_rest_plc_ns` is the PLC's time of the look after the move: a bench joins the simulator's truth there afterwards.
     """
 
     number: int
-    kind: Literal["orientation", "move"]
+    kind: Literal["orientation", "approach", "move"]
     before: ErrorMm
     after: ErrorMm | None
     predicted_sigma_mm: tuple[float, float, float]

@@ -31,7 +31,7 @@ class PatchStatus(Enum):
 class TargetSettings:
     """Limits of a target; normal_max_deg and position_max_m: of the 95 % uncertainty at the largest radius."""
 
-    radii_m: tuple[float, ...] = (0.03, 0.045, 0.06, 0.08, 0.1)  # of the patch, tried from the smallest on until ...
+    radii_m: tuple[float, ...] = (0.03, 0.045, 0.06, 0.08, 0.1, 0.13)  # of the patch, tried in turn until ...
     normal_wanted_deg: float = 0.8  # ... its normal is known so well: a move's 1 deg is two sigma, tool and camera too
     normal_max_deg: float = 2.0
     position_max_m: float = 0.004  # leaves the rest of a move's 5 mm to tool and motion

@@ -196,7 +196,7 @@ def _moves(world: World, cell: FastCell, ctx: PlanContext, notes: Notes) -> tupl
     oriented = None
     for move in ctx.knowledge.moves:
         true = true_errors(world, cell.true_looks[move.t_rest_plc_ns], ctx.T_ooi_goal)
-        if move.kind == "orientation":
+        if move.kind != "move":
             oriented = true.goal_mm
         elif move.after is not None:
             covariance, stop = notes.covariances.get(move.number), notes.stops_rad.get(move.number)

@@ -1,4 +1,4 @@
-"""The whole loop: look, orient, calibrate, then look-then-move until inside the tolerance."""
+"""The whole loop: look, orient, approach, calibrate, then look-then-move until inside the tolerance."""
 
 from collections.abc import Callable, Generator
 
@@ -6,6 +6,7 @@ from recording.clock import mono_ns
 from server.calibration.calibration_life import ValidityStatus
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
+from server.jobs.plans.approaching import approach, approach_pose
 from server.jobs.plans.assurance import assured_preview
 from server.jobs.plans.calibrating import calibrate, possible_path
 from server.jobs.plans.living import calibration_validity, require_valid
@@ -36,12 +37,15 @@ def position(
         return _position_result(ctx, first, taken, ctx.knowledge.calibration, watch)
     if not recalibrate:
         yield from _drop_expired(ctx, taken)
-    elif error_of(taken).rotation_deg < GOOD_ENOUGH_DEG:
+    elif error_of(taken).rotation_deg < GOOD_ENOUGH_DEG and approach_pose(ctx, taken) is None:
         possible_path(ctx, taken.reading)  # it will be driven from here
     _begin_run(ctx, taken, recalibrate)
     taken = yield from orient(ctx, taken)
     watch.record_lap_time("orient")
     if ctx.knowledge.mount is None:
+        if approach_pose(ctx, taken) is not None:
+            taken = yield from approach(ctx, taken)
+            watch.record_lap_time("approach")
         yield from calibrate(ctx, taken)
         watch.record_lap_time("calibrate")
         taken = yield from good_look(ctx)

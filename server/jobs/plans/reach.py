@@ -11,6 +11,7 @@ from server.calibration.contracts import CalibrationStatus, CameraRotationEstima
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
+from server.jobs.plans.approaching import approach_pose
 from server.jobs.plans.calibrating import possible_path
 from server.jobs.plans.diagnosed import goal_from_look
 from server.jobs.plans.living import keep_calibration, validity_at
@@ -42,7 +43,7 @@ def reach_preview(
     target: AnchoredTarget | TaughtObject,
     T_cam_target: Array,
 ) -> ReachPreview:
-    """Plans the job on a candidate: orientation step, calibration path, move to the goal. Nothing moves or is kept.
+    """Plans the job on a candidate: orientation, approach, calibration path, move. Nothing moves or is kept.
 
     Model:   the legs of `position`, each from where the one before ends; tool and camera are rigidly joined, so a leg
              changes only the target's pose in the camera.
@@ -57,6 +58,7 @@ def reach_preview(
     ctx.knowledge.T_base_ooi = ooi_in_base(ctx, taken)
     try:
         taken = _look_after_orienting(ctx, taken)
+        taken = _look_after_approach(ctx, taken)
         _as_if_calibrated(ctx, taken)
         _to_goal(ctx, taken)
         require_judgeable(ctx, taken)
@@ -100,8 +102,21 @@ def _look_after_orienting(ctx: PlanContext, taken: LookTaken) -> LookTaken:
         raise ValueError("a look without poses")
     if np.rad2deg(geodesic_angle(look.T_cam_tool[:3, :3], look.T_cam_ooi[:3, :3])) < GOOD_ENOUGH_DEG:
         return taken
+    return _look_after(ctx, taken, orientation_goal(ctx, taken), "turning to the target")
+
+
+def _look_after_approach(ctx: PlanContext, taken: LookTaken) -> LookTaken:
+    """As it would be seen after the approach; the same where none is needed."""
+    T_approach = approach_pose(ctx, taken)
+    return taken if T_approach is None else _look_after(ctx, taken, T_approach, "approach to the target")
+
+
+def _look_after(ctx: PlanContext, taken: LookTaken, T_base_tcp: Array, purpose: str) -> LookTaken:
+    look = taken.look
+    if look.T_cam_tool is None or look.T_cam_ooi is None:
+        raise ValueError("a look without poses")
     T_before = ctx.tcp(taken.reading.q_rad)
-    plan = _require_plan(plan_to(ctx, taken.reading, orientation_goal(ctx, taken)), "turning to the target")
+    plan = _require_plan(plan_to(ctx, taken.reading, T_base_tcp), purpose)
     T_after = ctx.tcp(plan.q_end)
     T_tcp_tool = ctx.machine.T_tcp_tool
     moved = inverse_pose(T_after @ T_tcp_tool) @ T_before @ T_tcp_tool  # T_tool-after_tool-before
