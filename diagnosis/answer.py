@@ -275,9 +275,9 @@ def _localisation_json(places: tuple[Place, ...]) -> list[dict[str, Any]]:
 def _detection_limits(found: Budget) -> Iterator[dict[str, Any]]:
     for fit in found.fits:
         for k, size in smallest_detectable(fit).items():
-            slot = fit.best.terms[k].effect.slots[0]
+            slot = fit.best.current_terms[k].effect.slots[0]
             yield {
-                **_effect_key(fit.best.terms[k]),
+                **_effect_key(fit.best.current_terms[k]),
                 "parameter": slot.parameter,
                 "size": round_numbers(float(size)),
                 "unit": slot.spec.unit,
@@ -309,9 +309,9 @@ def _search_summary(fit: WholeFit) -> dict[str, Any]:
     return {
         "stage": fit.cell.stage,
         "joint": fit.cell.joint,
-        "rows": fit.cell.rows.count,
+        "rows": fit.cell.rows.row_count,
         "rivals": sum(rival is not None for rival in fit.rivals.values()),
-        "candidates": len(fit.best.terms),
+        "candidates": len(fit.best.current_terms),
         "spread": round_numbers(float(np.mean(fit.best.lin.residual**2))),
         "trust": round_numbers(float(np.mean(fit.trust))),
         "floor_known": fit.cell.floor_known,
@@ -323,11 +323,13 @@ def _open_pairs(found: Budget) -> list[list[Pair]]:
     """Doubts by part: the best set against each rival that the recording does not exclude, heaviest first."""
     out = []
     for fit in found.fits:
-        mine = hypothesis_at_fit(fit_of(fit.best.terms, fit.best.lin), _variance_inflation(fit))
+        mine = hypothesis_at_fit(fit_of(fit.best.current_terms, fit.best.lin), _variance_inflation(fit))
         pairs = []
         for number, rival in _open_rivals(fit):
-            other = hypothesis_at_fit(fit_of(rival.terms, rival.lin), _variance_inflation(fit))
-            weight = next((line.mm for line in found.lines if line.evidence.term is fit.best.terms[number]), 0.0)
+            other = hypothesis_at_fit(fit_of(rival.current_terms, rival.lin), _variance_inflation(fit))
+            weight = next(
+                (line.mm for line in found.lines if line.evidence.term is fit.best.current_terms[number]), 0.0
+            )
             names = _first_apart(mine.fit, other.fit), _first_apart(other.fit, mine.fit)
             pairs.append(Pair(fit.cell, _variance_inflation(fit), mine, other, weight + 1e-6, names))
         if pairs:
@@ -338,7 +340,12 @@ def _open_pairs(found: Budget) -> list[list[Pair]]:
 def _first_apart(first: Fit, other: Fit) -> Key | None:
     """The first effect that only `one` has."""
     return next(
-        (effect.key for effect in first.hypothesis if effect.key not in {x.key for x in other.hypothesis}), None
+        (
+            effect.effect_and_joint
+            for effect in first.hypothesis
+            if effect.effect_and_joint not in {x.effect_and_joint for x in other.hypothesis}
+        ),
+        None,
     )
 
 
@@ -351,7 +358,7 @@ def _open_rivals(fit: WholeFit) -> Iterator[tuple[int, Fitted]]:
         if rival is not None and fit.best.score - rival.score < OPEN_NATS:
             yield number, rival
     for kept, out in fit.twins:
-        if fit.best.present[kept]:
+        if fit.best.present_terms[kept]:
             yield kept, _fit_with_twin_effect(fit, kept, out)
 
 

@@ -71,11 +71,11 @@ class Budget:
         return together_mm(column.after_mm for column in self.columns if column.name != "sees")
 
     @property
-    def confirmed(self) -> tuple[EffectLine, ...]:
+    def confirmed_effects(self) -> tuple[EffectLine, ...]:
         """Effects that are confirmed."""
         return tuple(line for line in self.lines if line.status == "confirmed")
 
-    def entries(self) -> tuple[EffectEntry, ...]:
+    def effect_entries(self) -> tuple[EffectEntry, ...]:
         """The effects of a machine file that predicts as well as this recording allows.
 
         Why not the confirmed ones alone: the model of all effects with a probability of at least a half predicts best.
@@ -102,7 +102,7 @@ def budget_of(whole: Read, progress: Progress = no_progress, left_out: tuple[str
     work.report_concluding_progress("localising", 0.6)
     before, after = localise(whole), localise(_with_effects(whole, entries_of(sure)))
     work.report_concluding_progress("held-out data", 0.8)
-    predicted = tuple(held_out(fit.cell, fit_of(fit.best.terms, fit.best.lin)) for fit in fits)
+    predicted = tuple(held_out(fit.cell, fit_of(fit.best.current_terms, fit.best.lin)) for fit in fits)
     closing = tuple(tuple(gaps_closed(prediction)) for prediction in predicted)
     columns = tuple(_budget_column(whole, error, chance, after, fits, closing) for error in errors)
     total = sum(column.before_mm**2 for column in columns)
@@ -125,13 +125,15 @@ def _evidence_with_probability(fit: WholeFit) -> list[tuple[Evidence, float]]:
     held = [evidence.term for evidence, likely in found if likely >= LIKELY]
     if fit.cell.usual is None or len(held) in (0, len(found)):
         return found
-    again = {alone.term.effect.variant: probability(alone) for alone in evidence_of(refit_reduced(fit, held))}
-    return [(evidence, min(likely, again.get(evidence.term.effect.variant, likely))) for evidence, likely in found]
+    again = {alone.term.effect.without_variant: probability(alone) for alone in evidence_of(refit_reduced(fit, held))}
+    return [
+        (evidence, min(likely, again.get(evidence.term.effect.without_variant, likely))) for evidence, likely in found
+    ]
 
 
 def _machine_of(fits: Iterable[WholeFit], chance: dict[int, float], least: float) -> tuple[EffectTerm, ...]:
     """The effects of at least this probability, each part's fitted as if it had no other."""
-    some = [term for fit in fits for term in fit.best.terms if chance.get(id(term), 0.0) >= least]
+    some = [term for fit in fits for term in fit.best.current_terms if chance.get(id(term), 0.0) >= least]
     return tuple(term for fit in fits for term in refit_terms(fit, some))
 
 
@@ -149,7 +151,7 @@ def _effect_lines(
     out = []
     for term, rms, squares in zip(error.terms, error.rms_m * MM, error.squares_m2 * MM**2, strict=True):
         one = by_term[id(term)]
-        sizes = term.theta[: term.sizes]
+        sizes = term.theta[: term.size_count]
         size = float(np.linalg.norm(sizes)) if not term.limits else 1.0
         sd = float(np.linalg.norm(one.size_sd * sizes) / size) if not term.limits and size > 0.0 else 0.0
         spread = QUANTILE_95 * sd / size if size > 0.0 else 0.0
@@ -194,11 +196,11 @@ def _budget_column(
     floor = _tracking_floor_mm(whole) if error.column == "gets_there" else 0.0
     if error.measured is not None and error.left is not None:
         return BudgetColumn(error.column, _rms_mm(error.measured, floor), _rms_mm(error.left, floor), floor, True)
-    unconfirmed = _rms_mm(error.total - error.by_effect[chosen].sum(axis=0))
+    unconfirmed = _rms_mm(error.total_error - error.by_effect[chosen].sum(axis=0))
     if error.column == "sees":
         left_mm = float(np.hypot(unconfirmed, _corners_left_mm(fits)))
         return BudgetColumn(
-            error.column, float(np.hypot(_rms_mm(error.total), _corners_left_mm(fits))), left_mm, 0.0, True
+            error.column, float(np.hypot(_rms_mm(error.total_error), _corners_left_mm(fits))), left_mm, 0.0, True
         )
     left = _measured_mm(after, "structure")
     if left is None:  # nothing measured it: all that is known is what the confirmed effects do

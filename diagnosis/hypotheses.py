@@ -49,8 +49,8 @@ def hypotheses_of(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> list
     for odds, chosen in _in_order(changes):
         gone = {key for change in chosen for key in change.out}
         into = [effect for change in chosen for effect in change.into]
-        known = [effect for effect in likely if effect[0].key not in gone]
-        keys = [effect[0].key for effect in (*known, *into)]
+        known = [effect for effect in likely if effect[0].effect_and_joint not in gone]
+        keys = [effect[0].effect_and_joint for effect in (*known, *into)]
         if len(set(keys)) == len(keys):
             out.append(Hypothesis((*known, *into), standing * odds))
         if len(out) == MOST or sum(listed.probability for listed in out) >= HELD:
@@ -73,34 +73,39 @@ def _of_lines(lines: Sequence[EffectLine], fits: Sequence[WholeFit]) -> Iterator
         if line.status == "doubtful":
             yield _HypothesisChange(p / (1.0 - p), (), (sized_effect_of_line(line),))
         else:
-            yield _HypothesisChange(min((1.0 - p) / p, EVEN), (term.effect.key,), _replacing_effects(term, fits))
+            yield _HypothesisChange(
+                min((1.0 - p) / p, EVEN), (term.effect.effect_and_joint,), _replacing_effects(term, fits)
+            )
 
 
 def _replacing_effects(term: EffectTerm, fits: Sequence[WholeFit]) -> tuple[SizedEffect, ...]:
     """What enters in the place of an effect of the best set where it is left out."""
     for fit in fits:
         for k, rival in fit.rivals.items():
-            if fit.best.terms[k] is term and rival is not None:
-                entered = np.nonzero(rival.present & ~fit.best.present)[0]
-                return tuple(_sized_effect(rival.terms[t], rival.terms[t].theta, rival.terms[t].theta) for t in entered)
+            if fit.best.current_terms[k] is term and rival is not None:
+                entered = np.nonzero(rival.present_terms & ~fit.best.present_terms)[0]
+                return tuple(
+                    _sized_effect(rival.current_terms[t], rival.current_terms[t].theta, rival.current_terms[t].theta)
+                    for t in entered
+                )
     return ()
 
 
 def _absent_effect_changes(fits: Sequence[WholeFit]) -> Iterator[_HypothesisChange]:
     """Every absent effect, by the linear model of its part."""
     for fit in fits:
-        problem, present, first = fit.best.problem, fit.best.present, fit.best.lin.first
+        problem, present, first = fit.best.problem, fit.best.present_terms, fit.best.lin.first
         twins = {out for _, out in fit.twins}
         score = problem.score(present)
-        for k, term in enumerate(fit.best.terms):
+        for k, term in enumerate(fit.best.current_terms):
             if present[k] or k in twins or term.limits:
                 continue
             members = present.copy()
             members[k] = True
             x, S = problem.estimate(members)
-            own = slice(first[k], first[k] + term.sizes)
+            own = slice(first[k], first[k] + term.size_count)
             theta, half = term.theta.copy(), np.zeros_like(term.theta)
-            theta[: term.sizes], half[: term.sizes] = x[own], QUANTILE_95 * np.sqrt(np.diag(S)[own])
+            theta[: term.size_count], half[: term.size_count] = x[own], QUANTILE_95 * np.sqrt(np.diag(S)[own])
             odds = min(float(np.exp(min(problem.score(members) - score, 0.0))), EVEN)
             yield _HypothesisChange(odds, (), ((term.effect, np.stack([theta, theta - half, theta + half], axis=1)),))
 

@@ -63,7 +63,7 @@ class Localisation:
 def localise(whole: Read) -> Localisation:
     """The gap of the nominal machine (with its baseline, if its file has one) on every stage that can be judged."""
     nominal, tables = whole.nominal, whole.tables
-    if nominal is None or tables is None or not whole.usable:
+    if nominal is None or tables is None or not whole.has_judgeable_stage:
         return Localisation((), (), False)
     sets = pack_effects(nominal.baseline, nominal.n)
     groups = repeat_groups(whole.stretches)
@@ -114,7 +114,7 @@ def _dynamic_stage_places(
 
 def _baseline_remainder(nominal: Nominal, stage: str) -> Array:
     """What the baseline leaves of a stage, in the unit of its error (n,)."""
-    records = [nominal.remainder(stage, j + 1) for j in range(nominal.n)]
+    records = [nominal.baseline_remainder(stage, j + 1) for j in range(nominal.n)]
     per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
     return per_second * np.array([record.rms if record is not None else 0.0 for record in records])
 

@@ -50,7 +50,9 @@ def gaps_closed(held_out: HeldOut) -> list[tuple[GapClosed, BlockSquares]]:
     for part, own in held_out.cell.by_part(squares):
         block = part.rows.block
         before, after = (np.bincount(block, weights=column).astype(float) for column in own.T)
-        sums = BlockSquares(before, after, np.asarray(part.quiet * np.bincount(block), dtype=float), part.rows.count)
+        sums = BlockSquares(
+            before, after, np.asarray(part.quiet * np.bincount(block), dtype=float), part.rows.row_count
+        )
         out.append((_part_gap_closed(part, sums), sums))
     return out
 

@@ -84,7 +84,7 @@ def has_baseline(whole: Read) -> bool:
 
 def usual_level(whole: Read, row: GapClosed) -> float:
     """Mean square, in floors, that a healthy machine's part stays below; 1 without a baseline."""
-    usual = None if whole.nominal is None else whole.nominal.remainder(row.stage, row.joint, row.measurement)
+    usual = None if whole.nominal is None else whole.nominal.baseline_remainder(row.stage, row.joint, row.measurement)
     return 1.0 if usual is None else usual.level
 
 

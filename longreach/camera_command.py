@@ -176,7 +176,7 @@ def _live_table(gathering: CheckSampler, blur: str, state: str) -> Table:
     table = Table(show_header=False, box=None)
     table.add_row("pairs", str(gathering.n))
     table.add_row("rate", f"{gathering.rate_hz:.1f} pairs/s")
-    table.add_row("missing", str(gathering.missing))
+    table.add_row("missing", str(gathering.missing_count))
     table.add_row("kept to look into", f"{len(gathering.pairs)} of {gathering.keep}")
     if gathering.pairs:
         left, right, _ = gathering.pairs[-1]

@@ -48,7 +48,7 @@ class _StdinLineReader:
         self._left = b""
         self._ended = False
 
-    async def next(self) -> str | None:
+    async def next_line(self) -> str | None:
         """The next line, or None at the end."""
         while b"\n" not in self._left and not self._ended:
             chunk = await self._read_chunk()
@@ -141,4 +141,4 @@ class TerminalOperator:
     async def _ask_for_line(self, text: str) -> str | None:
         self.close()
         self._console.print(f"{escape(text)}: ", end="", highlight=False)
-        return await self._lines.next()
+        return await self._lines.next_line()

@@ -33,7 +33,7 @@ def compare(
         files = [file_of_machine(Path(given)) or Path(given) for given in machine]
         texts = [(path.name, text_of_machine(path)) for path in files]
         whole = read_together([recording], files[0])
-        if not whole.usable:
+        if not whole.has_judgeable_stage:
             raise DiagnosisError("; ".join(str(finding) for finding in whole.findings if finding.severity == "fatal"))
         found = tool_misses(whole, texts)
         if html_file is not None:

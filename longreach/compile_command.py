@@ -48,7 +48,7 @@ def compile_numerics(
                 console.print(line)
 
         _run_stages(machine, report)
-    _mark_file().write_text(json.dumps({"key": key()}), encoding="utf-8")
+    _mark_file().write_text(json.dumps({"key": source_key()}), encoding="utf-8")
     console.print(f"compiled in {time.monotonic() - started_s:.0f} s")
 
 
@@ -58,10 +58,10 @@ def is_compiled() -> bool:
         found = json.loads(_mark_file().read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    return isinstance(found, dict) and found.get("key") == key()
+    return isinstance(found, dict) and found.get("key") == source_key()
 
 
-def key() -> str:
+def source_key() -> str:
     """Of all sources with compiled code, the compiler's version, and the processor it compiles for."""
     import llvmlite.binding as llvm  # that alone: numba itself takes a second to load
 

@@ -63,7 +63,7 @@ def demo(
                 client.wait_ready(
                     START_S,
                     lambda waited_s, why: _show_startup_status(
-                        stack.processes, status, waited_s, stages.seen(waited_s, why)
+                        stack.processes, status, waited_s, stages.report_progress(waited_s, why)
                     ),
                 )
         except JobRefusedError as error:
@@ -88,7 +88,7 @@ class Stages:
             {_SERVER: f"the panel answers: {url}/", **_PARTS},
         )
 
-    def seen(self, waited_s: float, why: str) -> str:
+    def report_progress(self, waited_s: float, why: str) -> str:
         """The reason itself, after a line for all that has ended since the last one."""
         for missing, there in self._stages.items():
             if missing not in why and not why.startswith(_SERVER) and missing not in self._ended:

@@ -72,7 +72,7 @@ class Outlook:
     def __post_init__(self) -> None:
         self._begun_s = self.now_s()
 
-    def heard(self, text: str, done: float, total: float) -> None:
+    def on_progress(self, text: str, done: float, total: float) -> None:
         """Progress callback of the diagnosis. The share never decreases, although found effects slow the rest down."""
         elapsed_s = self.now_s() - self._begun_s
         share = self._furthest = min(max(self._furthest, done / max(total, 1e-9)), 0.99)
@@ -153,11 +153,11 @@ def diagnose(
     recording = recordings[0]
     try:
         whole = read_together(recordings, machine_file)
-        if not whole.usable:
+        if not whole.has_judgeable_stage:
             _set_aside((json_file, html_file, machine_out), screen)
         for finding in whole.findings:
             screen.print(f"[yellow]{finding.severity}[/] {escape(str(finding))}", soft_wrap=True)
-        if not whole.usable:
+        if not whole.has_judgeable_stage:
             raise typer.Exit(BAD_INPUT)
         text = machine_text(recording, machine_file) if machine_out is not None else ""
         if machine_out is not None:
@@ -228,7 +228,7 @@ def _run_diagnosis(
     whole: Read, screen: Console, left_out: tuple[str, ...]
 ) -> tuple[Budget, dict[str, Any], tuple[CellCurves, ...]]:
     with console_progress(screen) as shown:
-        found = budget_of(whole, shown.heard, left_out)
+        found = budget_of(whole, shown.on_progress, left_out)
         shown.report_final_step("next experiment")
         sliding = () if whole.nominal is None else whole.nominal.sliding
         return found, answer_json(found), curves_of(found.held_out, sliding)

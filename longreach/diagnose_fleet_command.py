@@ -88,7 +88,7 @@ def diagnose_fleet(
         joint = "" if effect.joint is None else f" on joint {effect.joint}"
         typer.echo(f"{effect.name}{joint}: {len(effect.machines)} of {len(fleet.machines)} machines")
     for drift in fleet.drifts:
-        if drift.drifts:
+        if drift.is_drifting:
             typer.echo(f"{drift.machine}: {drift.name} drifts by {drift.per_day:.3g} {drift.unit} a day")
     typer.echo(f"{len(paths)} recordings, {len(fleet.unusable)} not usable; report: {out / 'fleet.html'}")
 

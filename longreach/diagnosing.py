@@ -17,6 +17,6 @@ def diagnose(recordings: str | Path | Sequence[str | Path], machine_file: str | 
     """
     given = [recordings] if isinstance(recordings, str | Path) else list(recordings)
     whole = read_together([Path(path) for path in given], None if machine_file is None else Path(machine_file))
-    if not whole.usable:
+    if not whole.has_judgeable_stage:
         raise DiagnosisError("; ".join(str(finding) for finding in whole.findings))
     return budget_of(whole)

@@ -49,7 +49,9 @@ def _read_usable_recordings(recordings: list[Path], machine_file: Path | None) -
     """All of them read, or one error that names every one that cannot be used."""
     wholes = [read_for_diagnosis(path, machine_file) for path in recordings]
     bad = [
-        f"{recording.path}: {'; '.join(map(str, recording.findings))}" for recording in wholes if not recording.usable
+        f"{recording.path}: {'; '.join(map(str, recording.findings))}"
+        for recording in wholes
+        if not recording.has_judgeable_stage
     ]
     if bad:
         raise BaselineError("cannot be used, leave out or fix: " + "\n".join(bad))

@@ -216,7 +216,7 @@ class JobClient:
         """The JSON of a path. Raises: JobRefusedError: the server refuses, with its reason."""
         return self._raise_unless_success(self._http.get(path)).json()
 
-    def text(self, path: str) -> str:
+    def get_text(self, path: str) -> str:
         """The text of a path. Raises: JobRefusedError: the server refuses, with its reason."""
         return self._raise_unless_success(self._http.get(path)).text
 
@@ -300,7 +300,7 @@ class JobClient:
                 f"STOP is not confirmed ({error}); without this client control expires within {TTL_S:.0f} s"
             )
 
-    def abandon(self) -> None:
+    def stop_for_good(self) -> None:
         """From another thread: stop what this client runs, and let it begin nothing more."""
         self._abandoned.set()
         if self._running:

@@ -43,7 +43,7 @@ def position(urls: Urls, key_file: KeyFile = None, wait_s: float = 60.0) -> None
 def stop_all(clients: list[JobClient]) -> None:
     """Stop every machine that moves for this program, in parallel: one that does not answer delays no other."""
     with ThreadPoolExecutor(len(clients)) as pool:
-        for client, stopping in [(client, pool.submit(client.abandon)) for client in clients]:
+        for client, stopping in [(client, pool.submit(client.stop_for_good)) for client in clients]:
             if error := stopping.exception():
                 console.print(f"[bold red]STOP is not confirmed:[/] {client.url}: {error}")
 

@@ -261,8 +261,8 @@ def solve_hand_eye(hand: PoseTable, seen: PoseTable, eye_to_hand: bool, covarian
     start = hand_t[0]
     found = estimate_hand_eye(hand_t - start, hand_T, cam_t - start, inverse_poses(cam_T) if eye_to_hand else cam_T)
     track = HandPoses(hand_t - start, hand_T, GAP_MAX_S)
-    inside = track.covers(cam_t - start + found.time_offset_s, 0.0)
-    As = track.at(cam_t[inside] - start + found.time_offset_s) if inside.any() else np.zeros((0, 4, 4))
+    inside = track.covers_times(cam_t - start + found.time_offset_s, 0.0)
+    As = track.poses_at(cam_t[inside] - start + found.time_offset_s) if inside.any() else np.zeros((0, 4, 4))
     Bs = cam_T[inside] if eye_to_hand else inverse_poses(cam_T[inside])
     return Solved(found, As, Bs, tuple(f"{t:.3f}" for t in cam_t[inside]))
 

@@ -105,7 +105,7 @@ def _take_up(console: Console, client: JobClient, diagnosis_id: str, use: bool, 
         client.send("PUT", "/v1/machine/in-use", {"version_id": version["version_id"]})
         console.print(f"in use: version {version['version_id']}, {len(version['effects'])} effects")
     if machine_out is not None:
-        text = client.text(f"/v1/machine/versions/{version['version_id']}/file")
+        text = client.get_text(f"/v1/machine/versions/{version['version_id']}/file")
         try:
             write_durably(machine_out, text)
         except OSError as error:

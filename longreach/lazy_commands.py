@@ -72,7 +72,7 @@ class LazyCommand(TyperCommand):
         return self.load().make_context(info_name, args, parent=parent, **extra)
 
 
-def loaded(command: Any) -> Any:
+def loaded_command(command: Any) -> Any:
     """A command with its parameters or commands: itself, or what it stands for."""
     return command.load() if isinstance(command, LazyCommand) else command
 

@@ -217,7 +217,7 @@ def board_views(
 def _show_lens_fit(fit: LensFit, covered: Coverage, screen: Console) -> None:
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     table = Table("what", Column("value", justify="right"), Column("sigma", justify="right"))
-    for name, value, sigma in zip(fit.names, fit.values, sigmas, strict=True):
+    for name, value, sigma in zip(fit.covariance_names, fit.values, sigmas, strict=True):
         table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
     screen.print(table)
     screen.print(f"{len(fit.used)} views, rms {fit.rms_px:.3f} px a coordinate")
@@ -236,8 +236,8 @@ def _lens_fit_json(fit: LensFit, covered: Coverage) -> dict[str, object]:
     sigmas = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     return {
         "size_px": list(fit.size_px),
-        "values": dict(zip(fit.names, fit.values.tolist(), strict=True)),
-        "sigmas": dict(zip(fit.names, sigmas.tolist(), strict=True)),
+        "values": dict(zip(fit.covariance_names, fit.values.tolist(), strict=True)),
+        "sigmas": dict(zip(fit.covariance_names, sigmas.tolist(), strict=True)),
         "covariance": fit.covariance.tolist(),
         "rms_px": fit.rms_px,
         "used": list(fit.used),

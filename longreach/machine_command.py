@@ -94,7 +94,7 @@ def _own_urdf(text: str, machine: Path) -> tuple[str, str, str] | None:
     section = tomllib.loads(text.removeprefix("\ufeff")).get("urdf")
     if not isinstance(section, dict):
         return None
-    found = UrdfFiles(folder=machine.parent).text(section["file"])
+    found = UrdfFiles(folder=machine.parent).urdf_text(section["file"])
     if found is None:
         raise MachineFileError(f"{section['file']} is not next to {machine}; put it there")
     urdf_chain(found, section["base_link"], section["tip_link"])

@@ -34,14 +34,14 @@ def machine_with_effects(text: str, found: Budget) -> str:
 
     Raises: MachineOutError: no effect is confirmed though there is a gap; or the text cannot be added to.
     """
-    if not found.confirmed and found.verdict != "none":
+    if not found.confirmed_effects and found.verdict != "none":
         raise MachineOutError(
             f"no effect is confirmed ({found.why}): no machine file is written; do the next experiment and "
             "diagnose both recordings together"
         )
     line = f"\n# longreach diagnose: verdict {found.verdict}, {found.why}\n"
     try:
-        return with_tables(with_room_for_effects(text), line + entries_to_toml(found.entries()))
+        return with_tables(with_room_for_effects(text), line + entries_to_toml(found.effect_entries()))
     except (DiagnosisError, MachineFileError) as error:
         raise MachineOutError(str(error)) from error
 
@@ -66,5 +66,5 @@ def write_machine(text: str, found: Budget, path: Path) -> str:
         write_durably(path, machine_with_effects(text, found))
     except OSError as error:
         raise MachineOutError(f"{path} cannot be written: {error.strerror}") from error
-    names = ", ".join(in_words(effect.name, effect.joint) for effect in found.entries()) or "no effect"
+    names = ", ".join(in_words(effect.name, effect.joint) for effect in found.effect_entries()) or "no effect"
     return f"{path}: the machine with {names}"

@@ -71,7 +71,7 @@ def error_table(result: dict[str, Any]) -> Table:
         table.add_column(heading, justify="right" if heading != "step" else "left", no_wrap=True)
     _add_error_row(table, "start", result["start"], "", "", "")
     for move in result["moves"]:
-        name = {"orientation": "orient", "move": f"move {move['number']}"}.get(move["kind"], move["kind"])
+        name = f"move {move['number']}" if move["kind"] == "move" else move["kind"].removesuffix("ation")
         _add_error_row(
             table, name, move["after"], f"{move['length_mm']:.0f}", f"{move['duration_s']:.1f}", str(move["trims"])
         )

@@ -173,7 +173,7 @@ class Address:
         kinds = (socket.SOCK_DGRAM, socket.AF_INET)
         return cls(host, port, "[plc] local_host", "--plc-local-port", *kinds, taken_by)
 
-    def problem(self, error: OSError) -> str:
+    def explain_error(self, error: OSError) -> str:
         """What is wrong, and what to do."""
         udp = "udp " if self.kind is socket.SOCK_DGRAM else ""
         if error.errno == errno.EADDRINUSE:
@@ -201,7 +201,7 @@ def require_bindable(
             except OSError as error:
                 missing = isinstance(error, socket.gaierror) or error.errno in NOT_THERE_YET
                 if not missing or time.monotonic() >= until_s:
-                    raise SettingsError(address.problem(error)) from error
+                    raise SettingsError(address.explain_error(error)) from error
             if not announced:
                 waiting(
                     f"'{address.host}' is not an address of this computer yet; waiting for it, {wait_s:.0f} s at most"

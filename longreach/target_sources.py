@@ -45,7 +45,7 @@ class MarkerSearch:
     dictionary: "cv2.aruco.Dictionary"
     ids: tuple[int, ...]
 
-    def view(self, left: Image, right: Image) -> TeachView:
+    def view_of(self, left: Image, right: Image) -> TeachView:
         """The markers of one pair. Raises: TargetError: the pictures have not the camera's size."""
         size = (self.camera.height_px, self.camera.width_px)
         if left.shape != size or right.shape != size:
@@ -140,7 +140,7 @@ def stored_views(
     chosen = np.unique(np.linspace(0, len(pairs) - 1, min(n_max, len(pairs))).round().astype(int))
     for k in chosen:
         left, right = pairs[k]
-        yield left.stem, search.view(*read_pair(left, right))
+        yield left.stem, search.view_of(*read_pair(left, right))
 
 
 def live_views(
@@ -166,8 +166,8 @@ def live_views(
             if frame is None:
                 continue
             any_pair = True
-            view = search.view(frame.left, frame.right)
-            report(keeper.offer(view), view, keeper.views)
+            view = search.view_of(frame.left, frame.right)
+            report(keeper.keep_if_new(view), view, keeper.views)
     except KeyboardInterrupt:  # enough, says the operator
         any_pair = True
     if not any_pair:

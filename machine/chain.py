@@ -40,7 +40,7 @@ class Chain:
         """Number of joints."""
         return len(self.a)
 
-    def label(self, index: int) -> str:
+    def joint_label(self, index: int) -> str:
         """How a joint is called in messages, from its index (0 = slew): "joint 2 (lift)"."""
         return f"joint {index + 1} ({self.names[index]})" if self.names else f"joint {index + 1}"
 

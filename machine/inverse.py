@@ -240,7 +240,7 @@ def _limit_reason(chain: Chain, q: Array) -> str:
     j = int(np.argmax(_joint_limit_excess(chain, q)))
     value, low, high = np.rad2deg([q[j], chain.q_min[j], chain.q_max[j]])
     return (
-        f"{chain.label(j)} would have to be at {value:.1f} deg, limits {low:.1f} .. {high:.1f} deg; "
+        f"{chain.joint_label(j)} would have to be at {value:.1f} deg, limits {low:.1f} .. {high:.1f} deg; "
         "move the base or the target, or turn the tool"
     )
 
@@ -262,7 +262,7 @@ def _reach_reason(chain: Chain, T_base_tcp: Array) -> str:
     shortest, longest = abs(chain.a[1] - forearm), chain.a[1] + forearm
     remedy = "move the base or the target nearer" if distance > longest else "move the target further away"
     return (
-        f"the wrist centre would be {distance:.2f} m from {chain.label(1)}, which spans {shortest:.2f} m and "
+        f"the wrist centre would be {distance:.2f} m from {chain.joint_label(1)}, which spans {shortest:.2f} m and "
         f"reaches at most {longest:.2f} m; {remedy}"
     )
 
@@ -272,13 +272,14 @@ def _singular_reason(chain: Chain, q: Array, T_base_tcp: Array) -> str:
     theta = q + chain.theta_offset
     if abs(np.sin(theta[4])) < SINGULAR:
         return (
-            f"{chain.label(4)} is at {np.rad2deg(q[4]):.3f} deg, where {chain.label(3)} and {chain.label(5)} turn "
-            f"about one axis (limit {np.rad2deg(SINGULAR):.3f} deg); turn the tool out of the tilt boom's line"
+            f"{chain.joint_label(4)} is at {np.rad2deg(q[4]):.3f} deg, where {chain.joint_label(3)} and "
+            f"{chain.joint_label(5)} turn about one axis (limit {np.rad2deg(SINGULAR):.3f} deg); "
+            "turn the tool out of the tilt boom's line"
         )
     bend = float(np.arctan2(chain.d[3], chain.a[2]))
     if abs(np.sin(theta[2] - bend)) < SINGULAR:
         return (
-            f"{chain.label(2)} is at {np.rad2deg(q[2]):.3f} deg, where the booms are in line (limit "
+            f"{chain.joint_label(2)} is at {np.rad2deg(q[2]):.3f} deg, where the booms are in line (limit "
             f"{np.rad2deg(SINGULAR):.3f} deg from it); move the target nearer to the base"
         )
     T_base_flange = T_base_tcp @ inverse_pose(chain.T_flange_tcp)
@@ -287,6 +288,6 @@ def _singular_reason(chain: Chain, q: Array, T_base_tcp: Array) -> str:
     if off_axis_m < SINGULAR:
         return (
             f"the wrist centre is {off_axis_m:.5f} m from the slew axis (limit {SINGULAR:g} m), where "
-            f"{chain.label(0)} cannot move it sideways; move the target away from the slew axis"
+            f"{chain.joint_label(0)} cannot move it sideways; move the target away from the slew axis"
         )
     return ""

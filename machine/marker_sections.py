@@ -71,7 +71,7 @@ class BoardSection(Strict):
     T_on_board: Pose16
 
     @property
-    def ids(self) -> range:
+    def marker_ids(self) -> range:
         """Ids of its markers: in every place of a grid, in the white half of a chessboard's squares."""
         places = self.squares_x * self.squares_y
         return range(self.first_id, self.first_id + (places if self.kind == "grid" else places // 2))
@@ -143,13 +143,13 @@ def _check_board(name: str, board: BoardSection) -> None:
 
 def _check_board_ids(boards: Sequence[BoardSection], taken: set[int]) -> None:
     for k, board in enumerate(boards):
-        both = taken & set(board.ids)
+        both = taken & set(board.marker_ids)
         if both:
             raise MachineFileError(
-                f"markers.board.{k}.first_id = {board.first_id}: its ids {board.ids[0]} .. {board.ids[-1]} repeat "
-                f"{sorted(both)[:4]} of another marker or board; every marker needs an id of its own"
+                f"markers.board.{k}.first_id = {board.first_id}: its ids {board.marker_ids[0]} .. "
+                f"{board.marker_ids[-1]} repeat {sorted(both)[:4]} of another marker or board; every marker needs an id of its own"
             )
-        taken = taken | set(board.ids)
+        taken = taken | set(board.marker_ids)
 
 
 def _check_range(ids: Sequence[int], boards: Sequence[BoardSection], dictionary: str, size: int) -> None:
@@ -160,8 +160,8 @@ def _check_range(ids: Sequence[int], boards: Sequence[BoardSection], dictionary:
                 f"{REMEDIES['id']}, or a larger dictionary"
             )
     for k, board in enumerate(boards):
-        if board.ids[-1] >= size:
+        if board.marker_ids[-1] >= size:
             raise MachineFileError(
-                f"markers.board.{k}.first_id = {board.first_id}: its last id {board.ids[-1]} is not in "
+                f"markers.board.{k}.first_id = {board.first_id}: its last id {board.marker_ids[-1]} is not in "
                 f"{dictionary}, which ends at {size - 1}; give a lower first_id or a larger dictionary"
             )

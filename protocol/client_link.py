@@ -255,7 +255,7 @@ class ClientLink:
             if sequenced.kind is SequenceKind.JUMP:
                 self.counters.bad += 1
                 return [DatagramDropped(RejectCode.SEQ_JUMP, f"state {state.seq} after {self.state.seq}")]
-            if not sequenced.usable:
+            if not sequenced.is_usable:
                 self.counters.stale += 1
                 return []
             self.counters.lost += sequenced.lost
@@ -319,7 +319,7 @@ class ClientLink:
         if run:
             if run.look(state):
                 events.append(TailAnswered(run.traj_id, True, "taken"))
-            over = run.end(state, stop)
+            over = run.is_over(state, stop)
             events += self._end_run(*over, state) if over else []
         elif state.plc_state is PlcState.RUN:  # its run was given up here, or the PLC makes a mistake
             self.request_stop("the PLC plays a motion that is not under way here")
@@ -400,7 +400,7 @@ class ClientLink:
         )
         verdict = gate(command, view, self.table)
         if verdict.refusals:
-            text = "; ".join(refusal.text for refusal in verdict.refusals)
+            text = "; ".join(refusal.as_line for refusal in verdict.refusals)
             self._pending.append(GateRefused(text))
             self.request_stop(f"motion gate: {text}")
         return verdict.sent
@@ -412,7 +412,7 @@ class ClientLink:
 
     def _encode_next_datagram(self, command: Command) -> bytes:
         payload = encode_command(command, self.key)
-        self._sent.note(command.seq, payload)
+        self._sent.note_sent(command.seq, payload)
         datagram = self.framing.wrap(payload, command.seq)
         self._seq = command.seq
         self.counters.sent += 1

@@ -52,7 +52,7 @@ class Run:
     def note_sent(self, seq: int, window: Window) -> None:
         """A command with this window goes out."""
         splice = self.motion.splice if isinstance(self.motion, Playback) else None
-        if splice is not None and window.covers(splice):
+        if splice is not None and window.holds_knot(splice):
             self._tail_seqs.add(seq)
 
     def look(self, state: State) -> bool:
@@ -72,19 +72,19 @@ class Run:
         self.motion, self._before_tail = self._before_tail, None
         return True
 
-    def reached(self, state: State) -> bool:
+    def holds_at_end(self, state: State) -> bool:
         """Whether the PLC holds at its end."""
         if state.plc_state is not PlcState.HOLD:
             return False
         if isinstance(self.motion, Playback):
-            return self.motion.reached(state)
+            return self.motion.played_to_end(state)
         return self.motion.ending and self.started and state.traj_id == self.traj_id
 
-    def end(self, state: State, stop: StopReference | None) -> tuple[bool, str] | None:
+    def is_over(self, state: State, stop: StopReference | None) -> tuple[bool, str] | None:
         """Whether it is over: (reached, reason); None while it goes on."""
         if state.plc_state in MOVING:
             return None
-        if self.reached(state):
+        if self.holds_at_end(state):
             return True, "reached"
         if state.plc_state is not PlcState.HOLD:
             return False, f"PLC went to {state.plc_state.name}"

@@ -36,7 +36,7 @@ class SentCommands:
 
     _payloads: OrderedDict[int, bytes] = field(default_factory=OrderedDict)
 
-    def note(self, seq: int, payload: bytes) -> None:
+    def note_sent(self, seq: int, payload: bytes) -> None:
         """Remember what was sent."""
         self._payloads[seq] = payload
         if len(self._payloads) > _KEPT:

@@ -33,7 +33,7 @@ class Refusal:
     remedy: str
 
     @property
-    def text(self) -> str:
+    def as_line(self) -> str:
         """The refusal in one line."""
         return f"{self.subject} = {self.value:.6g} {self.unit}, limit {self.limit:.6g} {self.unit}: {self.remedy}"
 

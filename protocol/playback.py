@@ -17,7 +17,7 @@ class Window:
     before: Knot | None
     flags: CommandFlag
 
-    def covers(self, index: int) -> bool:
+    def holds_knot(self, index: int) -> bool:
         """Whether the knot of that index is among them."""
         return self.knot_first <= index < self.knot_first + len(self.knots)
 
@@ -84,6 +84,6 @@ class Playback:
         # a command near the end is filled up from before it, so that it always carries as much as it can
         return max(0, min(wanted, self.last + 1 - KNOTS_PER_COMMAND))
 
-    def reached(self, state: State) -> bool:
+    def played_to_end(self, state: State) -> bool:
         """Whether the PLC has played this trajectory to its last knot."""
         return state.traj_id == self.traj_id and self.splice is None and state.t_play_ns >= self.knots[-1].t_ns

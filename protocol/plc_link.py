@@ -280,7 +280,7 @@ class PlcLink:
         if sequenced.kind is SequenceKind.LATE:
             self._counters.late += 1
             return []
-        if not sequenced.usable:
+        if not sequenced.is_usable:
             raise SessionError(RejectCode.SEQ_JUMP, f"sequence {command.seq} after {session.last_seq}", _AT["seq"])
         if command.hello:
             command = replace(command, mode=Mode.HEARTBEAT)  # a HELLO again is a heartbeat, whatever its mode says

@@ -24,7 +24,7 @@ class SequenceVerdict:
     lost: int = 0
 
     @property
-    def usable(self) -> bool:
+    def is_usable(self) -> bool:
         """Whether the datagram is newer than all before, and near enough to belong to them."""
         return self.kind in (SequenceKind.NEXT, SequenceKind.GAP)
 

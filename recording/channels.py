@@ -32,7 +32,7 @@ class Channels:
         self._fitting: dict[int, bool] = {}
         self._foreign: Counter[int] = Counter()
 
-    def take(self, record: McapRecord) -> None:
+    def take_record(self, record: McapRecord) -> None:
         """Learn of a schema or a channel; other records say nothing here."""
         match record:
             case Schema():
@@ -57,7 +57,7 @@ class Channels:
     def _has_expected_layout(self, topic: str, schema: Schema) -> bool:
         """Whether a message's fields have the numbers and types of ours: another layout would be read as nonsense."""
         if schema.id not in self._fitting:
-            self._fitting[schema.id] = topic not in CODECS or CODECS[topic].reads(schema.data)
+            self._fitting[schema.id] = topic not in CODECS or CODECS[topic].can_read(schema.data)
         return self._fitting[schema.id]
 
     @property

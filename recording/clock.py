@@ -40,7 +40,7 @@ class SuspendWatch:
     def __init__(self) -> None:
         self._most_ns = _suspended_time_bounds_ns()[1]
 
-    def resumed(self) -> bool:
+    def was_suspended(self) -> bool:
         """Whether this computer was suspended since the last call."""
         least_ns, most_ns = _suspended_time_bounds_ns()
         if least_ns > self._most_ns + _ROUNDED_NS:

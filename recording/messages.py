@@ -72,7 +72,7 @@ class RowCodec:
                 return f"{name} = {repr(value)[:60]} cannot be written: {error}"
         return "a value cannot be written"
 
-    def reads(self, schema: bytes) -> bool:
+    def can_read(self, schema: bytes) -> bool:
         """Whether messages of this schema (a FileDescriptorSet) have our fields where ours are, if they have them."""
         try:
             files = descriptor_pb2.FileDescriptorSet.FromString(schema).file

@@ -131,7 +131,7 @@ class _CollectedRecords:
 
     def take(self, record: McapRecord) -> None:
         self.any_record = True
-        self._channels.take(record)
+        self._channels.take_record(record)
         match record:
             case Message():
                 self._message(record)

@@ -182,12 +182,12 @@ class RunWriter:
         return True
 
     @property
-    def opened(self) -> bool:
+    def is_open(self) -> bool:
         """Whether there is a file."""
         return self._stream is not None
 
     @property
-    def ended(self) -> bool:
+    def has_ended(self) -> bool:
         """Whether nothing more comes into the file: after `close`, and after a wait that was too short once it did."""
         return not self._thread.is_alive()
 
@@ -203,7 +203,7 @@ class RunWriter:
             with contextlib.suppress(queue.Full):  # who has so much to write need not be woken
                 self._queue.put_nowait(None)
         self._thread.join(wait_s)
-        slow = "" if self.ended else f"recording {self.path}: the disk has not taken all of it within {wait_s:g} s"
+        slow = "" if self.has_ended else f"recording {self.path}: the disk has not taken all of it within {wait_s:g} s"
         return WriterReport(self.path, self._messages, self.images_dropped, self._error or slow)
 
     def _finish(self) -> None:

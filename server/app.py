@@ -77,7 +77,7 @@ def build_cell(settings: ServerSettings) -> Cell:
 def gatekeeper_of(http: HttpSettings) -> Gatekeeper:
     """Who may call. Raises: SettingsError: reachable from other computers without a key in force."""
     keys = KeyRing(Path(http.keys_file) if http.keys_file else None)
-    if not is_loopback(http.host) and (keys.path is None or keys.empty):
+    if not is_loopback(http.host) and (keys.path is None or keys.has_no_valid_key):
         raise SettingsError(
             f"[http] host = '{http.host}' is reachable from other computers, and there is no key: make one with "
             "'longreach keys add NAME --role operator --file keys.json' and set [http] keys_file (or --keys), "

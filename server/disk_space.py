@@ -25,7 +25,7 @@ class DiskSpace:
         return self._free_bytes
 
     @property
-    def problem(self) -> str:
+    def why_short(self) -> str:
         """What is wrong; empty while there is enough."""
         text = disk_shortage(self.free_bytes)
         return f"{text} in {self._folder}" if text else ""

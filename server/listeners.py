@@ -36,6 +36,6 @@ class Listeners(Generic[P]):
         return problem
 
     @property
-    def problem(self) -> str:
+    def recent_failure(self) -> str:
         """What failed within the last WELL_S; empty when all is well."""
         return self._problem if time.monotonic() - self._failed_s < WELL_S else ""

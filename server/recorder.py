@@ -84,9 +84,9 @@ class Recorder:
         return self._writer is not None
 
     @property
-    def problem(self) -> str:
+    def why_not_recording(self) -> str:
         """Why the run that is on, or else the last one, is not recorded; empty while it is."""
-        if self._last is not None and self._last.ended:
+        if self._last is not None and self._last.has_ended:
             self._problem, self._last = self._last.error, None
         return self._problem or (self._writer.error if self._writer is not None else "")
 
@@ -159,7 +159,7 @@ class Recorder:
     def _begin_again(self) -> None:
         """The PLC was switched off and on: what was open ends by its old clock, and its stamps are mapped again."""
         _log.warning("the PLC's clock restarted during a recording; its segments end there")
-        self.event("warning", "the PLC's clock restarted")
+        self.log_event("warning", "the PLC's clock restarted")
         self._end_segments()
         self._first_plc_ns = self._plc_offset_ns = None
 
@@ -185,7 +185,7 @@ class Recorder:
             writer.camera(self._machine.camera, report.preview_width_px, report.t_receive_mono_ns)
 
     @_give_up_on_error
-    def event(self, level: str, text: str) -> None:
+    def log_event(self, level: str, text: str) -> None:
         """One line of the log; level is debug, info, warning or error."""
         if self._writer is not None:
             self._writer.log(level, text, mono_ns())
@@ -282,9 +282,9 @@ class Recorder:
             segments=tuple(self._segments),
         )
         self._problem = writer.close(final, DISK_WAIT_S).error
-        self._late = [late for late in (*self._late, writer) if not late.ended]
+        self._late = [late for late in (*self._late, writer) if not late.has_ended]
         self._last = writer if writer in self._late else None
-        return writer.path if writer.ended and writer.opened else None
+        return writer.path if writer.has_ended and writer.is_open else None
 
     def finish(self) -> None:
         """Close the run's file, and wait for every disk as long as a writer waits: for the server's own end."""

@@ -31,7 +31,7 @@ class SupervisedTasks:
         self._failed: dict[str, tuple[float, str]] = {}
 
     @property
-    def problem(self) -> str:
+    def recent_failure(self) -> str:
         """Which of them failed within the last WELL_S, and how; empty when all is well."""
         since_s = mono_s() - WELL_S
         return "; ".join(text for failed_s, text in self._failed.values() if failed_s > since_s)

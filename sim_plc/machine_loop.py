@@ -45,13 +45,13 @@ class MachineLoop:
         self._cycles = 0
         self._pressures = self.plant.pressures_pa
 
-    def cycle(self) -> bytes | None:
+    def run_cycle(self) -> bytes | None:
         """One PLC cycle at `t_plc_ns`, after which plant and clock have moved on by it.
 
         Returns: the state datagram if one is due and has a receiver. Poses and truth go where they are wanted.
         """
         t_plc_ns = self.t_plc_ns
-        valves = self.plc.cycle(t_plc_ns, self._sample())
+        valves = self.plc.run_cycle(t_plc_ns, self._sample())
         link = self.plc.link
         due = (link.peer is not None or link.refused is not None) and t_plc_ns % STATE_PERIOD_NS < self.cycle_ns
         datagram = self.plc.send(t_plc_ns) if due else None

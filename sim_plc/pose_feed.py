@@ -52,7 +52,7 @@ class PoseFeed:
         return cls(shared_memory.SharedMemory(name=name), owner=False)
 
     @property
-    def name(self) -> str:
+    def feed_name(self) -> str:
         """Name to attach by."""
         return self._memory.name
 

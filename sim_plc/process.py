@@ -205,10 +205,10 @@ def _warm_up(world: World) -> None:
     """Compile, or load from the cache, everything the cycle calls, before the clock counts."""
     machine = MachineLoop(world, plc_framing("raw", "", ""), 1000 * MS, lambda: 1)
     for _ in range(_WARM_UP_CYCLES):
-        machine.cycle()
+        machine.run_cycle()
     path.warm_up(machine.plc.settings.qdd_stop)
-    machine.plc.reference.hold(machine.plant.q_encoder_rad)
-    machine.cycle()  # with the controllers on
+    machine.plc.reference.hold_at(machine.plant.q_encoder_rad)
+    machine.run_cycle()  # with the controllers on
     machine.plant.T_base_tcp()
 
 
@@ -291,7 +291,7 @@ def _start_camera(world: World, feed: PoseFeed, settings: SimSettings) -> BasePr
     from sim_plc.camera.process import run_camera  # only where a camera is wanted: it brings the renderer and uvicorn
 
     context = multiprocessing.get_context("spawn")
-    arguments = (world, feed.name, settings.camera_host, settings.camera_port, settings.camera_rate_hz)
+    arguments = (world, feed.feed_name, settings.camera_host, settings.camera_port, settings.camera_rate_hz)
     switches = {"faults": settings.camera_faults, "time_code": settings.camera_time_code}
     camera = context.Process(target=run_camera, args=arguments, kwargs=switches, name="sim-camera", daemon=True)
     with out_of_the_terminals_reach():

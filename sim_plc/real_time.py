@@ -107,7 +107,7 @@ class RealTimeLoop:
 
     def _run_cycle(self) -> None:
         machine = self._machine
-        datagram = machine.cycle()
+        datagram = machine.run_cycle()
         self.health.cycles += 1
         if datagram is None:
             return

@@ -153,7 +153,7 @@ class Scene:
                 name = f"{root}/marker_{marker_id}"
                 scene.add_line_segments(name, points=segments, colors=(15, 15, 15), thickness=0.008)
 
-    def show(self, view: SceneView) -> None:
+    def update_scene(self, view: SceneView) -> None:
         """Bring the scene up to date, as one consistent frame; a view that shows nothing new costs nothing."""
         before = self._shown
         if view.picture_jpeg is not None:

@@ -124,7 +124,7 @@ def run_scene(pipe: Connection, machine: Machine) -> None:
         pipe.send(scene.port)
         pipe.send("next")
         while True:
-            scene.show(pipe.recv())
+            scene.update_scene(pipe.recv())
             pipe.send("next")
     except (EOFError, OSError):
         log.info("the server is gone; the 3D view ends")

@@ -12,6 +12,6 @@ from recording.content import Recording
 def answered(recording: Recording) -> dict[str, Any]:
     """The answer of the contract. Raises: RuntimeError: the recording cannot be diagnosed."""
     whole = examine_recording(recording, Path("bench"))
-    if not whole.usable:
+    if not whole.has_judgeable_stage:
         raise RuntimeError("; ".join(str(one) for one in whole.findings))
     return answer_json(budget_of(whole))

@@ -42,8 +42,8 @@ def hand_eye_residuals(folder: Path, name: str) -> PairResiduals:
     if found.X is None or found.Y is None:
         raise RuntimeError(f"{name}: {found.reason}")
     hand = HandPoses(hand_stream.t_s, hand_stream.Ts, gap_max_s=0.2)
-    inside = hand.covers(cam_stream.t_s + found.time_offset_s, 0.0)
-    As = hand.at(cam_stream.t_s[inside] + found.time_offset_s)
+    inside = hand.covers_times(cam_stream.t_s + found.time_offset_s, 0.0)
+    As = hand.poses_at(cam_stream.t_s[inside] + found.time_offset_s)
     misses = inverse_poses(found.Y @ cam_stream.Ts[inside]) @ As @ found.X
     degrees = np.rad2deg(np.linalg.norm(rotation_vectors(misses[:, :3, :3]), axis=1))
     seen = (inverse_poses(As @ found.X) @ found.Y)[:, :3, 3] - Ts_cam_target[inside][:, :3, 3]
@@ -61,7 +61,7 @@ def hand_eye_residuals(folder: Path, name: str) -> PairResiduals:
 
 
 def _base_median_mm(hand: HandPoses, t_s: Array, Bs: Array) -> float:
-    As = hand.at(t_s)
+    As = hand.poses_at(t_s)
     found = solve_ax_yb(As, Bs)
     if found.X is None or found.Y is None:
         return float("nan")

@@ -73,7 +73,7 @@ class FastCell:
 
     def __post_init__(self) -> None:
         self._play = PlayFollower(usual_play(len(self.world.nominal.joints)))
-        self._play.see(self.machine.t_s, self.machine.q_encoder)
+        self._play.take_encoders(self.machine.t_s, self.machine.q_encoder)
         self._followed_to_s = self.machine.t_s
 
     @property
@@ -120,9 +120,9 @@ class FastCell:
         """Where the joints rest in their play, as the encoders told it since the last time."""
         trace = self.machine.trace(np.nextafter(self._followed_to_s, np.inf))
         for t_s, q in zip(trace.t_s, trace.q_encoder, strict=True):
-            self._play.see(t_s, q)
+            self._play.take_encoders(t_s, q)
         self._followed_to_s = self.machine.t_s
-        return self._play.side
+        return self._play.side_in_play
 
     def _move(self, request: Move) -> None:
         away = float(np.abs(request.trajectory.q[0] - self.machine.q_ref).max())

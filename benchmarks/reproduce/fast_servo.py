@@ -11,7 +11,7 @@ from numba import njit
 
 from machine.description import Machine
 from machine.rotations import Array
-from sim_plc.plant.hydraulics import play, spool_opening
+from sim_plc.plant.hydraulics import play_operator, spool_opening
 from sim_plc.plant.truth import PlantTruth
 
 STEP_S = 0.005
@@ -71,8 +71,8 @@ def follow(par: ServoParameters, state: ServoState, q_ref: Array, q_out: Array, 
             u = par.kp[j] * (q_ref[k, j] - seen)
             state.lagged[j] += par.lag_share[j] * (u - state.lagged[j])
             command = min(max(state.lagged[j], -1.0), 1.0)
-            state.held[j] = play(state.held[j], command, par.hysteresis[j])
+            state.held[j] = play_operator(state.held[j], command, par.hysteresis[j])
             state.q[j] += STEP_S * par.gain[j] * spool_opening(state.held[j], par.dead_band[j])
-            state.output[j] = play(state.output[j], state.q[j], par.half_play[j])
+            state.output[j] = play_operator(state.output[j], state.q[j], par.half_play[j])
             q_out[k, j] = state.q[j]
             output_out[k, j] = state.output[j]

@@ -64,7 +64,7 @@ class VirtualMachine:
                 datagram = client.send(t_ns)
                 if datagram is not None:
                     machine.plc.receive(datagram, t_ns, _SOURCE)
-            state = machine.cycle()
+            state = machine.run_cycle()
             if state is not None:
                 self._events += client.receive(state, t_ns)
             if t_ns % (10 * MS) == 0:
@@ -90,7 +90,7 @@ class VirtualMachine:
         self._traj_id += 1
         refusals = self.client.request_run(self._traj_id, knots, self.machine.t_plc_ns)
         if refusals:
-            raise VirtualRunError("; ".join(refusal.text for refusal in refusals))
+            raise VirtualRunError("; ".join(refusal.as_line for refusal in refusals))
         self._events.clear()
         while True:
             self.step(20)

@@ -137,8 +137,8 @@ def _look(
     """The fault comes between two looks from one place: the tracker knows where the target was."""
     tracker = TargetTracker(target, machine.camera, settings)
     for _ in range(2):  # the second one by recognition, where the way was too far for flow
-        tracker.find(*before)
-    fix = tracker.find(*faulty)
+        tracker.find_target(*before)
+    fix = tracker.find_target(*faulty)
     if fix.T_cam_target is None:
         return FaultCase(seed, kind, True, False, fix.reason)
     off_mm = 1e3 * float(np.linalg.norm(fix.T_cam_target[:3, 3] - truth[:3, 3]))

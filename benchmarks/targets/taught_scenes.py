@@ -141,7 +141,7 @@ def _look(
     )
     fixtures = _fixtures(kind, seed, T_ooi_fixture)
     shown, seen, T_ooi_cam = stage.show(demo_tcp_pose(machine, distance, across) @ tilt, fixtures, rng, True)
-    fix = TaughtTracker(taught, machine.camera, settings).find(shown.left, shown.right, shown.masks_px)
+    fix = TaughtTracker(taught, machine.camera, settings).find_target(shown.left, shown.right, shown.masks_px)
     return _judged(ctx, seed, kind, fix, inverse_pose(T_ooi_cam) @ T_ooi_fixture, seen)
 
 
@@ -211,7 +211,7 @@ def taught_job(machine: Machine, seed: int) -> list[PointCase]:
     for _ in range(PLACES):
         T_ooi_fixture = _place(rng, 0.1)
         bench.camera.renderer.show_fixtures((FixtureTruth(seed, T_ooi_fixture),))
-        bench.camera.source.use(taught)
+        bench.camera.source.use_target(taught)
         seen, _, _ = bench.pair()
         at = seen.ooi.T_cam_object
         if at is None:

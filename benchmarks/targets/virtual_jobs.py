@@ -159,7 +159,7 @@ def virtual_case(machine: Machine, seed: int) -> PointCase | None:
     )
     if target is None:
         return replace(none, reason=f"no click was accepted: {sorted(set(refused))}")
-    bench.camera.source.use(target)
+    bench.camera.source.use_target(target)
     bench.ctx.knowledge.target = target
     T_ooi_cam, left = bench.T_ooi_cam, bench.world.camera.left
     T_cam_target = true_target(bench.camera.renderer.relief, left, T_ooi_cam, target.patch.pixel)

@@ -156,7 +156,7 @@ def soak(
     for number, index in enumerate(itertools.islice(to_and_fro(len(images)), pairs), start=1):
         t_ns = round(number * 1e9 / RATE_HZ)
         report = pipeline.process(StereoFrame(*images[index], t_ns, t_ns + 40_000_000, number), skipped=0)
-        usable += report.usable
+        usable += report.fit_for_look
         odometry_ok += report.odometry is not None and report.odometry.status is not OdometryStatus.LOST
         if number % SAMPLE_EVERY and number != pairs:
             continue

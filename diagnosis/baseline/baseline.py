@@ -44,7 +44,7 @@ def usual_gains(checked: list[Read]) -> Gains:
     for cell in (cell for whole in checked for cell in cells_of(whole)):
         terms = tuple(EffectTerm(effect, np.zeros(len(effect.slots)), False) for effect in library_of(cell))
         lin = linearise_terms(cell, terms)
-        problem = lin.problem(trusted_rows(cell, ()))
+        problem = lin.choice_problem(trusted_rows(cell, ()))
         none = problem.score(np.zeros(len(terms), dtype=bool))
         place = cell.stage, cell.joint if cell.stage in DRIVEN_STAGES else None
         gains = most.setdefault(place, {})
@@ -194,7 +194,7 @@ def _fit_until_effects_stable(fitted: list[Read], progress: Progress) -> dict[st
 def _fit_all_effects(cell: Cell) -> Fit:
     """All effects of a cell together, pruned."""
     best = fit_and_prune(cell, library_of(cell)).best
-    return fit_of(best.terms, best.lin)
+    return fit_of(best.current_terms, best.lin)
 
 
 def _refit_effect_sizes(wholes: list[Read], fits: dict[str, Fit], progress: Progress) -> tuple[EffectEntry, ...]:

@@ -33,7 +33,7 @@ class ChordResidual:
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
         plain = without_encoders(sets)
-        rows = [self.length_m - self.predicted_lengths(sets, plain, k) for k in range(sets.sets)]
+        rows = [self.length_m - self.predicted_lengths(sets, plain, k) for k in range(sets.set_count)]
         return np.array(rows) / self.sigma_m
 
     def predicted_lengths(self, sets: ParameterSets, plain: ParameterSets, k: int) -> Array:

@@ -39,7 +39,7 @@ class Frames:
         return np.nonzero(np.isfinite(self.pixels))[0]
 
     @classmethod
-    def of(cls, t_s: Array, pixels: Array, markers: tuple[Marker, ...]) -> Self:
+    def with_groups(cls, t_s: Array, pixels: Array, markers: tuple[Marker, ...]) -> Self:
         """With its groups."""
         return cls(t_s, pixels, markers, groups_of(pixels))
 
@@ -68,11 +68,11 @@ class CornerResidual:
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
         plain = without_encoders(sets)
-        white = self.noise.white(self.nuisance.T, self.frames.groups).T
+        white = self.noise.whiten(self.nuisance.T, self.frames.groups).T
         arms: dict[bytes, Array] = {}
-        rows = [self._unwhitened_residual(sets, plain, k, white, arms) for k in range(sets.sets)]
-        out = self.noise.white(np.array(rows), self.frames.groups)
-        return out if self.layout is None else self.layout.white(out)
+        rows = [self._unwhitened_residual(sets, plain, k, white, arms) for k in range(sets.set_count)]
+        out = self.noise.whiten(np.array(rows), self.frames.groups)
+        return out if self.layout is None else self.layout.whiten(out)
 
     def with_layout(self, base: ParameterSets) -> Self:
         """With markers that are each off their place by `layout_m`, and turned by that over half a side."""
@@ -107,14 +107,14 @@ class CornerResidual:
 
     def _best_nuisance_change(self, white: Array, residual: Array) -> Array:
         """Change of the OOI's place, and of the clock (6 or 7,), that explains most of a residual (N,) [px]."""
-        return least_squares(white, self.noise.white(residual[None], self.frames.groups)[0])
+        return least_squares(white, self.noise.whiten(residual[None], self.frames.groups)[0])
 
     def placement_free_columns(self, columns: Array) -> Array:
         """Columns (N, k) [px, by any number], white as the residual, without what a change of the OOI's place does."""
-        white = self.noise.white(columns.T, self.frames.groups).T
+        white = self.noise.whiten(columns.T, self.frames.groups).T
         if self.on == "tool" or self.nuisance.shape[1] == 0:
             return white
-        own = self.noise.white(self.nuisance.T, self.frames.groups).T
+        own = self.noise.whiten(self.nuisance.T, self.frames.groups).T
         left = white - own @ np.linalg.lstsq(own, white, rcond=None)[0]
         return left * (np.linalg.norm(left, axis=0) > OF_PLACE * np.linalg.norm(white, axis=0))
 

@@ -23,7 +23,7 @@ def without_zeros(table: PointTable, subject: str) -> tuple[PointTable, list[Fin
     if not zero.any():
         return table, []
     text = f"{int(zero.sum())} points are at exactly 0, 0, 0, as a tracker writes that sees nothing; they are left out"
-    return table.without(zero), [Finding("lost_points", "problem", subject, text, int(zero.sum()))]
+    return table.without_rows(zero), [Finding("lost_points", "problem", subject, text, int(zero.sum()))]
 
 
 def without_spikes(
@@ -40,7 +40,7 @@ def without_spikes(
         if not found.any():
             break
         spikes |= found
-        left = left.without(found)
+        left = left.without_rows(found)
     if not spikes.any():
         return table, []
     first = int(np.argmax(spikes))

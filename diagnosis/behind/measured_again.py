@@ -31,7 +31,7 @@ class MeasuredAgain:
     loose: str
 
     @property
-    def own(self) -> Array:
+    def own_offset(self) -> Array:
         """What is each point's own (3,) [m]."""
         return np.sqrt(self.sigma**2 - self.common_m**2)
 

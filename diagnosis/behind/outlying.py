@@ -44,14 +44,14 @@ class _MixtureDistances:
     typical: float
 
     @property
-    def outside(self) -> NDArray[np.bool_]:
+    def outlying_points(self) -> NDArray[np.bool_]:
         """Which points are no scatter (m,), the farthest ones first."""
         least = max(TIMES * self.scatter, TIMES_TYPICAL * self.typical, LEAST_M)
         return self.away > max(least, AT_ONCE * float(self.away.max()))
 
-    def alone(self, rest: "_MixtureDistances") -> bool:
+    def are_far_from(self, rest: "_MixtureDistances") -> bool:
         """Whether the outside points are far from all that stay; `rest` describes these."""
-        return float(self.away[self.outside].min()) > ALONE * float(rest.away.max())
+        return float(self.away[self.outlying_points].min()) > ALONE * float(rest.away.max())
 
 
 def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, list[Finding]]:
@@ -64,14 +64,14 @@ def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, l
     """
     rounds, left, away = [], table, np.zeros(len(table.xyz))
     off = _static_point_outliers(nominal, left)
-    while left.q is not None and off is not None and off.outside.any() and len(rounds) < ROUNDS:
-        rows = np.nonzero(usable_rows(nominal, left, left.q))[0][off.outside]
+    while left.q is not None and off is not None and off.outlying_points.any() and len(rounds) < ROUNDS:
+        rows = np.nonzero(usable_rows(nominal, left, left.q))[0][off.outlying_points]
         further = away.copy()
-        further[rows] = off.away[off.outside]
+        further[rows] = off.away[off.outlying_points]
         if (further > 0.0).sum() > SHARE_MAX * len(off.away):
             break
         rounds.append((left, away, off))
-        left, away = left.without(rows), further
+        left, away = left.without_rows(rows), further
         off = _static_point_outliers(nominal, left)
     while rounds and off is not None and not rounds[-1][2].alone(off):
         left, away, off = rounds.pop()
@@ -89,7 +89,7 @@ def _unexplained_distances(nominal: Nominal, data: PointData) -> _MixtureDistanc
         return None
 
     def residual(sets: ParameterSets) -> Array:
-        turned = (replace(data, q=true_angles(sets, data.q, k)) for k in range(sets.sets))
+        turned = (replace(data, q=true_angles(sets, data.q, k)) for k in range(sets.set_count))
         plain = without_encoders(sets)
         return np.array([fit_points(nominal, plain, points, k).residual.ravel() for k, points in enumerate(turned)])
 

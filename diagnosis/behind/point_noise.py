@@ -65,7 +65,7 @@ def _at_rest(
     if again is not None and has_baseline:
         return PointScatter(again.sigma, 0.0, True, again.points, again.loose)
     if again is not None:
-        return PointScatter(again.own, again.common_m, True, again.squares, again.loose)
+        return PointScatter(again.own_offset, again.common_m, True, again.squares, again.loose)
     sensors = rough.nominal.sensors
     stated = sensors.tracker_m if rough.paths else sensors.static_m or sensors.tracker_m
     if stated is not None:
@@ -98,7 +98,7 @@ def noise_by_repeats(
     """What repeats of one command say of tracked points; None where there are none, or a baseline knows better."""
     groups = [group for group in repeat_groups(stretches).values() if reference_spread(group) <= DIFFER_MAX_RAD]
     at = path_index(paths, data.when)
-    if not groups or (at < 0).all() or nominal.remainder("structure", on="tracker") is not None:
+    if not groups or (at < 0).all() or nominal.baseline_remainder("structure", on="tracker") is not None:
         return None
     rough = unweighted_residual(nominal, data, paths, at)
     runs = tuple(tuple((run.t_segment_s, float(run.t_s[0]), float(run.t_s[-1])) for run in group) for group in groups)

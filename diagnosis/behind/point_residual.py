@@ -38,13 +38,13 @@ class PointResidual:
 
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
-        return self.noise.white(self.metres(sets))
+        return self.noise.whiten(self.metres(sets))
 
     def metres(self, sets: ParameterSets) -> Array:
         """The same (sets, 3 m) before it is weighed [m]."""
         plain = without_encoders(sets)
         rows = []
-        for k in range(sets.sets):
+        for k in range(sets.set_count):
             data = replace(self.data, q=self._angles_on_backlash_side(sets, plain, k))
             rows.append(_about_upright(fit_points(self.nominal, plain, data, k), data.xyz).ravel())
         return np.array(rows) - (0.0 if self.known is None else self.known)

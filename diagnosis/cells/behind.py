@@ -61,7 +61,7 @@ def behind_cells(whole: Read, base: ParameterSets, with_odometry: bool = False) 
     cell = join_cells(parts) if len(parts) > 1 else parts[0]
     if nominal is None or not nominal.remainders:
         return [cell]
-    return [replace(cell, usual=usual_of([nominal.remainder(cell.stage)]) or ())]
+    return [replace(cell, usual=usual_of([nominal.baseline_remainder(cell.stage)]) or ())]
 
 
 def join_cells(parts: list[Cell]) -> Cell:
@@ -72,7 +72,7 @@ def join_cells(parts: list[Cell]) -> Cell:
     candidates: dict[tuple[object, ...], Candidate] = {}
     for part in parts:
         for candidate in part.candidates:
-            candidates.setdefault((candidate.key, candidate.option, candidate.fixed), candidate)
+            candidates.setdefault((candidate.effect_and_joint, candidate.option, candidate.fixed), candidate)
     pieces = [_CachedResidual(part.whitened, *_relevant_parameters(part)) for part in parts]
 
     def whitened(sets: ParameterSets) -> Array:
@@ -88,8 +88,9 @@ def join_cells(parts: list[Cell]) -> Cell:
         whitened=whitened,
         rows=_join_residual_rows([part.rows for part in parts]),
         scale=np.concatenate([part.scale for part in parts]),
-        quiet=float(np.average([part.quiet for part in parts], weights=[part.rows.count for part in parts])),
-        floor_known=2 * sum(part.rows.count for part in parts if part.floor_known) >= sum(p.rows.count for p in parts),
+        quiet=float(np.average([part.quiet for part in parts], weights=[part.rows.row_count for part in parts])),
+        floor_known=2 * sum(part.rows.row_count for part in parts if part.floor_known)
+        >= sum(p.rows.row_count for p in parts),
         regressors=(),
         t_s=np.concatenate([part.t_s for part in parts]),
         restless=next((part.restless for part in parts if part.restless), ""),
@@ -135,7 +136,7 @@ class _CachedResidual:
     known: dict[bytes, Array] = field(default_factory=dict)
 
     def __call__(self, sets: ParameterSets) -> Array:
-        keys = [self._cache_key(sets, k) for k in range(sets.sets)]
+        keys = [self._cache_key(sets, k) for k in range(sets.set_count)]
         found = {key: self.known[key] for key in keys if key in self.known}
         fresh = {key: k for k, key in enumerate(keys) if key not in found}
         if fresh:

@@ -108,7 +108,7 @@ def frames_of(
         for row in groups[group]:
             pixels[k, table.eye[row], number[int(table.ids[row])]] = table.corners[row]
     pixels[np.isnan(pixels).any(axis=-1)] = np.nan  # half of a corner is not a place in the image
-    return Frames.of(np.array([table.t_s[groups[k][0]] for k in chosen]), pixels, markers)
+    return Frames.with_groups(np.array([table.t_s[groups[k][0]] for k in chosen]), pixels, markers)
 
 
 def _camera_cells(
@@ -145,7 +145,7 @@ def _camera_cells(
         known = _of_two((stated, 0.0))
     noise = known if known is not None else _of_two(saturated_noise(placed, base, candidates, frames.groups))
     noise = replace(noise, own=np.maximum(noise.own, SIGMA_MIN_PX))
-    record = nominal.remainder("camera", on=on)
+    record = nominal.baseline_remainder("camera", on=on)
     rows, t_s = _seen_corner_rows(frames)
     if on == "ooi":
         rows = replace(rows, alike=_posture_groups(link_angles(paths, base, 0, at, frames.t_s))[frames.frame_of_each])

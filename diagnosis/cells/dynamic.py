@@ -123,11 +123,11 @@ def cell_of(
 ) -> Cell:
     """One cell of a stage: these joints (0-based) over all prepared stretches."""
     chosen = list(joints)
-    white = floor.whitener.only(chosen)
+    white = floor.whitener.of_channels(chosen)
     parts = tuple(part_of(stage, entry, chosen, replayer) for entry in prepared)
     replay = Replay(stage, joints, parts, white)
     kinds = [part.stretch.kind for part in parts]
-    per_channel = [white_rows(part, white.order) for part in parts]
+    per_channel = [white_rows(part, white.lag_count) for part in parts]
     blocks_by_part, folds_by_part = layout_of(kinds, per_channel)
     spread = [np.tile(numbers, len(chosen)) for numbers in blocks_by_part]
     folds = [np.tile(numbers, len(chosen)) for numbers in folds_by_part]
@@ -137,11 +137,11 @@ def cell_of(
     per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
     units = {unit_of(UNIT[stage], replayer.nominal.sliding, j) for j in joints}
     one_unit = len(units) == 1
-    scale = (floor.increment_rms[chosen] * per_second)[rows.channel] if one_unit else np.ones(rows.count)
-    regressors, t_s = regressors_of(parts, chosen, white.order, SKIPPED, per_channel)
+    scale = (floor.increment_rms[chosen] * per_second)[rows.channel] if one_unit else np.ones(rows.row_count)
+    regressors, t_s = regressors_of(parts, chosen, white.lag_count, SKIPPED, per_channel)
     one_based = tuple(j + 1 for j in joints)
     whole = stage == "link" or len(joints) > 1
-    known = [replayer.nominal.remainder(stage, j + 1) for j in joints]
+    known = [replayer.nominal.baseline_remainder(stage, j + 1) for j in joints]
 
     def again(noise: Whitener) -> Cell:
         return cell_of(stage, joints, prepared, at_noise(floor, chosen, noise), base, replayer)

@@ -34,10 +34,12 @@ class StepShare:
 
 def at_its_step(replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets) -> Replayer:
     """The replayer with the machine's own step, as far as its joints without a fault show it for sure."""
-    if all(replayer.learnt("actuator", j) for j in range(replayer.nominal.n)):
+    if all(replayer.baseline_knows("actuator", j) for j in range(replayer.nominal.n)):
         return replayer
     cells = stage_cells("actuator", replayer, stretches, base, base)
-    shares = [share_of(cell) for cell in cells if cell.joint and not replayer.learnt("actuator", cell.joint - 1)]
+    shares = [
+        share_of(cell) for cell in cells if cell.joint and not replayer.baseline_knows("actuator", cell.joint - 1)
+    ]
     return replace(replayer, finer=agreed_share([share for share in shares if share is not None]))
 
 

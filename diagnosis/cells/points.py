@@ -79,7 +79,7 @@ def _point_cell(
     data, m = rough.data, len(rough.data.xyz)
     joints = tuple(range(1, nominal.n + 1))
     candidates = candidates_behind(joints, paths) + (candidates_of("time", joints, True) if clocked else ())
-    record = nominal.remainder("structure", on="tracker" if paths else "static")
+    record = nominal.baseline_remainder("structure", on="tracker" if paths else "static")
     found = point_scatter(rough, base, candidates, repeats, record is not None)
     sigma = np.hypot(np.maximum(found.own, SIGMA_MIN_M), axes_of(record, 3))
     oscillation_rad = record.oscillation_rad if record is not None else 0.0

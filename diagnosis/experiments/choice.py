@@ -78,7 +78,7 @@ def _best_experiment(whole: Read, nominal: Nominal, pairs: list[Pair]) -> dict[s
     first = next(k for k, nats in enumerate(table[best.name]) if nats >= SEPARATES_NATS)  # the weightiest of them
     return {
         "what": best.name,
-        "minutes": round(best.minutes, 2),
+        "minutes": round(best.duration_min, 2),
         "separates": _pair_members(pairs[first]),
         "expected_nats": _round_significant(table[best.name][first]),
         "alternatives": {name: _round_significant(row[first]) for name, row in table.items()},
@@ -145,7 +145,7 @@ def _expected_nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
 def _experiment_value(pairs: list[Pair], nats: list[float], experiment: Experiment) -> float:
     """Nats that count, weighed over the pairs, less what the machine's time costs."""
     gained = sum(pair.weight * min(nats_of, ENOUGH_NATS) for pair, nats_of in zip(pairs, nats, strict=True))
-    return gained / sum(pair.weight for pair in pairs) - MINUTES_COST * experiment.minutes
+    return gained / sum(pair.weight for pair in pairs) - MINUTES_COST * experiment.duration_min
 
 
 def _missing_signal_advice(pair: Pair, table: dict[str, list[float]]) -> dict[str, Any]:

@@ -34,7 +34,7 @@ class Motion:
     q: Array
 
     @property
-    def minutes(self) -> float:
+    def duration_min(self) -> float:
         """Machine time."""
         return len(self.q) * SAMPLE_S / 60.0
 
@@ -47,7 +47,7 @@ class Postures:
     q: Array
 
     @property
-    def minutes(self) -> float:
+    def duration_min(self) -> float:
         """Machine time."""
         return len(self.q) * LOOK_S / 60.0
 

@@ -85,7 +85,7 @@ def _predicted_motion_log(whole: Read, replayer: Replayer, motion: Motion, truth
     t_log = np.asarray(plant.log_cycle_s * np.arange(rows), dtype=float)
     q_log = np.stack([np.interp(t_log, t_sent, column) for column in motion.q.T], axis=1)
     cycles = (rows - 1) * plant.cycles_per_row + 1
-    drive = drive_by_sent(plant, t_sent, motion.q, 0.0, cycles, replayer.loads(q_log))
+    drive = drive_by_sent(plant, t_sent, motion.q, 0.0, cycles, replayer.loads_along(q_log))
     out = simulate(plant, truth, drive, DynamicStage.ACTUATOR)
     ref, u = (None if getattr(like, name) is None else getattr(out, name)[0] for name in ("ref", "u"))
     sent = None if like.sent is None else SentReference(t_sent, motion.q)
@@ -119,7 +119,9 @@ def _more_frames(seen: CornerResidual, base: ParameterSets, postures: Postures, 
     t_s, course = _look_times_and_path(q, max((float(path.t_s[-1]) for path in seen.paths), default=0.0))
     at = np.full(len(q), len(seen.paths), dtype=np.int64)
     blank = np.full((len(q), *seen.frames.pixels.shape[1:]), np.nan)
-    alone = replace(seen, frames=Frames.of(t_s, blank, seen.frames.markers), paths=(*seen.paths, course), at=at)
+    alone = replace(
+        seen, frames=Frames.with_groups(t_s, blank, seen.frames.markers), paths=(*seen.paths, course), at=at
+    )
     plain = without_encoders(truth)
     Ts = _still_poses(alone, truth, plain)
     corners = seen_corners(plain, camera, seen.frames.markers, Ts @ seen.T_base_ooi)
@@ -127,7 +129,7 @@ def _more_frames(seen: CornerResidual, base: ParameterSets, postures: Postures, 
     pixels[:, ~np.isfinite(seen.frames.pixels).any(axis=(0, 2, 3, 4))] = np.nan  # an eye that never saw anything
     if not np.isfinite(pixels).any():
         return None
-    frames = Frames.of(
+    frames = Frames.with_groups(
         np.concatenate([seen.frames.t_s, t_s]), np.concatenate([seen.frames.pixels, pixels]), seen.frames.markers
     )
     more = replace(alone, frames=frames, at=np.concatenate([seen.at, at]))

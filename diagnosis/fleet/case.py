@@ -27,7 +27,7 @@ def diagnose_case(path: str, machine_file: str | None = None) -> dict[str, Any]:
     findings = [
         {"code": finding.code, "severity": finding.severity, "text": str(finding)} for finding in whole.findings
     ]
-    if not whole.usable:
+    if not whole.has_judgeable_stage:
         return {**out, "status": "unusable", "findings": findings}
     try:
         return {**out, "status": "diagnosed", "findings": findings, "answer": answer_json(budget_of(whole))}

@@ -45,7 +45,7 @@ def _shared_effect_row(shared: SharedEffect) -> tuple[str, ...]:
 
 def _drift_row(drift: EffectDrift) -> tuple[str, ...]:
     limits = f"{drift.low:.3g} to {drift.high:.3g}"
-    word = "drifts" if drift.drifts else "no drift found"
+    word = "drifts" if drift.is_drifting else "no drift found"
     return (
         drift.machine,
         drift.name,

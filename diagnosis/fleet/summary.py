@@ -67,7 +67,7 @@ class EffectDrift:
     n: int
 
     @property
-    def drifts(self) -> bool:
+    def is_drifting(self) -> bool:
         """Whether the slope is significant."""
         return self.low > 0.0 or self.high < 0.0
 

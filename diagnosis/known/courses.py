@@ -41,7 +41,7 @@ class Course:
         """d/dt of a signal."""
         return np.asarray(np.gradient(x, self.dt_s))
 
-    def whole(self, x: Array) -> Array:
+    def integral_of(self, x: Array) -> Array:
         """The integral over time of signals (m, k)."""
         return np.asarray(np.cumsum(x, axis=0) * self.dt_s)
 
@@ -49,7 +49,7 @@ class Course:
         """Signals (m, k) integrated, with what was gathered leaking away: what has to be caught up with afterwards."""
         return np.asarray(_leaky_sum(self.dt_s * x, np.exp(-self.dt_s / tau_s)))
 
-    def smooth(self, x: Array) -> Array:
+    def smoothed(self, x: Array) -> Array:
         """The mean over 45 ms."""
         n = min(max(1, round(SMOOTH_S / self.dt_s)), len(x))
         return np.convolve(x, np.ones(n) / n, mode="same")
@@ -104,18 +104,20 @@ def hat_functions(x: Array, knots: Array) -> Array:
 
 def moving_families(c: Course) -> dict[str, Array]:
     """Of an actuator: families that go with how the joint moves, not only with its command."""
-    v, du, size = c.smooth(c.rate(c.q)), c.rate(c.smooth(c.drive)), np.abs(c.drive)
+    v, du, size = c.smoothed(c.rate(c.q)), c.rate(c.smoothed(c.drive)), np.abs(c.drive)
     busy = np.abs(c.others).sum(axis=1)
     turned = np.stack([np.sign(du), np.sign(du) * size], axis=1)
     return {
         "the change of the command": np.concatenate(
-            [np.stack([c.drive, size, v, c.rate(v)], axis=1), c.whole(turned)], axis=1
+            [np.stack([c.drive, size, v, c.rate(v)], axis=1), c.integral_of(turned)], axis=1
         ),
-        "the load": c.whole(np.stack([c.load, v * c.load, np.abs(v) * c.load, c.load**2], axis=1)),
+        "the load": c.integral_of(np.stack([c.load, v * c.load, np.abs(v) * c.load, c.load**2], axis=1)),
         "the angle": np.concatenate(
-            [c.whole(v[:, None] * np.stack([c.q, c.q**2], axis=1)), _fourier_columns(c.q, SLOW_ORDERS)], axis=1
+            [c.integral_of(v[:, None] * np.stack([c.q, c.q**2], axis=1)), _fourier_columns(c.q, SLOW_ORDERS)], axis=1
         ),
-        "other joints": np.concatenate([c.whole(np.stack([v * busy, np.sign(v) * busy], axis=1)), c.others], axis=1),
+        "other joints": np.concatenate(
+            [c.integral_of(np.stack([v * busy, np.sign(v) * busy], axis=1)), c.others], axis=1
+        ),
     }
 
 

@@ -70,7 +70,7 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
     """The replay less its joints' forms; a form that says much more of this motion than of any it was fitted to is
     left out.
     """
-    records = [nominal.remainder(cell.stage, joint + 1) for joint in replay.joints]
+    records = [nominal.baseline_remainder(cell.stage, joint + 1) for joint in replay.joints]
     forms = [() if record is None else record.form for record in records]
     most = [0.0 if record is None else record.form_most for record in records]
     if not any(forms):
@@ -89,7 +89,7 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
             continue
         for own, said, otherwise, course in zip(measured, known, moved, courses, strict=True):
             own[: len(said), channel] -= said
-            otherwise[channel] = OtherMotion.of(course, form)
+            otherwise[channel] = OtherMotion.of_stretch(course, form)
     pieces = zip(replay.parts, measured, moved, strict=True)
     parts = tuple(replace(part, measured=own, moved=tuple(moved)) for part, own, moved in pieces)
     return replace(replay, parts=parts)
@@ -108,7 +108,7 @@ class OtherMotion:
     said: Array
 
     @classmethod
-    def of(cls, course: Course, form: Form) -> "OtherMotion":
+    def of_stretch(cls, course: Course, form: Form) -> "OtherMotion":
         """Of a stretch along whose `course` the model without a fault runs."""
         families = moving_families(course)
         own = tuple(entry for entry in form if entry[0] in families)
@@ -123,7 +123,7 @@ def _actuator_families(courses: list[Course]) -> list[dict[str, Array]]:
     """Of one joint's actuator, for each stretch: its immediate response, and its later one (m, k)."""
     return [
         {
-            "the valve command": course.whole(hat_functions(course.drive, KNOTS)),
+            "the valve command": course.integral_of(hat_functions(course.drive, KNOTS)),
             **moving_families(course),
             **actuator_responses(course),
         }
@@ -155,7 +155,7 @@ def most_of(cells: list[Cell], form: Form) -> float:
 
 
 def _form_of(nominal: Nominal, stage: str, joint: int | None, on: str) -> Form:
-    record = nominal.remainder(stage, joint, on)
+    record = nominal.baseline_remainder(stage, joint, on)
     return () if record is None else record.form
 
 
@@ -186,7 +186,7 @@ class _StackedRecordings:
     family: NDArray[np.int64]
     prior: Array
 
-    def only(self, families: tuple[int, ...]) -> "_StackedRecordings":
+    def of_families(self, families: tuple[int, ...]) -> "_StackedRecordings":
         """The same with these families alone."""
         kept = np.isin(self.family, families)
         normal = tuple((H[np.ix_(kept, kept)], g[kept]) for H, g in self.normal)
@@ -229,11 +229,11 @@ def form_of(cells: list[Cell]) -> Form:
     kept = tuple(range(len(names)))
     while len(kept) > 1:
         fewer = [tuple(k for k in kept if k != out) for out in kept]
-        gain, rest = max((pile.only(families).gain(loose), families) for families in fewer)
+        gain, rest = max((pile.of_families(families).gain(loose), families) for families in fewer)
         if gain < best - WORTH_NATS * len(pairs):
             break
         best, kept = gain, rest
-    chosen = pile.only(kept)
+    chosen = pile.of_families(kept)
     gains = {ridge: chosen.gain(ridge) for ridge in RIDGES}
     if max(gains.values()) <= LEAST_NATS:
         return ()
@@ -266,7 +266,7 @@ def _whitened_families(cell: Cell, jumbled: bool = False) -> dict[str, Array]:
     """
     seen = cell.whitened
     if isinstance(seen, PointResidual) and seen.paths:
-        return {} if jumbled else {TRACKED: seen.noise.white(acceleration_columns(seen).T).T}
+        return {} if jumbled else {TRACKED: seen.noise.whiten(acceleration_columns(seen).T).T}
     if not isinstance(seen, Replay) or cell.stage != "actuator":
         return {}
     courses = courses_of(cell, seen, modelled_of(cell, seen), 0)
@@ -285,7 +285,7 @@ def _shuffled_course(c: Course) -> Course:
     rows = max(1, round(PIECE_S / c.dt_s))
     pieces = np.array_split(np.arange(len(c.q)), max(1, len(c.q) // rows))
     order = np.concatenate([pieces[k] for k in np.random.default_rng(0).permutation(len(pieces))])
-    q = c.q[0] + c.whole(c.rate(c.q)[order])
+    q = c.q[0] + c.integral_of(c.rate(c.q)[order])
     return replace(c, q=q, drive=c.drive[order], load=c.load[order], others=c.others[order])
 
 

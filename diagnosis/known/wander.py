@@ -36,7 +36,7 @@ def _with_wander_of(cell: Cell, nominal: Nominal) -> Cell:
         return cell
     columns = []
     for joint in replay.joints:
-        record = nominal.remainder("actuator", joint + 1)
+        record = nominal.baseline_remainder("actuator", joint + 1)
         for name, size in record.wander if record is not None else ():
             columns += [
                 size * _effect_sensitivity(cell, effect) for effect in candidates_of_effects((name,), (joint + 1,))
@@ -107,7 +107,7 @@ def _has_single_size(candidate: Candidate) -> bool:
 
 
 def _is_cell_candidate(cell: Cell, candidate: Candidate) -> bool:
-    return any(other.key == candidate.key for other in cell.candidates)
+    return any(other.effect_and_joint == candidate.effect_and_joint for other in cell.candidates)
 
 
 def _day_normal_equations(cell: Cell, names: list[Candidate]) -> _RecordingEquations:

@@ -70,7 +70,7 @@ class Nominal:
     findings: tuple[Finding, ...] = ()
     sensors: SensorAccuracy = SensorAccuracy()
 
-    def remainder(self, stage: str, joint: int | None = None, on: str = "") -> Remainder | None:
+    def baseline_remainder(self, stage: str, joint: int | None = None, on: str = "") -> Remainder | None:
         """What the baseline leaves of one stage; None where the file says nothing."""
         return next((r for r in self.remainders if (r.stage, r.joint, r.on) == (stage, joint, on)), None)
 
@@ -212,7 +212,7 @@ class _Reader:
             raise DiagnosisError(
                 f"machine.toml: [urdf] {', '.join(missing)} missing or no text; give file, base_link, tip_link"
             )
-        text = self._urdfs.text(section["file"])
+        text = self._urdfs.urdf_text(section["file"])
         if text is None:
             self._absent.append(("structure", self._urdfs.why_none(section["file"])))
             return None, names

@@ -84,7 +84,7 @@ class PointTable:
     xyz: Array
     q: Array | None
 
-    def without(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
+    def without_rows(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
         """The table with rows left out, by a mask (m,) or their numbers: they hold no place."""
         xyz = self.xyz.copy()
         xyz[rows] = np.nan

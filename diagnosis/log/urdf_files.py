@@ -19,7 +19,7 @@ class UrdfFiles:
     recorded: Sequence[Attachment] = ()
     folder: Path | None = None
 
-    def text(self, file: str) -> str | None:
+    def urdf_text(self, file: str) -> str | None:
         """The URDF of that name, whatever folder its machine file has it in; None where there is none.
 
         Raises: DiagnosisError: it is there and cannot be read.

@@ -31,11 +31,11 @@ class Whitener:
     sigma: Array
 
     @property
-    def order(self) -> int:
+    def lag_count(self) -> int:
         """Lags used."""
         return len(self.a)
 
-    def only(self, channels: list[int]) -> "Whitener":
+    def of_channels(self, channels: list[int]) -> "Whitener":
         """The filter of these channels, without lags that none of them uses: each costs 50 ms of every stretch."""
         a = np.ascontiguousarray(self.a[:, channels])
         used = np.nonzero(a.any(axis=1))[0]
@@ -44,7 +44,7 @@ class Whitener:
     def whiten(self, increments: Array) -> Array:
         """White residuals (m - order, n) of increments (m, n)."""
         d = np.asarray(increments, dtype=float)
-        p = self.order
+        p = self.lag_count
         if d.ndim != 2 or d.shape[1] != len(self.sigma) or len(d) <= p:
             raise DiagnosisError(f"increments have shape {d.shape}; give (m, {len(self.sigma)}) with m above {p}")
         predicted = np.zeros_like(d[p:])
@@ -110,9 +110,9 @@ def with_remainder(floor: Floor, steps: list[Array], ar: Array, sigma: Array, rm
     Args:  steps: increments (m, n) of the repeats' deviations, none where nothing was repeated. ar: (p, n), zero in
            columns without autoregression. sigma, rms: (n,), 0 in columns without a remainder, which are left alone.
     """
-    order = max(floor.whitener.order, len(ar), ORDER_MAX)
+    order = max(floor.whitener.lag_count, len(ar), ORDER_MAX)
     a = np.zeros((order, len(sigma)))
-    a[: floor.whitener.order] = floor.whitener.a
+    a[: floor.whitener.lag_count] = floor.whitener.a
     out = floor.whitener.sigma.copy()
     for j in np.nonzero(sigma > 0.0)[0]:
         quiet = (

@@ -14,7 +14,7 @@ class DayNoise:
     directions: Array
     taken: Array
 
-    def white(self, residuals: Array) -> Array:
+    def whiten(self, residuals: Array) -> Array:
         """Residuals (sets, N), white but for this noise, made white: (I + B B')^(-1/2) r.
 
         Each by itself: rounding of a sum over several depends on how many they are, and a set's result must not.

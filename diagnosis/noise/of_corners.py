@@ -29,7 +29,7 @@ class CornerNoise:
         more = np.array(record.by_axis if len(record.by_axis) == AXES else (0.0, 0.0))
         return CornerNoise(np.hypot(self.own, record.sigma), np.hypot(self.shared, more))
 
-    def white(self, rows: Array, groups: NDArray[np.int64]) -> Array:
+    def whiten(self, rows: Array, groups: NDArray[np.int64]) -> Array:
         """White residuals (sets, N) of residuals [px] in groups (N,) by `groups_of`.
 
         Model: covariance own^2 I + shared^2 11' within a group of n, whose inverse root takes from each row the share

@@ -27,7 +27,7 @@ class PointNoise:
     instants: NDArray[np.int64]
     common_m: float = 0.0
 
-    def white(self, rows: Array) -> Array:
+    def whiten(self, rows: Array) -> Array:
         """White residuals (sets, 3 m) of residuals [m].
 
         Model: across, covariance own^2 I + psi^2 rho rho' over the reaches rho of an instant, whose inverse root

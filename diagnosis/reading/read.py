@@ -52,7 +52,7 @@ class Read:
     machine_toml: str = ""
 
     @property
-    def usable(self) -> bool:
+    def has_judgeable_stage(self) -> bool:
         """Whether there is a stage that can be judged."""
         return self.nominal is not None and not fatal_findings(self.findings) and bool(stages_present(self))
 

@@ -53,16 +53,16 @@ def merge_stages(
     if enc is None or not np.isfinite(enc).any(axis=0).all():
         return None
     plant, angles = replayer.at_rate(stretch.dt_s), fill_gaps(enc)
-    loads = replayer.loads(angles)
+    loads = replayer.loads_along(angles)
     out = PreparedStretch(plant, {}, stretch)
     if "link" in merge.stages:
         if stretch.sent is None:
             return None
-        cycles = (stretch.rows - 1) * plant.cycles_per_row + 1
+        cycles = (stretch.row_count - 1) * plant.cycles_per_row + 1
         drive = drive_by_sent(plant, stretch.sent.t_s, stretch.sent.q, float(stretch.t_s[0]), cycles, loads)
         out.drives["actuator"] = replace(drive, enc_start=angles[0].copy())
         return out
-    references = replayer.references(stretch, course)
+    references = replayer.received_references(stretch, course)
     if references is None:
         return None
     seen = smooth_course(plant, angles)

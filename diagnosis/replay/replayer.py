@@ -83,9 +83,9 @@ class Replayer:
     torque_reference: Array | None
     finer: float = 0.0
 
-    def learnt(self, stage: str, joint: int) -> bool:
+    def baseline_knows(self, stage: str, joint: int) -> bool:
         """Whether a baseline knows what the model is wrong by there (joint: 0-based)."""
-        return self.nominal.remainder(stage, joint + 1) is not None
+        return self.nominal.baseline_remainder(stage, joint + 1) is not None
 
     def prepare(self, stretch: Stretch, course: ParameterSets | None = None) -> PreparedStretch:
         """Each stage's measured input at every PLC cycle.
@@ -111,7 +111,7 @@ class Replayer:
         )
         return self._prepare_actuator_drives(out, enc, u, commands)
 
-    def references(self, stretch: Stretch, course: ParameterSets | None = None) -> ReceivedReferences | None:
+    def received_references(self, stretch: Stretch, course: ParameterSets | None = None) -> ReceivedReferences | None:
         """What the PLC received; None where it was not logged. `course`: see `prepare`."""
         if stretch.ref is None:
             return None
@@ -172,7 +172,7 @@ class Replayer:
         self, out: PreparedStretch, enc: Array, u: Array, commands: _ControllerCommands
     ) -> PreparedStretch:
         """With the actuators' drive, and with the other courses that the commands may have taken."""
-        plant, loads = out.plant, self.loads(enc)
+        plant, loads = out.plant, self.loads_along(enc)
 
         def driven(course: Array) -> Drive:
             return drive_actuator(plant, course, enc[0], loads, fine=True)
@@ -202,14 +202,14 @@ class Replayer:
         """
         return 0.5 * SENT_S * self.plant.joints[:, kernel.KP] * self.plant.joints[:, kernel.KV]
 
-    def outputs(self, stage: str, prepared: PreparedStretch, sets: ParameterSets) -> Array | None:
+    def stage_outputs(self, stage: str, prepared: PreparedStretch, sets: ParameterSets) -> Array | None:
         """What every set gives for a stage's output (sets, rows, n); None where the stretch has no input or output."""
         drive = prepared.drives.get(stage)
         return None if drive is None else _stage_output(stage, prepared.plant, sets, drive)
 
     def residuals(self, stage: str, prepared: PreparedStretch, sets: ParameterSets) -> Array | None:
         """Measured less modelled, (sets, rows, n), in the stage's unit; NaN in columns that were not recorded."""
-        modelled, measured = self.outputs(stage, prepared, sets), measured_output(stage, prepared.stretch)
+        modelled, measured = self.stage_outputs(stage, prepared, sets), measured_output(stage, prepared.stretch)
         if modelled is None or measured is None:
             return None
         out = fill_gaps(measured)[: modelled.shape[1]] - modelled
@@ -230,7 +230,7 @@ class Replayer:
         none = np.zeros((drive.cycles, plant.n))
         return _stage_output(stage, every, course, replace(drive, load=none, load_kg=none))[0]
 
-    def loads(self, enc: Array) -> tuple[Array, Array] | None:
+    def loads_along(self, enc: Array) -> tuple[Array, Array] | None:
         """Load and load per kg along encoders (rows, n); None where masses or limits are not known."""
         if self.torque_reference is None or self.nominal.arm is None:
             return None
@@ -250,7 +250,7 @@ def within_rows(sent: SentReference, by_s: float | Array, delay_s: float) -> Arr
 def _link_drive(out: PreparedStretch, sent: SentReference, t_s: Array) -> Drive:
     """What drives the link where the datagrams (k,) are taken at t_s (k,)."""
     plant, stretch = out.plant, out.stretch
-    cycles = (stretch.rows - 1) * plant.cycles_per_row + 1
+    cycles = (stretch.row_count - 1) * plant.cycles_per_row + 1
     return drive_by_sent(plant, t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.lost)
 
 
@@ -300,7 +300,7 @@ def closed_loop(replayer: Replayer, stretch: Stretch) -> tuple[Actuators, Drive,
         u = np.zeros(replayer.nominal.n) if stretch.u is None else np.nan_to_num(stretch.u[0])
         drive = drive_controller(prepared.plant, stretch.ref, stretch.enc, u)
     drive = replace(drive, enc_start=stretch.enc[0].copy())  # inside a dead band a joint rests anywhere
-    loads = replayer.loads(stretch.enc)
+    loads = replayer.loads_along(stretch.enc)
     if loads is not None:
         drive = replace(drive, load=loads[0], load_kg=loads[1])
     return prepared.plant, drive, stretch.enc

@@ -70,7 +70,7 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[PreparedStretch],
     dt = prepared[0].stretch.dt_s
     floor: Floor | None = None
     steps: list[Array] = []
-    records = [replayer.nominal.remainder(stage, j + 1) for j in range(replayer.nominal.n)]
+    records = [replayer.nominal.baseline_remainder(stage, j + 1) for j in range(replayer.nominal.n)]
     if len(members) > 1:
         try:
             repeats = align_repeats(members, [known[member.name] for member in members])
@@ -141,6 +141,6 @@ def _not_below(floor: Floor, least: Array) -> Floor:
 def at_noise(floor: Floor, chosen: list[int], noise: Whitener) -> Floor:
     """A floor with another filter for some joints (0-based)."""
     n = len(floor.whitener.sigma)
-    a, sigma, rms = np.zeros((noise.order, n)), floor.whitener.sigma.copy(), floor.increment_rms.copy()
+    a, sigma, rms = np.zeros((noise.lag_count, n)), floor.whitener.sigma.copy(), floor.increment_rms.copy()
     a[:, chosen], sigma[chosen], rms[chosen] = noise.a, noise.sigma, noise.sigma
     return replace(floor, rms=np.ones(n), whitener=Whitener(a, sigma), increment_rms=rms)

@@ -68,7 +68,7 @@ class Replay:
         """Residuals (sets, N): stretches end to end, channels within each."""
         chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(self.joints)]), sets.machine)
         out = np.concatenate(side_by_side(lambda part: self._whitened_residual(part, chosen), self.parts), axis=1)
-        return out if self.day is None else self.day.white(out)
+        return out if self.day is None else self.day.whiten(out)
 
     def _whitened_residual(self, part: StretchReplay, sets: ParameterSets) -> Array:
         steps, shift = part_increments(self.stage, part, sets)
@@ -152,7 +152,7 @@ def _block_mean_slopes(x: Array, size: int, dt_s: float) -> Array:
 
 def whiten_sets(whitener: Whitener, steps: Array) -> Array:
     """White residuals (sets, m - order, n) of increments (sets, m, n)."""
-    p = whitener.order
+    p = whitener.lag_count
     out = steps[:, p:].copy()
     for i in range(p):
         out -= whitener.a[i] * steps[:, p - 1 - i : steps.shape[1] - 1 - i]
@@ -171,7 +171,7 @@ def part_of(stage: str, prepared: PreparedStretch, joints: list[int], replayer: 
         raise DiagnosisError(f"{prepared.stretch.name}: the output of stage {stage} was not recorded")
     measured = fill_gaps(output)[:, joints]
     part = StretchReplay(plant, narrowed, measured, prepared.stretch)
-    finer = np.array([0.0 if replayer.learnt(stage, j) else replayer.finer for j in joints])
+    finer = np.array([0.0 if replayer.baseline_knows(stage, j) else replayer.finer for j in joints])
     if stage == "actuator" and finer.any():
         part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
     own = part_increments(stage, part, neutral_sets(len(joints)))[0][0]

@@ -47,7 +47,7 @@ class Stretch:
     ref_logged: bool = True
 
     @property
-    def rows(self) -> int:
+    def row_count(self) -> int:
         """Number of samples."""
         return len(self.t_s)
 

@@ -48,7 +48,7 @@ class Candidate:
     read_off: bool = False
     cycles: tuple[float, float] | None = None
 
-    def settled(self, theta: Array) -> Array:
+    def with_whole_delay(self, theta: Array) -> Array:
         """Numbers (slots,) with the delay at the nearest whole number of cycles."""
         if self.cycles is None:
             return theta
@@ -56,12 +56,12 @@ class Candidate:
         return np.round((theta + nominal_s) / cycle_s) * cycle_s - nominal_s
 
     @property
-    def key(self) -> tuple[str, int | None]:
+    def effect_and_joint(self) -> tuple[str, int | None]:
         """Effect and joint, whatever the variant."""
         return self.name, self.joint
 
     @property
-    def variant(self) -> Variant:
+    def without_variant(self) -> Variant:
         """The same with what distinguishes its variants: a length of a or of d, a tilt about x or about y."""
         return self.name, self.joint, self.option, tuple(value for _, value in self.fixed)
 
@@ -75,7 +75,7 @@ class Candidate:
         """Whether its numbers are the components of a direction."""
         return len(self.slots) > 1 and self.slots[0].parameter == self.slots[1].parameter
 
-    def starts(self) -> Array:
+    def scan_points(self) -> Array:
         """Where the scan looks (m, slots)."""
         if self.vector:
             return _starts_around_zero(self.slots)  # a direction's vector: along each axis, both signs
@@ -199,7 +199,7 @@ def parameter_sets_with(base: ParameterSets, candidates: tuple[Candidate, ...], 
     replace.
     """
     thetas = np.atleast_2d(thetas)
-    sets = base.repeated(len(thetas))
+    sets = base.repeated_sets(len(thetas))
     column = 0
     for candidate in candidates:
         size = candidate.slots[0].parameter

@@ -34,12 +34,12 @@ class ResidualRows:
     alike: NDArray[np.int64] | None = None
 
     @property
-    def together(self) -> NDArray[np.int64]:
+    def dependent_rows(self) -> NDArray[np.int64]:
         """Which rows do not speak for themselves (N,)."""
         return self.block if self.alike is None else self.alike
 
     @property
-    def count(self) -> int:
+    def row_count(self) -> int:
         """Number of residuals."""
         return len(self.fold)
 
@@ -79,7 +79,7 @@ class Cell:
     def by_part(self, values: Array) -> tuple[tuple["Cell", Array], ...]:
         """The cells that this one joins, a plain one itself, each with its own of values (N, ...)."""
         parts = self.parts or (self,)
-        cuts = np.cumsum([part.rows.count for part in parts])[:-1]
+        cuts = np.cumsum([part.rows.row_count for part in parts])[:-1]
         return tuple(zip(parts, np.split(values, cuts), strict=True))
 
     @property

@@ -150,7 +150,7 @@ def _at_kinks(hypothesis: Hypothesis, theta: Array) -> Array:
         return theta
     cuts = np.cumsum([len(candidate.slots) for candidate in hypothesis])[:-1]
     return np.concatenate(
-        [candidate.settled(own) for candidate, own in zip(hypothesis, np.split(theta, cuts), strict=True)]
+        [candidate.with_whole_delay(own) for candidate, own in zip(hypothesis, np.split(theta, cuts), strict=True)]
     )
 
 
@@ -183,7 +183,7 @@ def entries_of(found: Fit) -> list[EffectEntry]:
         parameters: dict[str, object] = {slot.parameter: value for slot, value in candidate.fixed}
         if effect.direction is not None:
             size = float(np.linalg.norm(values))
-            parameters |= {effect.size.name: min(size, effect.size.highest)}
+            parameters |= {effect.size.name: min(size, effect.size.highest_value)}
             if size > 0.0:
                 along = np.zeros(len(effect.direction.default))  # a base is tilted about its level axes only
                 along[: len(values)] = values / size

@@ -24,7 +24,7 @@ class WorkProgress:
         self._ended = self._concluded = self._cost = self._done = 0.0
         self._waiting: list[float] = []  # the parts of this stage that have not begun
 
-    def stage(self, cells: Sequence[Cell]) -> None:
+    def begin_cells(self, cells: Sequence[Cell]) -> None:
         """These cells are next, one after the other."""
         self._waiting = [fit_s(cell) for cell in cells]
 
@@ -34,13 +34,13 @@ class WorkProgress:
         self._cost = self._waiting.pop(0) if self._waiting else 0.0
         self._report_progress()
 
-    def again(self) -> None:
+    def repeat_cell(self) -> None:
         """The cell is fitted once more."""
         self._done = self._cost
         self._cost *= 2.0
         self._report_progress()
 
-    def end(self) -> None:
+    def end_cell(self) -> None:
         """The cell is done."""
         self._ended += self._cost
         self._cost = self._done = 0.0
@@ -58,4 +58,4 @@ class WorkProgress:
 
 def fit_s(cell: Cell) -> float:
     """What fitting a cell usually takes [s]."""
-    return FIT_S.get(cell.stage, FIT_BEHIND_S) * cell.rows.count * len(cell.candidates)
+    return FIT_S.get(cell.stage, FIT_BEHIND_S) * cell.rows.row_count * len(cell.candidates)

@@ -56,7 +56,7 @@ class Evidence:
     @property
     def size_sd(self) -> Array:
         """Standard deviations of its sizes (sizes,) by its limits, where the data do not determine it by itself."""
-        sd = self.sd[: self.term.sizes]
+        sd = self.sd[: self.term.size_count]
         return sd if self.wide is None else np.maximum(sd, 0.5 * np.ptp(self.wide, axis=1) / QUANTILE_95)
 
     @property
@@ -81,15 +81,17 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
     back to absence, by which a set is judged, has a score of its own there.
     """
     best = fit.best
-    present = np.nonzero(best.present)[0]
+    present = np.nonzero(best.present_terms)[0]
     if not len(present):
         return ()
-    lin = linearise_terms(fit.cell, tuple(best.terms[k] for k in present), to_move=True)
+    lin = linearise_terms(fit.cell, tuple(best.current_terms[k] for k in present), to_move=True)
     w = lin.weight * fit.trust
     J, residual = lin.J * np.sqrt(w)[:, None], lin.residual * np.sqrt(w)
-    spread = standard_deviations(J, residual, lin.slab, fit.cell.rows.together)
+    spread = standard_deviations(J, residual, lin.prior_deviations, fit.cell.rows.dependent_rows)
     left = float(np.mean(lin.weight * lin.residual**2))
-    S = np.asarray(np.linalg.inv((lin.J * lin.weight[:, None]).T @ lin.J + np.diag(lin.slab**-2.0)), dtype=float)
+    S = np.asarray(
+        np.linalg.inv((lin.J * lin.weight[:, None]).T @ lin.J + np.diag(lin.prior_deviations**-2.0)), dtype=float
+    )
     groupings = groupings_of(fit.cell)
     everything = _with_everything(fit)
     out = []
@@ -98,7 +100,7 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
         if term.effect.counted:  # a share, seen among so many
             share = float(term.theta[0])
             sd[0] = np.sqrt(share * (1.0 - share) / term.effect.counted)
-        z = _z_score(term, sd[: term.sizes])
+        z = _z_score(term, sd[: term.size_count])
         if term.effect.cycles is not None:
             run = alike_delays(fit.cell, lin, len(out), fit.trust)
             sd = np.hypot(sd, 0.5 * (float(np.ptp(run)) + term.effect.cycles[0]) / QUANTILE_95)  # limits: the tread
@@ -112,7 +114,8 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
                 sd=sd,
                 z=z,
                 scatter=_share_of_size(
-                    term, scatter_between_groups(J, residual, own[: term.sizes], groupings, fit.cell.usual is not None)
+                    term,
+                    scatter_between_groups(J, residual, own[: term.size_count], groupings, fit.cell.usual is not None),
                 ),
                 equals=_with_sharing(fit, equals, sharing),
                 left=left,
@@ -147,7 +150,7 @@ def standard_deviations(J: Array, residual: Array, slab: Array, block: NDArray[n
 def _z_score(term: EffectTerm, sd: Array) -> float:
     if term.limits:
         return float("inf")
-    return float(np.linalg.norm(term.theta[: term.sizes] / np.maximum(sd, 1e-300)))
+    return float(np.linalg.norm(term.theta[: term.size_count] / np.maximum(sd, 1e-300)))
 
 
 def _share_above(x: Array, S: Array, beyond: float) -> float:
@@ -157,7 +160,7 @@ def _share_above(x: Array, S: Array, beyond: float) -> float:
 
 
 def _share_of_size(term: EffectTerm, spread: float) -> float:
-    size = 1.0 if term.limits else float(np.linalg.norm(term.theta[: term.sizes]))
+    size = 1.0 if term.limits else float(np.linalg.norm(term.theta[: term.size_count]))
     return spread / size if size > 0.0 else 0.0
 
 
@@ -174,20 +177,20 @@ def _rivals_of(fit: WholeFit, k: int) -> tuple[float, tuple[tuple[EffectTerm, ..
     """What the best set loses without an effect and its equals [nats], and these: terms with the same column, and what
     takes its place where T is below 9, as often as something else does. Sets of many terms are not listed.
     """
-    problem, present, terms = fit.best.problem, fit.best.present, fit.best.terms
+    problem, present, terms = fit.best.problem, fit.best.present_terms, fit.best.current_terms
     equals: list[tuple[EffectTerm, ...]] = [(terms[out],) for kept, out in fit.twins if kept == k]
     allowed = np.ones(len(terms), dtype=bool)
     allowed[[k, *(out for _, out in fit.twins)]] = False
     rival, gain = fit.rivals.get(k), 0.0
-    at = problem.misfit(problem.estimate(present)[0])
+    at = problem.misfit_nats(problem.estimate(present)[0])
     for _ in range(SHARING_MOST):
         if rival is not None:
-            gain, entered = fit.best.score - rival.score, rival.present & ~present
+            gain, entered = fit.best.score - rival.score, rival.present_terms & ~present
             distance = 2.0 * (_weighted_cost(rival, fit) - _weighted_cost(fit.best, fit))
         else:
             members = best_set(problem, present & allowed, allowed)
             gain, entered = problem.score(present) - problem.score(members), members & ~present
-            distance = 2.0 * (problem.misfit(problem.estimate(members)[0]) - at)
+            distance = 2.0 * (problem.misfit_nats(problem.estimate(members)[0]) - at)
         if distance >= EQUAL_T or not entered.any():
             break
         if entered.sum() <= SHARING_MOST:
@@ -198,7 +201,7 @@ def _rivals_of(fit: WholeFit, k: int) -> tuple[float, tuple[tuple[EffectTerm, ..
 
 def _with_everything(fit: WholeFit) -> tuple[Array, Array]:
     """The numbers (k,) and their covariance (k, k) with every effect that has a slope in the model, under its prior."""
-    members = np.array([term.present or term.smooth for term in fit.best.terms])
+    members = np.array([term.present or term.is_smooth for term in fit.best.current_terms])
     members[[out for _, out in fit.twins]] = False
     return fit.best.problem.estimate(members)
 
@@ -214,15 +217,15 @@ def _significance_among_others(
            it most, of those that are not clear by themselves, until it is clear that one of them is there.
     """
     x, S = everything
-    first, terms = fit.best.lin.first, fit.best.terms
-    own = np.arange(first[k], first[k] + min(terms[k].sizes, first[k + 1] - first[k]))
+    first, terms = fit.best.lin.first, fit.best.current_terms
+    own = np.arange(first[k], first[k] + min(terms[k].size_count, first[k + 1] - first[k]))
 
     def distance(cols: NDArray[np.int64]) -> float:
         cols = cols[np.diag(S)[cols] > 0.0]
         return float(x[cols] @ np.linalg.solve(S[np.ix_(cols, cols)], x[cols])) if len(cols) else 0.0
 
     T = distance(own)
-    if terms[k].limits or not terms[k].smooth:
+    if terms[k].limits or not terms[k].is_smooth:
         return float(np.sqrt(T)), (), None
     half = QUANTILE_95 * np.sqrt(np.diag(S)[own])
     clear = x[own] ** 2 >= EQUAL_T * np.diag(S)[own]
@@ -231,7 +234,7 @@ def _significance_among_others(
     if T >= EQUAL_T:
         return float(np.sqrt(T)), (), None if clear.all() else wide
     columns = [np.arange(first[t], first[t + 1]) for t in range(len(terms))]
-    open_terms = [t for t, term in enumerate(terms) if t != k and term.smooth and distance(columns[t]) < EQUAL_T]
+    open_terms = [t for t, term in enumerate(terms) if t != k and term.is_smooth and distance(columns[t]) < EQUAL_T]
     sharing: list[int] = []
     others = np.zeros(0, dtype=np.int64)
     for _ in range(SHARING_MOST):
@@ -251,8 +254,10 @@ def _with_sharing(
     fit: WholeFit, equals: tuple[tuple[EffectTerm, ...], ...], sharing: tuple[int, ...]
 ) -> tuple[tuple[EffectTerm, ...], ...]:
     """Equals, and each term that shares the evidence of an effect; each set of names and joints is listed once."""
-    sets = (*equals, *((fit.best.terms[t],) for t in sharing))
-    return tuple({tuple(term.effect.key for term in members): members for members in reversed(sets)}.values())[::-1]
+    sets = (*equals, *((fit.best.current_terms[t],) for t in sharing))
+    return tuple(
+        {tuple(term.effect.effect_and_joint for term in members): members for members in reversed(sets)}.values()
+    )[::-1]
 
 
 def _weighted_cost(one: Fitted, fit: WholeFit) -> float:
@@ -303,11 +308,11 @@ def groupings_of(cell: Cell) -> list[NDArray[np.int64]]:
     """
     out, start = [cell.rows.fold], 0
     for part in cell.parts or (cell,):
-        own = slice(start, start + part.rows.count)
-        start += part.rows.count
+        own = slice(start, start + part.rows.row_count)
+        start += part.rows.row_count
         for values, cuts in ((part.t_s, QUARTERS), *((values, HALVES) for _, values in part.regressors)):
-            group = np.zeros(cell.rows.count, dtype=np.int64)
-            if len(values) == part.rows.count:
+            group = np.zeros(cell.rows.row_count, dtype=np.int64)
+            if len(values) == part.rows.row_count:
                 group[own] = 1 + np.searchsorted(np.quantile(values, cuts), values)
             out.append(group)
     return [group for group in out if len(np.unique(group)) > 1]
@@ -316,11 +321,11 @@ def groupings_of(cell: Cell) -> list[NDArray[np.int64]]:
 def smallest_detectable(fit: WholeFit) -> dict[int, float]:
     """By absent term, the smallest size that this recording would have shown: found nine times of ten at 2 % alarms."""
     H, best = fit.best.problem.H, fit.best
-    cols = np.nonzero(np.repeat(best.present, np.diff(best.lin.first)))[0]
+    cols = np.nonzero(np.repeat(best.present_terms, np.diff(best.lin.first)))[0]
     inside = H[np.ix_(cols, cols)] + np.diag(best.problem.slab[cols] ** -2.0)
     inverse = np.linalg.inv(inside) if len(cols) else np.zeros((0, 0))
     out = {}
-    for k, term in enumerate(best.terms):
+    for k, term in enumerate(best.current_terms):
         if term.present or term.limits:
             continue
         first = int(best.lin.first[k])

@@ -39,7 +39,7 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
     if not isinstance(replay, Replay):
         return None
     quiet = quiet_loop(cell)
-    residual = (lambda sets: evaluated_at(cell, sets)) if quiet is None else quiet.residual(about)
+    residual = (lambda sets: evaluated_at(cell, sets)) if quiet is None else quiet.residual_about(about)
     left, dof = unexplained_by_mixtures(residual, at, cell.candidates)
     runs = [_centred_residual_runs(cell, left, channel) for channel in range(len(replay.joints))]
     if not all(runs):
@@ -47,13 +47,13 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
     found = [fit_whitener(own) for own in runs]
     a = np.zeros((ORDER_MAX, len(found)))
     for j, whitener in enumerate(found):
-        a[: whitener.order, j] = whitener.a[:, 0]
+        a[: whitener.lag_count, j] = whitener.a[:, 0]
     unit = replay.whitener.sigma * np.sqrt(len(left) / dof)
     noise_rms = unit * np.array([np.sqrt(np.mean(np.concatenate(own) ** 2)) for own in runs])
     moved = np.concatenate([block_increments(part.measured, part.stretch.dt_s) for part in replay.parts])
     if (noise_rms > SHARE_MAX * np.sqrt(np.mean(moved**2, axis=0))).any():
         return None
-    order = max(whitener.order for whitener in found)
+    order = max(whitener.lag_count for whitener in found)
     return Whitener(a[:order], unit * np.array([float(whitener.sigma[0]) for whitener in found]))
 
 

@@ -55,7 +55,7 @@ def held_out(cell: Cell, found: Fit) -> HeldOut:
         there = np.concatenate([there, np.tile(found.residual, (1, len(worse), 1))])
         best = np.argmin((soft_l1_costs(there) * kept[worse]).sum(axis=2), axis=0), np.arange(len(worse))
         thetas[worse], residuals[worse] = damped[best], there[best]
-    after = residuals[np.searchsorted(folds, cell.rows.fold), np.arange(cell.rows.count)]
+    after = residuals[np.searchsorted(folds, cell.rows.fold), np.arange(cell.rows.row_count)]
     return HeldOut(cell, found, folds, thetas, before, after)
 
 

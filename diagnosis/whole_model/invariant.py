@@ -14,7 +14,7 @@ def most_invariant(fit: WholeFit) -> WholeFit:
 
     Source: invariance as a sign of a cause: Peters, Buehlmann, Meinshausen 2016.
     """
-    for _ in range(int(fit.best.present.sum()) if fit.cell.usual is not None else 0):
+    for _ in range(int(fit.best.present_terms.sum()) if fit.cell.usual is not None else 0):
         doubtful = [found for found in evidence_of(fit) if probability(found) < LIKELY]
         tried = [refit_with_exchanged_term(fit, found.term, equal) for found in doubtful for equal in found.equals]
         likely = [other for other in tried if _least_new_probability(other, fit) >= LIKELY]
@@ -26,6 +26,6 @@ def most_invariant(fit: WholeFit) -> WholeFit:
 
 def _least_new_probability(other: WholeFit, fit: WholeFit) -> float:
     """The least probability of the effects that are new in another fit."""
-    known = {term.effect.variant for term in fit.best.terms if term.present}
-    new = [probability(found) for found in evidence_of(other) if found.term.effect.variant not in known]
+    known = {term.effect.without_variant for term in fit.best.current_terms if term.present}
+    new = [probability(found) for found in evidence_of(other) if found.term.effect.without_variant not in known]
     return min(new, default=0.0)

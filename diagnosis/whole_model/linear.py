@@ -36,7 +36,7 @@ class EffectTerm:
     present: bool
 
     @property
-    def smooth(self) -> bool:
+    def is_smooth(self) -> bool:
         """Whether its size has a slope at absence and nothing else has to be known of it."""
         sizes = {slot.parameter for slot in self.effect.slots}
         slot = self.effect.slots[0]
@@ -48,17 +48,17 @@ class EffectTerm:
         )
 
     @property
-    def absent(self) -> float:
+    def absent_size(self) -> float:
         """The size at which the effect vanishes."""
         return float(self.effect.slots[0].neutral)
 
     @property
     def limits(self) -> bool:
         """Whether it is a limit (neutral 1 or infinite): its column is the whole change, its number the share of it."""
-        return self.absent != 0.0
+        return self.absent_size != 0.0
 
     @property
-    def sizes(self) -> int:
+    def size_count(self) -> int:
         """How many of its numbers are sizes; the others are shapes."""
         first = self.effect.slots[0].parameter
         return sum(slot.parameter == first for slot in self.effect.slots)
@@ -80,7 +80,7 @@ class LinearModel:
     weight: Array
     log_odds: Array
 
-    def twins(self) -> tuple[tuple[int, int], ...]:
+    def twin_pairs(self) -> tuple[tuple[int, int], ...]:
         """Pairs of terms of one column whose columns are the same to rounding: the one kept, and the one it stands for.
 
         Why: two numbers that do the same would be played against each other to imitate the model's curvature.
@@ -98,7 +98,7 @@ class LinearModel:
                 out.append((int(single[max(better, key=lambda j: (odds[j], -j))]), int(single[i])))
         return tuple(out)
 
-    def problem(self, trust: Array) -> LinearProblem:
+    def choice_problem(self, trust: Array) -> LinearProblem:
         """The choice among its terms. `trust`: (N,), at most 1, how far each row speaks for itself."""
         w = np.sqrt(self.weight * trust)
         white = self.J * w[:, None]
@@ -106,10 +106,10 @@ class LinearModel:
         c = H @ self.x - white.T @ (w * self.residual)
         shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
         nonnegative = np.concatenate([np.zeros(0, dtype=bool), *(_nonnegative_columns(term) for term in shown)])
-        return LinearProblem(H, c, self.slab, self.first, nonnegative, self.log_odds)
+        return LinearProblem(H, c, self.prior_deviations, self.first, nonnegative, self.log_odds)
 
     @property
-    def slab(self) -> Array:
+    def prior_deviations(self) -> Array:
         """Prior deviations of the columns' numbers (k,)."""
         shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
         return np.concatenate([np.zeros(0), *(_prior_deviations(term) for term in shown)])
@@ -118,13 +118,13 @@ class LinearModel:
         """Columns of one term (N, its columns)."""
         return self.J[:, self.first[k] : self.first[k + 1]]
 
-    def at(self, terms: tuple[EffectTerm, ...], residual: Array) -> "LinearModel":
+    def relinearised_at(self, terms: tuple[EffectTerm, ...], residual: Array) -> "LinearModel":
         """The same columns, where present terms have other numbers that leave another residual, for a further step."""
         x = np.concatenate([_parameter_offsets(term, True) for term in terms])
         return replace(self, terms=terms, residual=residual, x=x, weight=soft_l1_weights(residual))
 
     @property
-    def present(self) -> Members:
+    def present_terms(self) -> Members:
         """Terms that are present (terms,)."""
         return np.array([term.present for term in self.terms], dtype=bool)
 
@@ -143,7 +143,7 @@ def linearise_terms(cell: Cell, terms: Sequence[EffectTerm], to_move: bool = Fal
     base = pack_terms(cell, terms)
     residual = evaluated_at(cell, base)[0]
     tangents = _tangent_columns(cell, terms, residual, to_move)
-    smooth = [k for k, term in enumerate(terms) if absent and not term.present and term.smooth]
+    smooth = [k for k, term in enumerate(terms) if absent and not term.present and term.is_smooth]
     steps = [(k, row) for k in smooth for row in np.diag(_difference_steps(terms[k]))]
     moved = _residuals_with_effect(cell, base, [(terms[k].effect, row) for k, row in steps])
     columns: dict[int, list[Array]] = {k: [] for k in range(len(terms))}
@@ -155,13 +155,13 @@ def linearise_terms(cell: Cell, terms: Sequence[EffectTerm], to_move: bool = Fal
         .T
     )
     w = np.sqrt(soft_l1_weights(residual))
-    scanned = absent and any(not term.present and not term.smooth for term in terms)
+    scanned = absent and any(not term.present and not term.is_smooth for term in terms)
     Q = np.linalg.qr(known * w[:, None])[0] if scanned and known.size else np.zeros((len(residual), 0))
     out = list(terms)
     for k, term in enumerate(terms):
         if term.present:
             columns[k] = tangents[k]
-        elif absent and not term.smooth:
+        elif absent and not term.is_smooth:
             out[k], columns[k] = _best_start_and_secant(cell, base, term, residual, w, Q)
     x = [_parameter_offsets(term, to_move) if term.present else np.zeros(len(columns[k])) for k, term in enumerate(out)]
     first = np.concatenate([[0], np.cumsum([len(columns[k]) for k in range(len(out))])]).astype(np.int64)
@@ -185,10 +185,10 @@ def linear_model_from_columns(cell: Cell, terms: tuple[EffectTerm, ...], columns
 
 def _parameter_offsets(term: EffectTerm, to_move: bool) -> Array:
     """A present term's numbers in its columns: sizes as they are, shapes counted from where they stand."""
-    sizes = term.theta[: term.sizes]
+    sizes = term.theta[: term.size_count]
     if term.limits:
         sizes = np.zeros(1) if to_move else np.ones(1)
-    return np.concatenate([sizes, np.zeros(len(term.theta) - term.sizes)])
+    return np.concatenate([sizes, np.zeros(len(term.theta) - term.size_count)])
 
 
 def _tangent_columns(cell: Cell, terms: Sequence[EffectTerm], residual: Array, to_move: bool) -> dict[int, list[Array]]:
@@ -205,9 +205,9 @@ def _tangent_columns(cell: Cell, terms: Sequence[EffectTerm], residual: Array, t
         term = terms[k]
         for s in range(len(term.theta)):
             row = theta.copy()
-            far = abs(term.theta[s] - term.absent) > abs(step[at + s])
-            if s < term.sizes and not term.smooth and far and not to_move:
-                row[at + s] = term.absent
+            far = abs(term.theta[s] - term.absent_size) > abs(step[at + s])
+            if s < term.size_count and not term.is_smooth and far and not to_move:
+                row[at + s] = term.absent_size
             else:
                 row[at + s] += step[at + s]
             moves.append((k, at + s, row))
@@ -243,8 +243,8 @@ def _best_start_and_secant(
 
 def _start_values(term: EffectTerm) -> Array:
     """Where an absent term may be (m, slots); one size alone where the change is in proportion to it."""
-    starts = term.effect.starts()
-    starts = starts[starts[:, 0] != term.absent]
+    starts = term.effect.scan_points()
+    starts = starts[starts[:, 0] != term.absent_size]
     if term.limits or effect_of(term.effect.name).threshold or not len(starts):
         return starts
     sizes = np.unique(starts[:, 0])
@@ -256,7 +256,7 @@ def _residuals_with_effect(cell: Cell, base: ParameterSets, moves: Sequence[tupl
     out: list[Array] = []
     for k in range(0, len(moves), SCANNED_AT_ONCE):
         part = moves[k : k + SCANNED_AT_ONCE]
-        sets = base.repeated(len(part))
+        sets = base.repeated_sets(len(part))
         for row, (effect, theta) in enumerate(part):
             one = parameter_sets_with(base, (effect,), theta)
             sets.joint[row], sets.machine[row] = one.joint[0], one.machine[0]
@@ -266,7 +266,7 @@ def _residuals_with_effect(cell: Cell, base: ParameterSets, moves: Sequence[tupl
 
 def _in_parts(cell: Cell, sets: ParameterSets) -> list[Array]:
     out: list[Array] = []
-    for k in range(0, sets.sets, SCANNED_AT_ONCE):
+    for k in range(0, sets.set_count, SCANNED_AT_ONCE):
         own = slice(k, k + SCANNED_AT_ONCE)
         out.extend(evaluated_at(cell, ParameterSets(sets.joint[own].copy(), sets.machine[own].copy())))
     return out
@@ -280,22 +280,22 @@ def _difference_steps(term: EffectTerm) -> Array:
 
 def _prior_deviations(term: EffectTerm) -> Array:
     """(columns,) prior deviations: sizes by the catalogue, shapes of a present term by their range."""
-    slots = term.effect.slots if term.present else term.effect.slots[: term.sizes]
+    slots = term.effect.slots if term.present else term.effect.slots[: term.size_count]
     out = []
     for k, slot in enumerate(slots):
         if term.limits and k == 0:
             out.append(1.0)
             continue
-        scale = slot.spec.prior.scale * slot.scale if k < term.sizes else 0.0
+        scale = slot.spec.prior.scale * slot.scale if k < term.size_count else 0.0
         span = slot.high - slot.low
         out.append(SLAB * scale if scale > 0.0 else (span if np.isfinite(span) else max(abs(slot.start), 1e-9)))
     return np.array(out)
 
 
 def _nonnegative_columns(term: EffectTerm) -> Members:
-    columns = len(term.theta) if term.present else term.sizes
+    columns = len(term.theta) if term.present else term.size_count
     first = term.limits or term.effect.slots[0].low >= 0.0
-    return np.array([first and k < term.sizes for k in range(columns)], dtype=bool)
+    return np.array([first and k < term.size_count for k in range(columns)], dtype=bool)
 
 
 def log_odds_of(cell: Cell, term: EffectTerm) -> float:

@@ -61,11 +61,11 @@ def fit_machine(whole: Read, work: WorkProgress | None = None, left_out: tuple[s
 
 def _solve_cells(cells: list[Cell], work: WorkProgress) -> list[WholeFit]:
     out = []
-    work.stage(cells)
+    work.begin_cells(cells)
     for cell in cells:
         work.begin(f"fitting {cell.label}")
         out.append(most_invariant(_in_other_form(_solved_by_its_noise(cell, work))))
-        work.end()
+        work.end_cell()
     return out
 
 
@@ -75,11 +75,11 @@ def _solved_by_its_noise(cell: Cell, work: WorkProgress) -> WholeFit:
     if cell.at_noise is None or noise is None:
         return fit_and_prune(cell, library_of(cell))
     found = fit_and_prune(by_noise_of(cell, cell.at_noise(noise)), library_of(cell))
-    again = noise_about(cell, fit_of(found.best.terms, found.best.lin))
+    again = noise_about(cell, fit_of(found.best.current_terms, found.best.lin))
     if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
         return found
-    work.again()
-    return fit_and_prune(by_noise_of(cell, cell.at_noise(again)), (), found.best.terms)
+    work.repeat_cell()
+    return fit_and_prune(by_noise_of(cell, cell.at_noise(again)), (), found.best.current_terms)
 
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
@@ -94,17 +94,24 @@ def _in_other_form(found: WholeFit) -> WholeFit:
     A dead band that keeps the full flow is the same as one that loses flow, together with a gain. So it takes the place
     of both, and of none where a gain stays.
     """
-    forms = {effect.key: effect for effect in found.cell.candidates if OTHER_FORMS.get(effect.name) == effect.option}
-    for k, term in enumerate(found.best.terms):
-        form = forms.get(term.effect.key)
+    forms = {
+        effect.effect_and_joint: effect
+        for effect in found.cell.candidates
+        if OTHER_FORMS.get(effect.name) == effect.option
+    }
+    for k, term in enumerate(found.best.current_terms):
+        form = forms.get(term.effect.effect_and_joint)
         if not term.present or form is None or form == term.effect:
             continue
         gain = (GAIN, term.effect.joint) if term.effect.name == DEADBAND else None
-        if gain is not None and not _has_present_term(found.best.terms, gain):
+        if gain is not None and not _has_present_term(found.best.current_terms, gain):
             continue
-        others = tuple(replace(other, present=other.present and other.effect.key != gain) for other in found.best.terms)
+        others = tuple(
+            replace(other, present=other.present and other.effect.effect_and_joint != gain)
+            for other in found.best.current_terms
+        )
         tried = fit_and_prune(found.cell, (), (*others[:k], replace(others[k], effect=form), *others[k + 1 :]))
-        if gain is not None and _has_present_term(tried.best.terms, gain):
+        if gain is not None and _has_present_term(tried.best.current_terms, gain):
             continue
         if score_at(tried.best.lin, found.trust) > score_at(found.best.lin, found.trust):
             found = tried
@@ -112,13 +119,13 @@ def _in_other_form(found: WholeFit) -> WholeFit:
 
 
 def _has_present_term(terms: tuple[EffectTerm, ...], key: tuple[str, int | None]) -> bool:
-    return any(term.present and term.effect.key == key for term in terms)
+    return any(term.present and term.effect.effect_and_joint == key for term in terms)
 
 
 def with_found(base: ParameterSets, fits: list[WholeFit], names: tuple[str, ...] | None = None) -> ParameterSets:
     """A parameter set with the effects found, or with those of these names."""
     for fit in fits:
-        for term in fit.best.terms:
+        for term in fit.best.current_terms:
             if term.present and (names is None or term.effect.name in names):
                 base = parameter_sets_with(base, (term.effect,), term.theta)
     return base
@@ -131,21 +138,21 @@ def _shared_flow(
     cell = coupled_cell(replayer, whole.stretches, *known)
     if cell is None or len(own) != len(replayer.plant.joints):
         return own
-    apart = tuple(term for fit in own for term in fit.best.terms if term.present)
-    terms = (*apart, *(EffectTerm(effect, effect.starts()[0], False) for effect in cell.candidates))
+    apart = tuple(term for fit in own for term in fit.best.current_terms if term.present)
+    terms = (*apart, *(EffectTerm(effect, effect.scan_points()[0], False) for effect in cell.candidates))
     lin = linearise_terms(cell, terms)
-    best = best_set(lin.problem(trusted_rows(cell, apart)), lin.present, np.ones(len(terms), dtype=bool))
+    best = best_set(lin.choice_problem(trusted_rows(cell, apart)), lin.present_terms, np.ones(len(terms), dtype=bool))
     if not best[len(apart) :].any():
         return own
     together = fit_and_prune(cell, (), terms)
-    if not any(term.present and term.effect.name == DROOP for term in together.best.terms):
+    if not any(term.present and term.effect.name == DROOP for term in together.best.current_terms):
         return own
-    everything = tuple(term for fit in own for term in fit.best.terms)
-    return [fit_and_prune(replace(cell, candidates=()), (), _with_states(everything, together.best.terms))]
+    everything = tuple(term for fit in own for term in fit.best.current_terms)
+    return [fit_and_prune(replace(cell, candidates=()), (), _with_states(everything, together.best.current_terms))]
 
 
 def _with_states(terms: tuple[EffectTerm, ...], known: tuple[EffectTerm, ...]) -> tuple[EffectTerm, ...]:
     """Terms as another fit found them, where it has them; with what it has besides."""
-    by_variant = {term.effect.variant: term for term in known}
-    mine = tuple(by_variant.pop(term.effect.variant, term) for term in terms)
+    by_variant = {term.effect.without_variant: term for term in known}
+    mine = tuple(by_variant.pop(term.effect.without_variant, term) for term in terms)
     return (*mine, *by_variant.values())

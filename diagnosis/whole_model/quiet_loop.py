@@ -58,12 +58,12 @@ class QuietLoop:
             power += float((part.drive.u**2).sum())
         return off <= OBEYS**2 * power
 
-    def residual(self, about: Fit) -> Callable[[ParameterSets], Array]:
+    def residual_about(self, about: Fit) -> Callable[[ParameterSets], Array]:
         """The residual (sets, N) about a fit, where further effects see commands without the disturbance."""
-        left, beyond = evaluated_at(self.cell, self._parameters_of_fit(about))[0], self.driven(about)
+        left, beyond = evaluated_at(self.cell, self._parameters_of_fit(about))[0], self.driven_replay(about)
         return lambda sets: left + beyond(sets)
 
-    def driven(self, about: Fit) -> Replay:
+    def driven_replay(self, about: Fit) -> Replay:
         """The replay by commands of a loop as a fit says, which leaves nothing by that fit."""
         return self._simulated_replay(about, about)
 

@@ -63,7 +63,7 @@ def _best_gauss_newton_step(
     """The best of some shares of a Gauss-Newton step, with its total; None where none of them helps."""
     own = lin.terms
     now = np.concatenate([term.theta for term in own])
-    x = lin.problem(trust).estimate(np.ones(len(own), dtype=bool))[0]
+    x = lin.choice_problem(trust).estimate(np.ones(len(own), dtype=bool))[0]
     ends = np.cumsum([len(term.theta) for term in own])[:-1]
     moved = np.split(now + x - lin.x, ends)
     target = np.concatenate([bounded(term, theta) for term, theta in zip(own, moved, strict=True)])
@@ -71,7 +71,7 @@ def _best_gauss_newton_step(
     tried = []
     for row, left in zip(trials, evaluated_at(cell, pack_terms(cell, own, trials)), strict=True):
         there = tuple(replace(term, theta=theta) for term, theta in zip(own, np.split(row, ends), strict=True))
-        one = lin.at(there, left)
+        one = lin.relinearised_at(there, left)
         tried.append((_total_cost(one, trust), one))
     best, at = min(tried, key=lambda pair: pair[0])
     return (at, best) if best < total else None
@@ -84,9 +84,9 @@ def _at_whole_cycles(cell: Cell, lin: LinearModel, trust: Array) -> LinearModel:
     for k, term in enumerate(lin.terms):
         if term.effect.cycles is not None:
             run = alike_delays(cell, lin, k, trust)
-            theta = run[0] if run[0, 0] == term.absent else run[len(run) // 2]
+            theta = run[0] if run[0, 0] == term.absent_size else run[len(run) // 2]
             terms = tuple(other if j != k else replace(term, theta=theta) for j, other in enumerate(lin.terms))
-            lin = lin.at(terms, evaluated_at(cell, pack_terms(cell, terms))[0])
+            lin = lin.relinearised_at(terms, evaluated_at(cell, pack_terms(cell, terms))[0])
     return lin
 
 
@@ -98,14 +98,16 @@ def alike_delays(cell: Cell, lin: LinearModel, k: int, trust: Array) -> Array:
     """
     term = lin.terms[k]
     cycle_s = (term.effect.cycles or (0.0, 0.0))[0]
-    near = term.effect.settled(term.theta) + cycle_s * np.arange(-CYCLES, CYCLES + 1)[:, None]
+    near = term.effect.with_whole_delay(term.theta) + cycle_s * np.arange(-CYCLES, CYCLES + 1)[:, None]
     tried = np.unique([bounded(term, theta) for theta in near], axis=0)
     sets = [
         tuple(other if j != k else replace(term, theta=theta) for j, other in enumerate(lin.terms)) for theta in tried
     ]
     thetas = np.array([np.concatenate([term.theta for term in terms]) for terms in sets])
     left = evaluated_at(cell, pack_terms(cell, lin.terms, thetas))
-    totals = np.array([_total_cost(lin.at(terms, residual), trust) for terms, residual in zip(sets, left, strict=True)])
+    totals = np.array(
+        [_total_cost(lin.relinearised_at(terms, residual), trust) for terms, residual in zip(sets, left, strict=True)]
+    )
     alike, best = totals < totals.min() + NEARLY_NATS, int(np.argmin(totals))
     first = best - int(np.argmin(alike[best::-1])) + 1 if not alike[: best + 1].all() else 0
     end = best + int(np.argmin(alike[best:])) if not alike[best:].all() else len(tried)
@@ -114,7 +116,7 @@ def alike_delays(cell: Cell, lin: LinearModel, k: int, trust: Array) -> Array:
 
 def _total_cost(lin: LinearModel, trust: Array) -> float:
     """Costs and priors of the terms as they stand, of columns to move by [nats]."""
-    return float((soft_l1_costs(lin.residual) * trust).sum() + 0.5 * ((lin.x / lin.slab) ** 2).sum())
+    return float((soft_l1_costs(lin.residual) * trust).sum() + 0.5 * ((lin.x / lin.prior_deviations) ** 2).sum())
 
 
 def bounded(term: EffectTerm, theta: Array) -> Array:

@@ -37,14 +37,14 @@ class Fitted:
     score: float
 
     @property
-    def terms(self) -> tuple[EffectTerm, ...]:
+    def current_terms(self) -> tuple[EffectTerm, ...]:
         """The library's terms as they stand."""
         return self.lin.terms
 
     @property
-    def present(self) -> Members:
+    def present_terms(self) -> Members:
         """Which terms are present (terms,)."""
-        return self.lin.present
+        return self.lin.present_terms
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,21 +83,21 @@ def fit_and_prune(cell: Cell, library: tuple[Candidate, ...], start: tuple[Effec
     settled, rivals = False, dict[int, Fitted | None]()
     for _ in range(ROUNDS):
         problem = fitted.problem
-        best = best_set(problem, fitted.present, own)
-        if not (best == fitted.present).all():
+        best = best_set(problem, fitted.present_terms, own)
+        if not (best == fitted.present_terms).all():
             fitted, trust, changed = _accept_if_better(cell, fitted, trust, fitted.lin, best)
             if changed:
                 continue
         columns = _tangent_columns(cell, fitted)
         rivals = {
             int(k): _refit_without_term(cell, fitted, int(k), own, trust, columns)
-            for k in np.nonzero(fitted.present)[0]
+            for k in np.nonzero(fitted.present_terms)[0]
         }
         better = max((rival for rival in rivals.values() if rival is not None), key=lambda one: one.score, default=None)
         if better is None or better.score <= fitted.score + SETTLED_NATS:
             settled = True
             break
-        fitted = _linearised_fit(cell, better.terms, trust)
+        fitted = _linearised_fit(cell, better.current_terms, trust)
     return WholeFit(cell, fitted, trust, rivals, twins, settled)
 
 
@@ -108,14 +108,14 @@ def _grow_from_empty_set(cell: Cell, fitted: Fitted, trust: Array, own: Members)
     changes are expected, and the whole model may settle on several small ones in place of one with a narrow optimum:
     then effects enter one at a time, each refitted before the next.
     """
-    terms = tuple(replace(term, present=False) for term in fitted.terms)
+    terms = tuple(replace(term, present=False) for term in fitted.current_terms)
     own_trust = trusted_rows(cell, terms)
     grown = _linearised_fit(cell, terms, own_trust)
     if cell.usual is None:
-        even = grown.lin.problem(np.ones(cell.rows.count))
-        return _accept_if_better(cell, fitted, trust, grown.lin, best_set(even, grown.present, own))[:2]
+        even = grown.lin.choice_problem(np.ones(cell.rows.row_count))
+        return _accept_if_better(cell, fitted, trust, grown.lin, best_set(even, grown.present_terms, own))[:2]
     for _ in range(int(own.sum())):
-        members = best_addition(grown.problem, grown.present, own)
+        members = best_addition(grown.problem, grown.present_terms, own)
         if members is None:
             break
         grown, own_trust, better = _accept_if_better(cell, grown, own_trust, grown.lin, members)
@@ -128,7 +128,7 @@ def _accept_if_better(
     cell: Cell, fitted: Fitted, trust: Array, lin: LinearModel, members: Members
 ) -> tuple[Fitted, Array, bool]:
     """The fit of another set, from columns `lin`, with its trust, where it is better by that; else the one at hand."""
-    terms = refine_present_terms(cell, _terms_of_chosen_set(lin, lin.problem(trust), members), trust)
+    terms = refine_present_terms(cell, _terms_of_chosen_set(lin, lin.choice_problem(trust), members), trust)
     own_trust = trusted_rows(cell, terms)
     tried = _linearised_fit(cell, terms, own_trust)
     better = tried.score > score_at(fitted.lin, own_trust)
@@ -142,16 +142,16 @@ def _fit_by_graduated_noise(cell: Cell, terms: tuple[EffectTerm, ...], own: Memb
            priors hold what the data cannot distinguish, and no residual is an outlier just because nothing fits yet.
     Source: graduated non-convexity by the scale of the noise: Black, Rangarajan 1996, sec. 5.
     """
-    even = np.ones(cell.rows.count)
-    terms = tuple(replace(term, present=bool(term.smooth and own[k])) for k, term in enumerate(terms))
+    even = np.ones(cell.rows.row_count)
+    terms = tuple(replace(term, present=bool(term.is_smooth and own[k])) for k, term in enumerate(terms))
     left = _by_part(cell, tuple(replace(term, present=False) for term in terms))
     for k in range(ROUNDS):
         near = replace(cell, whitened=_InflatedResidual(cell.whitened, left))
         terms = refine_present_terms(near, terms, even)
         lin = linearise_terms(near, terms)
-        problem = lin.problem(even)
+        problem = lin.choice_problem(even)
         terms = refine_present_terms(
-            near, _terms_of_chosen_set(lin, problem, best_set(problem, own if k == 0 else lin.present, own)), even
+            near, _terms_of_chosen_set(lin, problem, best_set(problem, own if k == 0 else lin.present_terms, own)), even
         )
         before, left = left, _by_part(cell, terms)
         if (left > FALLS * before).all():
@@ -180,16 +180,16 @@ def _by_part(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
 
 def _equivalent_term_pairs(cell: Cell, terms: tuple[EffectTerm, ...]) -> tuple[tuple[int, int], ...]:
     """Pairs of smooth terms that do the same where both are absent: the one kept, and the one it stands for."""
-    smooth = [k for k, term in enumerate(terms) if term.smooth]
+    smooth = [k for k, term in enumerate(terms) if term.is_smooth]
     absent = tuple(replace(terms[k], theta=np.zeros_like(terms[k].theta), present=False) for k in smooth)
-    return tuple((smooth[kept], smooth[out]) for kept, out in linearise_terms(cell, absent).twins())
+    return tuple((smooth[kept], smooth[out]) for kept, out in linearise_terms(cell, absent).twin_pairs())
 
 
 def fit_of(terms: Sequence[EffectTerm], lin: LinearModel | None = None) -> Fit:
     """The present terms as a plain fit, for what compares, writes or plans by one. `lin`: about them, for J."""
     some = [term for term in terms if term.present]
     theta = np.concatenate([term.theta for term in some]) if some else np.zeros(0)
-    cols = np.repeat(lin.present, np.diff(lin.first)) if lin is not None else np.zeros(0, dtype=bool)
+    cols = np.repeat(lin.present_terms, np.diff(lin.first)) if lin is not None else np.zeros(0, dtype=bool)
     residual = np.zeros(0) if lin is None else lin.residual
     J = np.zeros((0, len(theta))) if lin is None else lin.J[:, cols]
     effects = tuple(term.effect for term in some)
@@ -199,8 +199,8 @@ def fit_of(terms: Sequence[EffectTerm], lin: LinearModel | None = None) -> Fit:
 def refit_terms(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
     """Some present terms of a fit (the same objects), fitted again as if nothing else were there."""
     kept = {id(term) for term in terms}
-    whole = all(id(term) in kept for term in fit.best.terms if term.present)
-    return tuple(term for term in (fit.best.terms if whole else _with_only(fit, terms)) if term.present)
+    whole = all(id(term) in kept for term in fit.best.current_terms if term.present)
+    return tuple(term for term in (fit.best.current_terms if whole else _with_only(fit, terms)) if term.present)
 
 
 def refit_reduced(fit: WholeFit, terms: Sequence[EffectTerm]) -> WholeFit:
@@ -211,7 +211,7 @@ def refit_reduced(fit: WholeFit, terms: Sequence[EffectTerm]) -> WholeFit:
 def refit_with_exchanged_term(fit: WholeFit, term: EffectTerm, others: Sequence[EffectTerm]) -> WholeFit:
     """A fit with other terms of its library in the place of a present one, fitted again."""
     entering = {id(other) for other in others}
-    members = np.array([(mine.present and mine is not term) or id(mine) in entering for mine in fit.best.terms])
+    members = np.array([(mine.present and mine is not term) or id(mine) in entering for mine in fit.best.current_terms])
     chosen = _terms_of_chosen_set(fit.best.lin, fit.best.problem, members)
     return _standing_at(fit, refine_present_terms(fit.cell, chosen, fit.trust))
 
@@ -223,18 +223,18 @@ def _standing_at(fit: WholeFit, terms: tuple[EffectTerm, ...]) -> WholeFit:
 
 def _with_only(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
     kept = {id(term) for term in terms}
-    some = tuple(replace(term, present=id(term) in kept) for term in fit.best.terms)
+    some = tuple(replace(term, present=id(term) in kept) for term in fit.best.current_terms)
     return refine_present_terms(fit.cell, some, fit.trust)
 
 
 def _linearised_fit(cell: Cell, terms: tuple[EffectTerm, ...], trust: Array, absent: bool = True) -> Fitted:
     lin = linearise_terms(cell, terms, absent=absent)
-    return Fitted(lin, lin.problem(trust), score_at(lin, trust))
+    return Fitted(lin, lin.choice_problem(trust), score_at(lin, trust))
 
 
 def score_at(lin: LinearModel, trust: Array) -> float:
     """Log posterior of the present set where it stands: Laplace, with the costs as they are [nats]."""
-    problem, members = lin.problem(trust), lin.present
+    problem, members = lin.choice_problem(trust), lin.present_terms
     cols = np.repeat(members, np.diff(lin.first))
     x, slab = lin.x[cols], problem.slab[cols]
     A = np.eye(len(x)) + slab[:, None] * problem.H[np.ix_(cols, cols)] * slab
@@ -250,8 +250,8 @@ def _refit_without_term(
     `columns`: tangents of the best set's terms; those that enter have theirs in its linear model.
     """
     problem = fitted.problem
-    members = best_set_without(problem, fitted.present, term, own)
-    if problem.score(fitted.present) - problem.score(members) > CLEAR_NATS:
+    members = best_set_without(problem, fitted.present_terms, term, own)
+    if problem.score(fitted.present_terms) - problem.score(members) > CLEAR_NATS:
         return None
     chosen = _terms_of_chosen_set(fitted.lin, problem, members)
     entering = {
@@ -263,8 +263,8 @@ def _refit_without_term(
 
 
 def _tangent_columns(cell: Cell, fitted: Fitted) -> dict[int, Array]:
-    some = [k for k, term in enumerate(fitted.terms) if term.present]
-    lin = linearise_terms(cell, tuple(fitted.terms[k] for k in some), to_move=True)
+    some = [k for k, term in enumerate(fitted.current_terms) if term.present]
+    lin = linearise_terms(cell, tuple(fitted.current_terms[k] for k in some), to_move=True)
     return {k: lin.columns(at) for at, k in enumerate(some)}
 
 
@@ -277,8 +277,8 @@ def _terms_of_chosen_set(lin: LinearModel, problem: LinearProblem, members: Memb
     for k, term in enumerate(lin.terms):
         theta = term.theta.copy()
         scanned = term.limits or term.effect.has_narrow_minimum
-        if members[k] and not scanned and (term.smooth or not term.present):
-            theta[: term.sizes] = x[lin.first[k] : lin.first[k] + term.sizes]
+        if members[k] and not scanned and (term.is_smooth or not term.present):
+            theta[: term.size_count] = x[lin.first[k] : lin.first[k] + term.size_count]
         out.append(EffectTerm(term.effect, bounded(term, theta), bool(members[k])))
     return tuple(out)
 
@@ -293,9 +293,9 @@ def trusted_rows(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
     lin = linearise_terms(cell, tuple(term for term in terms if term.present))
     out, start = np.ones(len(lin.residual)), 0
     for part in cell.parts or (cell,):
-        own = slice(start, start + part.rows.count)
-        start += part.rows.count
-        out[own] = _magnitude_adjustment(lin.J[own], lin.residual[own], part.rows.together)
+        own = slice(start, start + part.rows.row_count)
+        start += part.rows.row_count
+        out[own] = _magnitude_adjustment(lin.J[own], lin.residual[own], part.rows.dependent_rows)
     return out
 
 

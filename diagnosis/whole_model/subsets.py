@@ -34,7 +34,7 @@ class LinearProblem:
     log_odds: Array
 
     @property
-    def terms(self) -> int:
+    def term_count(self) -> int:
         """Number of terms."""
         return len(self.log_odds)
 
@@ -52,7 +52,7 @@ class LinearProblem:
         S[own] = np.linalg.inv(self.H[own] + np.diag(self.slab[kept] ** -2.0))
         return out, S
 
-    def misfit(self, x: Array) -> float:
+    def misfit_nats(self, x: Array) -> float:
         """1/2 |J x - y|^2 - 1/2 |y|^2 [nats]."""
         return float(0.5 * x @ self.H @ x - self.c @ x)
 
@@ -72,7 +72,7 @@ def best_set_without(problem: LinearProblem, members: Members, term: int, allowe
 
 def best_addition(problem: LinearProblem, members: Members, allowed: Members) -> Members | None:
     """A set with the one allowed term more that raises its score most; None where none raises it."""
-    larger = [members | term for term in np.eye(problem.terms, dtype=bool)[allowed]]
+    larger = [members | term for term in np.eye(problem.term_count, dtype=bool)[allowed]]
     best = max(larger, key=problem.score, default=members)
     return best if problem.score(best) > problem.score(members) else None
 

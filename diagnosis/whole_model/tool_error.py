@@ -49,7 +49,7 @@ class ToolError:
     left: Array | None = None
 
     @property
-    def total(self) -> Array:
+    def total_error(self) -> Array:
         """What all effects do together (m, 3) [m]."""
         return np.asarray(self.by_effect.sum(axis=0), dtype=float)
 
@@ -61,7 +61,7 @@ class ToolError:
     @property
     def squares_m2(self) -> Array:
         """Shapley values of the mean squared displacement (effects,) [m^2]; they add up to that of all."""
-        return np.asarray((self.by_effect * self.total).sum(axis=2).mean(axis=1), dtype=float)
+        return np.asarray((self.by_effect * self.total_error).sum(axis=2).mean(axis=1), dtype=float)
 
 
 def tool_errors(
@@ -109,7 +109,7 @@ def tool_position_error(whole: Read, terms: tuple[EffectTerm, ...]) -> ToolError
     here = tool(base, 0)
 
     def tools(sets: ParameterSets) -> list[Array]:
-        there = [tool(sets, k) for k in range(sets.sets)]
+        there = [tool(sets, k) for k in range(sets.set_count)]
         return there if surveyed else [transform_points(rigid_fit(points, here), points) for points in there]
 
     return ToolError("stands", own, split_among_effects(base, own, tools))
@@ -131,7 +131,9 @@ def gets_there(whole: Read, terms: tuple[EffectTerm, ...], kept: Sequence[Effect
 
     def tool(sets: ParameterSets) -> list[Array]:
         rows = [simulate(plant, sets, drive, DynamicStage.ACTUATOR).enc[:, ::step] for plant, drive, _ in runs]
-        return [tcp_poses(arm, plain, np.concatenate([row[k] for row in rows]))[:, :3, 3] for k in range(sets.sets)]
+        return [
+            tcp_poses(arm, plain, np.concatenate([row[k] for row in rows]))[:, :3, 3] for k in range(sets.set_count)
+        ]
 
     measured = tcp_poses(arm, plain, np.concatenate([encoders[::step] for _, _, encoders in runs]))[:, :3, 3]
     stays = [term for term in kept if term.effect.stage in DRIVEN_STAGES]
@@ -171,7 +173,7 @@ def camera_error(cells: Sequence[Cell], terms: tuple[EffectTerm, ...]) -> ToolEr
     inverse = np.linalg.pinv(np.nan_to_num(J))
 
     def placed(sets: ParameterSets) -> list[Array]:
-        moves = [np.nan_to_num(seen(sets, k) - here) for k in range(sets.sets)]
+        moves = [np.nan_to_num(seen(sets, k) - here) for k in range(sets.set_count)]
         return [np.einsum("mij,mj->mi", inverse, move)[:, :3] for move in moves]
 
     return ToolError("sees", own, split_among_effects(base, own, placed))
@@ -190,7 +192,7 @@ def split_among_effects(
     alone = [_parameters_with_terms(base, (term,)) for term in terms]
     others = [_parameters_with_terms(base, terms[:k] + terms[k + 1 :]) for k in range(len(terms))]
     every = [base, _parameters_with_terms(base, terms), *alone, *others]
-    sets = base.repeated(len(every))
+    sets = base.repeated_sets(len(every))
     for k, sets_of in enumerate(every):
         sets.joint[k], sets.machine[k] = sets_of.joint[0], sets_of.machine[0]
     at = tool(sets)

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 import server.api
-from longreach.lazy_commands import LazyCommand, loaded
+from longreach.lazy_commands import LazyCommand, loaded_command
 from longreach.reference.fields import code, settings, table
 from protocol.codes import FaultBit, RejectCode, reject_text
 from server.access.roles import ANYBODY, Role, roles_needed
@@ -128,7 +128,7 @@ def commands() -> str:
 
 
 def _walk_commands(path: str, command: Any) -> Iterator[tuple[str, Any]]:
-    command = loaded(command)
+    command = loaded_command(command)
     children = getattr(command, "commands", None)  # typer's groups need not be click's own
     if children is None:
         yield path, command

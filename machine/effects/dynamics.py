@@ -218,14 +218,14 @@ def simulate(
     Raises:  MachineError: shapes do not fit.
     """
     n = plant.n
-    if sets.joint.shape[1:] != (n, JOINT_COLUMNS) or sets.machine.shape != (sets.sets, MACHINE_COLUMNS):
+    if sets.joint.shape[1:] != (n, JOINT_COLUMNS) or sets.machine.shape != (sets.set_count, MACHINE_COLUMNS):
         raise MachineError(f"parameters have shapes {sets.joint.shape}, {sets.machine.shape}; the plant has {n} joints")
     if last < drive.first:
         raise MachineError(f"a run cannot begin at stage {drive.first.name} and end at {last.name}; swap them")
     if drive.first is DynamicStage.LINK and last is DynamicStage.CONTROLLER:
         raise MachineError("a controller behind the link needs the encoders; begin at CONTROLLER, or end at ACTUATOR")
     rows = (drive.cycles - 1) // plant.cycles_per_row + 1
-    traces = SimulatedTraces(*(np.empty((sets.sets, rows, n)) for _ in range(4)))
+    traces = SimulatedTraces(*(np.empty((sets.set_count, rows, n)) for _ in range(4)))
     kernel.run_stages(
         int(drive.first),
         int(last),

@@ -147,7 +147,7 @@ def make_entry(effect: Effect, joint: int | None, parameters: Mapping[str, objec
 def _checked_parameter_value(parameter: Parameter, value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not _is_number(value):
         raise MachineFileError(f"{where}: {parameter.name} = {repr(value)[:60]} is not a number [{parameter.unit}]")
-    if not parameter.contains(float(value)):
+    if not parameter.in_bounds(float(value)):
         whole = "whole numbers " if parameter.integer else ""
         neutral = (
             f" (neutral {parameter.neutral:g})" if not parameter.low <= parameter.neutral <= parameter.high else ""

@@ -121,7 +121,7 @@ class ParameterSets:
     machine: Array
 
     @property
-    def sets(self) -> int:
+    def set_count(self) -> int:
         """Number of parameter sets."""
         return self.joint.shape[0]
 
@@ -140,10 +140,10 @@ class ParameterSets:
             return float(self.machine[which, slot.column])
         return float(self.joint[which, slot.joint - 1, slot.column])
 
-    def repeated(self, sets: int) -> "ParameterSets":
+    def repeated_sets(self, sets: int) -> "ParameterSets":
         """This single set, `sets` times, to be written on."""
-        if self.sets != 1:
-            raise MachineError(f"parameters hold {self.sets} sets; give one to repeat")
+        if self.set_count != 1:
+            raise MachineError(f"parameters hold {self.set_count} sets; give one to repeat")
         return ParameterSets(np.repeat(self.joint, sets, axis=0), np.repeat(self.machine, sets, axis=0))
 
 
@@ -191,7 +191,7 @@ def slots_of(name: str, joint: int | None, option: str = "") -> tuple[ParameterS
     slots: list[ParameterSlot] = []
     for parameter in sorted(effect.parameters, key=lambda one: one.role != "size"):
         column = column_of(effect, parameter.name, option)
-        bounds = (parameter.low, parameter.high, parameter.highest, parameter.neutral)
+        bounds = (parameter.low, parameter.high, parameter.highest_value, parameter.neutral)
         if effect.direction is None:
             slots.append(
                 ParameterSlot(name, parameter.name, joint, option, effect.scope, column, *bounds, parameter.start)

@@ -47,21 +47,21 @@ class Parameter:
     open_size: float = 0.0
 
     @property
-    def highest(self) -> float:
+    def highest_value(self) -> float:
         """The largest value that is believed at all."""
         return self.high if self.most is None else self.most
 
     @property
     def max_admitted(self) -> float:
         """The largest value that a machine file may hold."""
-        return self.highest if self.lightest is None else self.lightest
+        return self.highest_value if self.lightest is None else self.lightest
 
-    def contains(self, value: float) -> bool:
+    def in_bounds(self, value: float) -> bool:
         """Whether a value lies inside the bounds; a size may also be neutral."""
         inside = self.low <= value <= self.max_admitted and (not self.integer or value == round(value))
         return inside or (self.role == "size" and value == self.neutral)
 
-    def draw(self, rng: np.random.Generator) -> float:
+    def draw_value(self, rng: np.random.Generator) -> float:
         """A value from the prior, inside the bounds."""
         if self.prior.kind == "log_uniform":
             value = math.exp(rng.uniform(math.log(self.low), math.log(self.high)))

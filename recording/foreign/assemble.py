@@ -45,23 +45,27 @@ def assemble(found: SourceContents, mapping: Mapping, name: str, urdf: Path | No
 
     Raises: RecordingError: no joint was recorded, too many rows, or a URDF that cannot be read or is of another robot.
     """
-    recorded = [joint for signal in found.of("position") for joint in signal.names]
+    recorded = [joint for signal in found.signals_of("position") for joint in signal.names]
     text = _urdf_text(urdf)
     chain = None
     if text:
         chain = chain_for(text, () if found.numbered else recorded, mapping.urdf)
     if chain is not None and found.numbered:
         found = _named_by_chain(found, chain)
-        recorded = [joint for signal in found.of("position") for joint in signal.names]
+        recorded = [joint for signal in found.signals_of("position") for joint in signal.names]
     joints, notes = _select_joint_order(found, mapping, chain, recorded)
-    base = max(found.of("position"), key=lambda one: (len(set(one.names) & set(joints)), len(one.t_s)), default=None)
-    t = base.t_s if base is not None else found.of("reference")[0].t_s
+    base = max(
+        found.signals_of("position"), key=lambda one: (len(set(one.names) & set(joints)), len(one.t_s)), default=None
+    )
+    t = base.t_s if base is not None else found.signals_of("reference")[0].t_s
     if len(t) > ROWS_MAX:
         raise RecordingError(
             f"{len(t)} rows of encoders, limit {ROWS_MAX}; read a part by [window] from_s and to_s of the mapping file"
         )
-    signals = {kind: _on_axis(found.of(kind), joints, t) for kind in ("position", "reference", "velocity_reference")}
-    command, sliding = _on_axis(found.of("command"), joints, t), _prismatic_joint_flags(joints, chain)
+    signals = {
+        kind: _on_axis(found.signals_of(kind), joints, t) for kind in ("position", "reference", "velocity_reference")
+    }
+    command, sliding = _on_axis(found.signals_of("command"), joints, t), _prismatic_joint_flags(joints, chain)
     limits = _velocity_limits(joints, chain)
     largest = (
         np.zeros(len(joints)) if command is None else np.nan_to_num(np.nanmax(np.abs(command), axis=0, initial=0.0))
@@ -131,7 +135,7 @@ def _select_joint_order(
     elif chain is not None:
         joints = tuple(joint.name for joint in chain.joints if joint.name in recorded)
     else:
-        signals = found.of("position") or found.of("reference")
+        signals = found.signals_of("position") or found.signals_of("reference")
         if not signals:
             raise RecordingError("no joint positions were found; name them in a mapping file")
         joints = max(signals, key=lambda signal: len(signal.t_s)).names

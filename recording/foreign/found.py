@@ -73,7 +73,7 @@ class SourceContents:
         """What the user has to confirm."""
         return [entry for entry in self.entries if entry.guess and entry.use == "used"]
 
-    def of(self, kind: Kind) -> list[JointSignal]:
+    def signals_of(self, kind: Kind) -> list[JointSignal]:
         """The signals of one kind."""
         return [signal for signal in self.signals if signal.kind == kind]
 

@@ -168,7 +168,7 @@ class RosBag:
         style = "" if schema is None else schema.encoding
 
         def decode() -> Any:
-            return self._types.decoded(kind, channel.message_encoding, message.data, text, style)
+            return self._types.decode_message(kind, channel.message_encoding, message.data, text, style)
 
         return RosMessage(channel.topic, kind, message.log_time, decode)
 
@@ -186,7 +186,7 @@ class RosBag:
                     kind, text, style = connection.msgtype, str(definition.data), definition.format.name
 
                     def decode(kind: str = kind, data: bytes = data, text: str = text, style: str = style) -> Any:
-                        return self._types.decoded(kind, encoding, data, text, style)
+                        return self._types.decode_message(kind, encoding, data, text, style)
 
                     yield RosMessage(connection.topic, kind, t_ns, decode)
         except RecordingError:
@@ -222,7 +222,7 @@ class _MessageDecoders:
     def __init__(self) -> None:
         self._stores: dict[tuple[str, str], list[Any]] = {}
 
-    def decoded(self, kind: str, encoding: str, data: bytes, text: str, style: str) -> Any:
+    def decode_message(self, kind: str, encoding: str, data: bytes, text: str, style: str) -> Any:
         """The message's fields. Raises: NotDecodedError."""
         if encoding not in ENCODINGS:
             raise NotDecodedError(f"its encoding {encoding!r} is not one of ROS")

@@ -92,7 +92,7 @@ class CollectedTopics:
             )
 
 
-def collect(bag: RosBag, mapping: Mapping) -> CollectedTopics:
+def collect_signals(bag: RosBag, mapping: Mapping) -> CollectedTopics:
     """All that may be of use, in one pass.
 
     Raises: RecordingError: the bag cannot be read, is empty, or holds more than memory should take.
@@ -251,7 +251,7 @@ def clock_of(found: CollectedTopics) -> tuple[bool, str]:
     )
 
 
-def times(series: Series, by_stamp: bool) -> Array:
+def row_times(series: Series, by_stamp: bool) -> Array:
     """When each row counts (m,) [s]: by its stamp where there is one."""
     t, stamp = np.array(series.t), np.array(series.stamp)
     return np.where(np.isfinite(stamp), stamp, t) if by_stamp else t

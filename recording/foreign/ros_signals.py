@@ -24,9 +24,9 @@ from recording.foreign.ros_collect import (
     Series,
     Trajectory,
     clock_of,
-    collect,
+    collect_signals,
+    row_times,
     series_of,
-    times,
 )
 
 FINE_S = 0.01  # a trajectory's curve between its points is written at this step
@@ -41,7 +41,7 @@ def ros_found(path: Path, mapping: Mapping) -> SourceContents:
     Raises: RecordingError: no bag, an empty one, a topic of the mapping that is not there, or no encoders.
     """
     bag = RosBag(path)
-    collected = collect(bag, mapping)
+    collected = collect_signals(bag, mapping)
     return _SignalChooser(collected, mapping).found(bag)
 
 
@@ -69,7 +69,7 @@ class _SignalChooser:
         self._out.proposal = self._proposed_mapping_text()
         self._out.notes += bag.notes
         self._out.cut = bag.cut
-        if not self._out.of("position") and not self._out.points:
+        if not self._out.signals_of("position") and not self._out.points:
             raise RecordingError(
                 f"no joint positions and no tracked points of the bag could be read: {self._missing_signal_reason()}"
             )
@@ -105,7 +105,7 @@ class _SignalChooser:
     def _add(self, kind: Kind, topic: str, name: str, held: bool = False) -> bool:
         found = False
         for series in series_of(self._all, topic, name):
-            t, values = in_time_order(times(series, self._by_stamp), series.values)
+            t, values = in_time_order(row_times(series, self._by_stamp), series.values)
             if len(t) > 1:
                 self._out.signals.append(JointSignal(kind, f"{topic} {name}", series.names, t, values, held))
                 found = True
@@ -129,7 +129,7 @@ class _SignalChooser:
             if self._add("reference", topic, "reference.positions"):
                 self._add("velocity_reference", topic, "reference.velocities")
                 self._mark_topic_used(topic, "reference and feedback of the joints, by type")
-        if self._out.of("reference"):
+        if self._out.signals_of("reference"):
             return
         if wanted:
             if not self._reference_from(wanted):
@@ -160,7 +160,7 @@ class _SignalChooser:
     def _select_encoder_signals(self) -> None:
         """From the controller's state where it is fast enough, since reference and feedback are of one moment there."""
         wanted = self._mapping.ros.encoders
-        used = {signal.source.split(" ")[0] for signal in self._out.of("reference")}
+        used = {signal.source.split(" ")[0] for signal in self._out.signals_of("reference")}
         states = [topic for topic in self._of_type(JOINT_STATE) + self._of_type(DYNAMIC_STATE) if topic not in used]
         if wanted:
             is_state = self._all.types[wanted] == CONTROLLER_STATE
@@ -221,16 +221,16 @@ class _SignalChooser:
                 SourceEntry(topic, self._all.types[topic], self._all.counts[topic], "ignored", why)
             )
             return
-        if kind == "position" and self._out.of("reference"):
+        if kind == "position" and self._out.signals_of("reference"):
             return
-        t, values = in_time_order(times(series, self._by_stamp), series.values)
+        t, values = in_time_order(row_times(series, self._by_stamp), series.values)
         what: Kind = "reference" if kind == "position" else "command"
         self._out.signals.append(JointSignal(what, topic, names, t, values, held=True))
         self._out.command_kind = "" if kind == "position" else kind
         self._mark_topic_used(topic, how, guess)
 
     def _encoder_joint_names(self) -> tuple[str, ...]:
-        signals = self._out.of("position")
+        signals = self._out.signals_of("position")
         return max(signals, key=lambda signal: len(signal.t_s)).names if signals else ()
 
     def _select_tracked_points(self) -> None:
@@ -242,7 +242,7 @@ class _SignalChooser:
             mapped = named.get((topic, frame)) or named.get(("", frame) if frame else (topic, ""))
             if named and mapped is None:
                 continue
-            t, xyz = in_time_order(times(series, self._by_stamp), series.values)
+            t, xyz = in_time_order(row_times(series, self._by_stamp), series.values)
             point = mapped or (frame or topic).strip("/").replace("/", "_")
             self._out.points.append(TrackedPointSeries(point, topic, t, xyz))
             self._mark_topic_used(

@@ -49,7 +49,7 @@ def table_found(path: Path, mapping: Mapping) -> SourceContents:
     found.points += _tracked_point_series(columns, wanted, clock[0])
     found.command_kind = _command_kind(wanted.values())
     found.proposal = propose_mapping(wanted.values())
-    if not found.of("position") and not found.points:
+    if not found.signals_of("position") and not found.points:
         raise RecordingError(
             f"{path}: no column is a joint's position, of {_column_names_text(columns)}: give a mapping file"
         )

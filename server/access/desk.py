@@ -40,9 +40,9 @@ class LeaseDesk:
         """As LeaseBook.acquire, with a new secret."""
         return self._announce_new_holder(self.book.acquire(owner, kind, ttl_s, new_lease_id(), self.now_s))
 
-    def take(self, owner: str, kind: LeaseKind, reason: str, ttl_s: float = TTL_S) -> Lease:
-        """As LeaseBook.take, with a new secret."""
-        return self._announce_new_holder(self.book.take(owner, kind, ttl_s, reason, new_lease_id(), self.now_s))
+    def take_control(self, owner: str, kind: LeaseKind, reason: str, ttl_s: float = TTL_S) -> Lease:
+        """As LeaseBook.take_control, with a new secret."""
+        return self._announce_new_holder(self.book.take_control(owner, kind, ttl_s, reason, new_lease_id(), self.now_s))
 
     def bind_lease_to_admission(self, still: Callable[[], bool]) -> None:
         """The present holder came by this admission: when `still` is over (key, session, role), so is their control."""
@@ -52,11 +52,11 @@ class LeaseDesk:
         """Take control from a holder who would not be admitted now; the lease that ended, if one did."""
         if self.book.held is None or self._still():
             return None
-        return self.expel(f"the key of {self.book.held.owner} is no longer valid, or the session has ended")
+        return self.revoke(f"the key of {self.book.held.owner} is no longer valid, or the session has ended")
 
-    def expel(self, why: str) -> Lease | None:
+    def revoke(self, why: str) -> Lease | None:
         """As LeaseBook.expel."""
-        ended = self.book.expel(why)
+        ended = self.book.revoke(why)
         return None if ended is None else self._notify_listeners(ended)
 
     def release(self, lease_id: str) -> Lease:
@@ -67,21 +67,21 @@ class LeaseDesk:
         """As LeaseBook.keep_alive."""
         return self.book.keep_alive(lease_id, self.now_s)
 
-    def ask(self, owner: str) -> Lease | None:
+    def request_control(self, owner: str) -> Lease | None:
         """As LeaseBook.ask."""
-        return self.book.ask(owner)
+        return self.book.request_control(owner)
 
-    def grant(self, lease_id: str, to: str) -> Lease:
+    def grant_to(self, lease_id: str, to: str) -> Lease:
         """As LeaseBook.grant."""
-        return self.book.grant(lease_id, to, self.now_s)
+        return self.book.grant_to(lease_id, to, self.now_s)
 
     def check(self, lease_id: str, fencing: int | None) -> Lease:
         """As LeaseBook.check: what a command that moves or arms must pass."""
         return self.book.check(lease_id, fencing, self.now_s)
 
-    def lost(self, fencing: int) -> str:
+    def why_lost(self, fencing: int) -> str:
         """As LeaseBook.lost."""
-        return self.book.lost(fencing, self.now_s)
+        return self.book.why_lost(fencing, self.now_s)
 
     def _announce_new_holder(self, lease: Lease) -> Lease:
         self._still = _always_admitted  # until the new holder's admission is known

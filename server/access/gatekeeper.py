@@ -40,7 +40,7 @@ class Lockout:
             return 0.0
         return max(0.0, failed.last_s + LOCKED_S - now_s)
 
-    def failed(self, address: str, now_s: float) -> None:
+    def count_failure(self, address: str, now_s: float) -> None:
         """One more wrong key; a minute without one forgets the earlier ones."""
         before = self._failed.pop(address, None)
         count = before.count + 1 if before and now_s - before.last_s < LOCKED_S else 1
@@ -109,7 +109,7 @@ class Gatekeeper:
         """Whether there are no keys: then the server listens on loopback only."""
         return self.keys.path is None
 
-    def admit(self, request: Credentials, now_s: float) -> Caller:
+    def identify_caller(self, request: Credentials, now_s: float) -> Caller:
         """Who it is. Raises: HostError, OriginError, LockedOutError, KeyRequiredError, RoleError."""
         if not host_allowed(request.host, self._hosts):
             raise HostError(f"host '{request.host[:64]}' is not one of this server's names")
@@ -131,7 +131,7 @@ class Gatekeeper:
         roles = _required_roles(request)
         if self.open or roles == ANYBODY:
             return True
-        key = self.keys.find(request.bearer, now_s) if request.bearer else self._by_session(request.cookie, now_s)
+        key = self.keys.find_key(request.bearer, now_s) if request.bearer else self._by_session(request.cookie, now_s)
         return key is not None and key.role in roles
 
     def log_in(self, secret: str, address: str, now_s: float) -> str:
@@ -158,12 +158,16 @@ class Gatekeeper:
         return key
 
     def _by_session(self, cookie: str, now_s: float) -> ApiKey | None:
-        session = self.sessions.find(cookie, now_s)
+        session = self.sessions.find_session(cookie, now_s)
         return self.keys.in_force(session.key_sha256, now_s) if session is not None else None
 
     def _none_in_force(self) -> str:
         """The text for the caller; the reason itself names a file, so it is only in the log, the faults and /readyz."""
-        return "the server cannot read its key file; until it can, no key is accepted" if self.keys.problem else ""
+        return (
+            "the server cannot read its key file; until it can, no key is accepted"
+            if self.keys.why_no_key_valid
+            else ""
+        )
 
     def _by_key(self, secret: str, address: str, now_s: float) -> ApiKey:
         left_s = self._lockout.locked_s(address, now_s)
@@ -171,11 +175,11 @@ class Gatekeeper:
             raise LockedOutError(
                 f"too many wrong keys from {address}; {left_s:.0f} s left", {"retry_s": f"{left_s:.0f}"}
             )
-        key = self.keys.find(secret, now_s)
-        if key is None and self.keys.problem:  # no guess: it may be a good one
+        key = self.keys.find_key(secret, now_s)
+        if key is None and self.keys.why_no_key_valid:  # no guess: it may be a good one
             raise KeyRequiredError(self._none_in_force())
         if key is None:
-            self._lockout.failed(address, now_s)
+            self._lockout.count_failure(address, now_s)
             raise KeyRequiredError("the key is wrong or was revoked")
         self._lockout.clear_failed_attempts(address)
         return key

@@ -141,7 +141,7 @@ class KeyRing:
         return self._path
 
     @property
-    def problem(self) -> str:
+    def why_no_key_valid(self) -> str:
         """Why no access key is valid, although the key file may hold some; empty when all is well."""
         return self._problem
 
@@ -173,7 +173,7 @@ class KeyRing:
             self._keys, self._stamp = read_keys(path), stamp
         self._problem = "" if stamp else f"no key is in force: key file {path} is not there; `longreach keys add`"
 
-    def find(self, presented: str, now_s: float) -> ApiKey | None:
+    def find_key(self, presented: str, now_s: float) -> ApiKey | None:
         """The key that was presented, if it is in force."""
         return self.in_force(digest_of(presented), now_s)
 
@@ -183,6 +183,6 @@ class KeyRing:
         return key_by_digest(self._keys, sha256)
 
     @property
-    def empty(self) -> bool:
+    def has_no_valid_key(self) -> bool:
         """Whether no key is in force."""
         return all(key.revoked_unix_s is not None for key in self._keys)

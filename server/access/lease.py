@@ -48,11 +48,11 @@ class Lease:
         """Seconds until it is stale; 0 when it is."""
         return max(0.0, self.heard_s + self.ttl_s - now_s)
 
-    def stale(self, now_s: float) -> bool:
+    def is_stale(self, now_s: float) -> bool:
         """Whether its holder has not been heard for its whole time."""
         return now_s >= self.heard_s + self.ttl_s
 
-    def offered(self, owner: str, now_s: float) -> bool:
+    def is_offered_to(self, owner: str, now_s: float) -> bool:
         """Whether its holder has granted it to that owner."""
         return bool(owner) and self.offered_to == owner and now_s < self.offered_until_s
 
@@ -73,31 +73,33 @@ class LeaseBook:
         Raises: LeaseHeldError: naming the holder and the time left.
         """
         held = self.held
-        if held is None or held.stale(now_s) or held.offered(owner, now_s):
+        if held is None or held.is_stale(now_s) or held.is_offered_to(owner, now_s):
             return self._grant_lease(owner, kind, ttl_s, lease_id, now_s, f"{owner} acquired it")
         raise LeaseHeldError(
             f"{held.owner} ({held.kind}) has control for {held.expires_in_s(now_s):.0f} s more unless renewed",
-            self.references(now_s),
+            self.holder_facts(now_s),
         )
 
-    def take(self, owner: str, kind: LeaseKind, ttl_s: float, reason: str, lease_id: str, now_s: float) -> Lease:
+    def take_control(
+        self, owner: str, kind: LeaseKind, ttl_s: float, reason: str, lease_id: str, now_s: float
+    ) -> Lease:
         """Control for a person, also while another client holds it.
 
         Raises: TakeRefusedError: a fleet's program may not; an operator's control is never a fleet's to take.
         """
         if not kind.is_person:
             raise TakeRefusedError(
-                f"{owner} is a fleet program: only a person may take control", self.references(now_s)
+                f"{owner} is a fleet program: only a person may take control", self.holder_facts(now_s)
             )
         return self._grant_lease(owner, kind, ttl_s, lease_id, now_s, f"{owner} took it: {reason}")
 
     def release(self, lease_id: str, now_s: float) -> Lease:
         """End the lease, so that no client has control; returns the lease that ended. Raises as `known`."""
-        held = self.known(lease_id, now_s)
+        held = self.lease_of(lease_id, now_s)
         self._end(held, f"{held.owner} released it")
         return held
 
-    def expel(self, why: str) -> Lease | None:
+    def revoke(self, why: str) -> Lease | None:
         """End the lease of a holder who may not have it any more; returns it, None if there was none."""
         held = self.held
         if held is not None:
@@ -119,16 +121,16 @@ class LeaseBook:
 
     def keep_alive(self, lease_id: str, now_s: float) -> Lease:
         """Heard again: live for another ttl_s, also from stale. Raises as `known`."""
-        self.held = replace(self.known(lease_id, now_s), heard_s=now_s)
+        self.held = replace(self.lease_of(lease_id, now_s), heard_s=now_s)
         return self.held
 
-    def grant(self, lease_id: str, to: str, now_s: float) -> Lease:
+    def grant_to(self, lease_id: str, to: str, now_s: float) -> Lease:
         """Let `to` acquire it within OFFER_S; until then the holder keeps it. Raises as `known`."""
-        held = self.known(lease_id, now_s)
+        held = self.lease_of(lease_id, now_s)
         self.held = replace(held, offered_to=to, offered_until_s=now_s + OFFER_S)
         return self.held
 
-    def ask(self, owner: str) -> Lease | None:
+    def request_control(self, owner: str) -> Lease | None:
         """Note a request for control that the holder sees; None when no client has control."""
         if self.held is None:
             return None
@@ -138,7 +140,7 @@ class LeaseBook:
 
     # --- what a command is checked against --------------------------------------------------------------------------
 
-    def known(self, lease_id: str, now_s: float, fencing: int | None = None) -> Lease:
+    def lease_of(self, lease_id: str, now_s: float, fencing: int | None = None) -> Lease:
         """The lease of that secret, live or stale.
 
         Raises: LeaseLostError: it ended, and how; its fencing number is an older one. NoLeaseError: never given.
@@ -148,16 +150,17 @@ class LeaseBook:
             if fencing is None or fencing == held.fencing:
                 return held
             raise LeaseLostError(
-                f"fencing number {fencing} is not this lease's ({held.fencing})", self.references(now_s)
+                f"fencing number {fencing} is not this lease's ({held.fencing})", self.holder_facts(now_s)
             )
         why = next((reason for ended, reason in reversed(self._ended) if _is_same_secret(ended, lease_id)), "")
         if why or (fencing is not None and 0 < fencing <= self.fencing):
             raise LeaseLostError(
-                f"control was lost: {why or 'it has ended'}; {self._control_holder_text(now_s)}", self.references(now_s)
+                f"control was lost: {why or 'it has ended'}; {self._control_holder_text(now_s)}",
+                self.holder_facts(now_s),
             )
         raise NoLeaseError(
             f"the command carries a lease of another machine; {self._control_holder_text(now_s)}",
-            self.references(now_s),
+            self.holder_facts(now_s),
         )
 
     def check(self, lease_id: str, fencing: int | None, now_s: float) -> Lease:
@@ -167,27 +170,27 @@ class LeaseBook:
         """
         if not lease_id or not fencing:
             raise NoLeaseError(
-                f"the command carries no lease; {self._control_holder_text(now_s)}", self.references(now_s)
+                f"the command carries no lease; {self._control_holder_text(now_s)}", self.holder_facts(now_s)
             )
-        held = self.known(lease_id, now_s, fencing)
-        if held.stale(now_s):
+        held = self.lease_of(lease_id, now_s, fencing)
+        if held.is_stale(now_s):
             raise LeaseStaleError(
                 f"control of {held.owner} is stale: not renewed for {now_s - held.heard_s:.1f} s "
                 f"(limit {held.ttl_s:.1f} s)",
-                self.references(now_s),
+                self.holder_facts(now_s),
             )
         return held
 
-    def lost(self, fencing: int, now_s: float) -> str:
+    def why_lost(self, fencing: int, now_s: float) -> str:
         """Why motion under that fencing number must end now; empty while it may go on."""
         held = self.held
         if held is not None and held.fencing == fencing:
-            if not held.stale(now_s):
+            if not held.is_stale(now_s):
                 return ""
             return f"control of {held.owner} went stale: not renewed for {held.ttl_s:.1f} s"
         return f"control was lost: {self._ended[-1][1] if self._ended else 'it has ended'}"
 
-    def references(self, now_s: float) -> dict[str, str]:
+    def holder_facts(self, now_s: float) -> dict[str, str]:
         """Who has control, as facts for programs."""
         held = self.held
         if held is None:
@@ -199,7 +202,7 @@ class LeaseBook:
         held = self.held
         if held is None:
             return "no one has control"
-        return f"{held.owner} ({held.kind}) has control" + (", stale" if held.stale(now_s) else "")
+        return f"{held.owner} ({held.kind}) has control" + (", stale" if held.is_stale(now_s) else "")
 
 
 def _is_same_secret(one: str, other: str) -> bool:

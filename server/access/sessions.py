@@ -31,7 +31,7 @@ class Sessions:
             self._kept.pop(next(iter(self._kept)))
         return token
 
-    def find(self, token: str, now_s: float) -> Session | None:
+    def find_session(self, token: str, now_s: float) -> Session | None:
         """Which it is, while it lives."""
         session = self._kept.get(_token_digest(token))
         return session if session is not None and now_s < session.ends_s else None

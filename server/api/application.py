@@ -89,7 +89,7 @@ class ServerTasks:
     async def tasks(self) -> AsyncIterator[None]:
         """Event feed, lease guard and store watch, for as long as the application lives."""
         service, running = self.served.service, SupervisedTasks()
-        service.inner_faults.watch(PART_FAILED, lambda: running.problem)
+        service.inner_faults.watch(PART_FAILED, lambda: running.recent_failure)
         running.start("event-feed", self.feed.run)
         running.start("lease-guard", lambda: guard_lease(service.engine), lambda: stop_unguarded(service.engine))
         running.start("suspend-watch", service.watch_suspend)
@@ -107,7 +107,7 @@ def create_application(app: FastAPI, served: RestServices) -> ServerTasks:
 
     def keys_problem() -> str:
         keys.refresh(mono_s())  # /readyz reports the present state also while no client presents a key
-        return keys.problem
+        return keys.why_no_key_valid
 
     service.inner_faults.watch(KEYS_UNREADABLE, keys_problem)
     folder = Path(service.cell.settings.recording.folder)

@@ -129,7 +129,7 @@ class PatientProtocol(HttpToolsProtocol):
         super().handle_websocket_upgrade()
 
     @property
-    def idle(self) -> bool:
+    def is_idle(self) -> bool:
         """Whether no request is under way."""
         return self._awaits_head
 

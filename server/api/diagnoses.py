@@ -76,13 +76,13 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
     @router.get("/{diagnosis_id}", response_model=DiagnosisView, responses=UNKNOWN)
     async def read_diagnosis(diagnosis_id: Id) -> DiagnosisView | JSONResponse:
         """State and progress of a diagnosis."""
-        one = diagnoses.find(diagnosis_id)
+        one = diagnoses.find_diagnosis(diagnosis_id)
         return _diagnosis_view(one) if one else _unknown_diagnosis_response(diagnosis_id)
 
     @router.delete("/{diagnosis_id}", status_code=204, response_class=Response, responses=UNKNOWN)
     async def stop_diagnosis(diagnosis_id: Id) -> Response:
         """Cancel a diagnosis."""
-        one = diagnoses.find(diagnosis_id)
+        one = diagnoses.find_diagnosis(diagnosis_id)
         if one is None:
             return _unknown_diagnosis_response(diagnosis_id)
         await diagnoses.stop(one)
@@ -91,7 +91,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
     @router.get("/{diagnosis_id}/result", response_model=None, responses=UNFINISHED)
     async def diagnosis_result(diagnosis_id: Id) -> JSONResponse:
         """The full result as JSON; docs/diagnosis-answer.md describes it field by field."""
-        one = diagnoses.find(diagnosis_id)
+        one = diagnoses.find_diagnosis(diagnosis_id)
         if one is None or one.state != "done":
             return _not_finished_response(one) if one else _unknown_diagnosis_response(diagnosis_id)
         return JSONResponse(await asyncio.to_thread(diagnoses.result, one))
@@ -104,7 +104,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
     )
     async def diagnosis_report(diagnosis_id: Id) -> FileResponse | JSONResponse:
         """The report as a self-contained HTML page."""
-        one = diagnoses.find(diagnosis_id)
+        one = diagnoses.find_diagnosis(diagnosis_id)
         if one is None or one.state != "done":
             return _not_finished_response(one) if one else _unknown_diagnosis_response(diagnosis_id)
         headers = {"Content-Security-Policy": REPORT_CSP}

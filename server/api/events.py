@@ -44,7 +44,7 @@ class EventLog:
         self._kept.append((self.number, f"id: {self.life}-{self.number}\nevent: {kind}\ndata: {text}\n\n"))
         self._wake_waiters()
 
-    def show(self, state_json: str) -> None:
+    def show_state(self, state_json: str) -> None:
         """The newest state: not kept, a reader gets the newest only."""
         self._state_number += 1
         self._state = f"event: state\ndata: {state_json}\n\n"
@@ -54,7 +54,7 @@ class EventLog:
         self._fresh.set()
         self._fresh = asyncio.Event()
 
-    def after(self, last_id: str) -> tuple[int, str]:
+    def resume_position(self, last_id: str) -> tuple[int, str]:
         """Number to go on behind, and why something is missing (empty: nothing is)."""
         life, _, number = last_id.partition("-")
         oldest = self._kept[0][0] if self._kept else 1
@@ -66,9 +66,9 @@ class EventLog:
             return 0, f"only the last {KEPT} events are kept"
         return min(int(number), self.number), ""
 
-    async def follow(self, last_id: str, with_state: bool) -> AsyncIterator[str]:
+    async def follow_events(self, last_id: str, with_state: bool) -> AsyncIterator[str]:
         """Server-sent events behind `last_id`, for ever; without one from now on."""
-        number, gap = self.after(last_id)
+        number, gap = self.resume_position(last_id)
         self.readers += 1
         try:
             yield f"retry: 1000\nevent: hello\ndata: {json.dumps({'life': self.life, 'number': self.number})}\n\n"
@@ -115,7 +115,9 @@ def events_router(log: EventLog) -> APIRouter:
                 503, "Too many readers", f"{READERS_MAX} follow already", "too_many_readers", "try later"
             )
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-        return StreamingResponse(log.follow(last_event_id, state), media_type="text/event-stream", headers=headers)
+        return StreamingResponse(
+            log.follow_events(last_event_id, state), media_type="text/event-stream", headers=headers
+        )
 
     return router
 
@@ -143,7 +145,7 @@ class EventFeed:
             self._changed("link", lambda: {"phase": self._service.cell.link.health.phase.value})
             self._changed("fault", lambda: {"faults": [view.fault_id for view in fault_views(self._service)]})
             if tick % STATE_EVERY == 0 and self._log.readers:
-                self._log.show(self._cache.text())
+                self._log.show_state(self._cache.fresh_text())
             tick += 1
             await asyncio.sleep(WATCH_S)
 

@@ -97,7 +97,7 @@ def findings_router(service: JobService, looks: LookLog) -> APIRouter:
         """All calibrations made by jobs, newest first; /v1/calibration is the current one."""
         if service.keeper is None:
             return []
-        rows = await service.keeper.database.found(lambda db: read_calibrations(db, before, limit))
+        rows = await service.keeper.database.read_async(lambda db: read_calibrations(db, before, limit))
         return [CalibrationEntry(**row | {"view": json.loads(row["view"])}) for row in rows]
 
     found: dict[int | str, dict[str, Any]] = {404: {"model": Problem}, 503: {"model": Problem}}
@@ -108,7 +108,7 @@ def findings_router(service: JobService, looks: LookLog) -> APIRouter:
         row, expires_ns = None, 0
         if service.keeper is not None:
             expires_ns = service.keeper.plan_expiries_ns.get(plan_hash, 0)
-            row = await service.keeper.database.found(lambda db: read_plan(db, plan_hash))
+            row = await service.keeper.database.read_async(lambda db: read_plan(db, plan_hash))
         if row is None:
             return problem_response(
                 404, "Unknown plan", f"no plan {plan_hash}", "unknown_plan", "run the job 'preview'"

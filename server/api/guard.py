@@ -128,7 +128,7 @@ class Guard:
         headers = Headers(scope=scope)
         request_id = _request_id(headers)
         try:
-            scope.setdefault("state", {})["caller"] = self._gatekeeper.admit(credentials_of(scope), mono_s())
+            scope.setdefault("state", {})["caller"] = self._gatekeeper.identify_caller(credentials_of(scope), mono_s())
             scope["state"]["request_id"] = request_id
             scope["state"]["admitted_still"] = self._admits_still(scope)
             if scope["type"] == "http":

@@ -117,7 +117,7 @@ async def _supervise_hold_to_run(
     finally:  # whatever ended it, a socket that broke or the server's own end: nothing may go on moving
         hearing.cancel()
         if _is_hold_needed(job):
-            await _stop(service, memory, held.ended or "the page is disconnected")
+            await _stop(service, memory, held.why_ended or "the page is disconnected")
         await asyncio.gather(hearing, return_exceptions=True)
         await service.engine.hold_until(None)
     await _send(socket, ended=job.state.value, reason=job.reason)
@@ -126,7 +126,7 @@ async def _supervise_hold_to_run(
 async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed: asyncio.Event) -> None:
     while _is_hold_needed(job):
         challenge = held.poll(mono_ns())
-        if held.ended:
+        if held.why_ended:
             return
         if challenge is not None:
             try:
@@ -145,7 +145,7 @@ async def _receive_hold_replies(
 ) -> None:
     """Answers and the release; anything else, and the socket's end, is a button let go."""
     try:
-        while not held.ended:
+        while not held.why_ended:
             match FROM_PAGE.validate_json(await socket.receive_text()):
                 case HoldReply(seq=seq, reply=reply, bond=bond):
                     if held.answer(seq, reply, bond):
@@ -162,7 +162,7 @@ async def _receive_hold_replies(
 def _is_hold_needed(job: Job) -> bool:
     """Whether the job may still move: an execute moves no more once it looks, anything else until its end."""
     looks = job.kind == "execute" and any(event.name == "look" for event in job.events)
-    return not job.ended and not looks
+    return not job.has_ended and not looks
 
 
 async def _stop(service: JobService, memory: PanelMemory, why: str) -> None:

@@ -106,7 +106,7 @@ class JobCommands:
 
     async def _stored_answer(self, who: str, key: str) -> StoredAnswer | None:
         keeper = self._service.keeper
-        return None if keeper is None else await keeper.database.found(lambda db: read_answer(db, who, key))
+        return None if keeper is None else await keeper.database.read_async(lambda db: read_answer(db, who, key))
 
     async def _carried_out(self, body: JobBody, sent: CommandHeaders, body_hash: str) -> StoredAnswer:
         if 0.0 < sent.expires_unix_s < time.time():
@@ -142,7 +142,7 @@ class JobCommands:
         if folded is not None:
             detail = f"and {folded} more since the last line" if folded else ""
             self._write_audit_entry(
-                caller, request_id, "stop", job.job_id if job is not None and not job.ended else "", detail
+                caller, request_id, "stop", job.job_id if job is not None and not job.has_ended else "", detail
             )
 
     def _stop_done(self, done: "asyncio.Future[None]") -> None:
@@ -162,7 +162,7 @@ class JobCommands:
                 job_id=job_id,
                 detail=detail,
             )
-            self._service.keeper.audit(entry)
+            self._service.keeper.queue_audit_line(entry)
 
     def _audit_refusal(self, kind: str, sent: CommandHeaders, code: str) -> None:
         keeper, held = self._service.keeper, self._service.engine.leases.held
@@ -170,7 +170,7 @@ class JobCommands:
             who = sent.caller
             owner, fencing = (held.owner, held.fencing) if held else ("", 0)
             entry = AuditEntry(time.time(), who.name, who.role, who.address, f"job.{kind}", code, owner, fencing)
-            keeper.audit(entry)
+            keeper.queue_audit_line(entry)
 
 
 def _require_key(sent: CommandHeaders, lease: Lease) -> None:

@@ -103,7 +103,7 @@ def jobs_router(service: JobService) -> APIRouter:
     @router.get("/jobs/{job_id}", response_model=JobView, responses={404: {"model": Problem}})
     async def read_job(job_id: str) -> JobView | JSONResponse:
         """A job with its events and, at its end, its result."""
-        job = service.engine.find(job_id)
+        job = service.engine.find_job(job_id)
         return job_view(job) if job else _unknown_job_response(job_id)
 
     @router.get("/jobs/{job_id}/events", response_model=None, response_class=StreamingResponse, responses=STORY)
@@ -111,7 +111,7 @@ def jobs_router(service: JobService) -> APIRouter:
         job_id: str, last_event_id: Annotated[str, Header(max_length=64)] = ""
     ) -> StreamingResponse | JSONResponse:
         """The events of a job as server-sent events; resumes after Last-Event-ID; ends with the job."""
-        job = service.engine.find(job_id)
+        job = service.engine.find_job(job_id)
         if job is None:
             return _unknown_job_response(job_id)
         seen = int(last_event_id[:18]) if last_event_id.isdecimal() else 0
@@ -120,10 +120,10 @@ def jobs_router(service: JobService) -> APIRouter:
     @router.post("/jobs/{job_id}/cancel", status_code=202, response_model=JobView, responses=cancelled)
     async def cancel(job_id: str, request: Request) -> Response:
         """Stop one job: its state is `stopping` until the machine stands still, then `stopped`. Needs no control."""
-        job = service.engine.find(job_id)
+        job = service.engine.find_job(job_id)
         if job is None:
             return _unknown_job_response(job_id)
-        if job.ended:
+        if job.has_ended:
             return problem_response(
                 409, "Job has ended", f"job {job_id} is {job.state.value}", "job_ended", "nothing to do"
             )
@@ -157,7 +157,7 @@ async def _job_event_stream(job: Job, seen: int) -> AsyncIterator[str]:
         for event in view.events:
             seen = event.number
             yield f"id: {event.number}\nevent: progress\ndata: {event.model_dump_json()}\n\n"
-        if job.ended:
+        if job.has_ended:
             yield f"event: end\ndata: {json.dumps(job_view(job).model_dump(mode='json'))}\n\n"
             return
         if mono_s() - keep_alive > 10.0:

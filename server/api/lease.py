@@ -47,7 +47,7 @@ class ControlLog:
         if self._keeper is not None:
             self._keeper.check()
 
-    async def given(self, request: Request, lease: Lease, action: str, detail: str = "") -> JSONResponse:
+    async def log_lease_given(self, request: Request, lease: Lease, action: str, detail: str = "") -> JSONResponse:
         """201 with the lease, once it is on disk. Raises: StoreError: it is not; the lease is withdrawn then."""
         self._desk.bind_lease_to_admission(admission_of(request))
         if self._keeper is not None:
@@ -59,10 +59,10 @@ class ControlLog:
         headers = {"Cache-Control": "no-store"}
         return JSONResponse(lease_view(self._desk, lease).model_dump(), status_code=201, headers=headers)
 
-    def note(self, request: Request, lease: Lease | None, action: str, detail: str = "") -> None:
+    def log_note(self, request: Request, lease: Lease | None, action: str, detail: str = "") -> None:
         """A line about what happened already."""
         if self._keeper is not None and lease is not None:
-            self._keeper.audit(self._lease_audit_entry(request, lease, action, detail))
+            self._keeper.queue_audit_line(self._lease_audit_entry(request, lease, action, detail))
 
     def _release_if_still_held(self, lease: Lease) -> None:
         try:
@@ -106,13 +106,13 @@ def control_view(desk: LeaseDesk) -> ControlView:
     held = desk.held
     if held is None:
         return ControlView(fencing=desk.book.fencing)
-    offered = held.offered_to if held.offered(held.offered_to, desk.now_s) else ""
+    offered = held.offered_to if held.is_offered_to(held.offered_to, desk.now_s) else ""
     return ControlView(
         owner=held.owner,
         kind=held.kind.value,
         fencing=held.fencing,
         expires_in_s=round(held.expires_in_s(desk.now_s), 1),
-        stale=held.stale(desk.now_s),
+        stale=held.is_stale(desk.now_s),
         asked_by=list(held.asked_by),
         offered_to=offered,
     )
@@ -182,19 +182,21 @@ def lease_router(desk: LeaseDesk, keeper: Keeper | None = None) -> APIRouter:
     async def acquire(body: LeaseRequest, request: Request) -> JSONResponse:
         """Acquire free, stale or granted control; 409 names the holder and the time left."""
         log.check(request, body.kind)
-        return await log.given(request, desk.acquire(body.owner, LeaseKind(body.kind), body.ttl_s), "lease.acquire")
+        return await log.log_lease_given(
+            request, desk.acquire(body.owner, LeaseKind(body.kind), body.ttl_s), "lease.acquire"
+        )
 
     @router.post("/take", status_code=201, response_model=LeaseView, responses=REFUSED | UNKEPT)
     async def take(body: TakeRequest, request: Request) -> JSONResponse:
         """Take control as a person from any holder; the holder's running job is stopped with a ramp."""
         log.check(request, body.kind)
-        lease = desk.take(body.owner, LeaseKind(body.kind), body.reason, body.ttl_s)
-        return await log.given(request, lease, "lease.take", body.reason)
+        lease = desk.take_control(body.owner, LeaseKind(body.kind), body.reason, body.ttl_s)
+        return await log.log_lease_given(request, lease, "lease.take", body.reason)
 
     @router.post("/ask", response_model=ControlView)
     async def ask(body: AskRequest, request: Request) -> ControlView:
         """Request control from the holder."""
-        log.note(request, desk.ask(body.owner), "lease.ask", body.owner)
+        log.log_note(request, desk.request_control(body.owner), "lease.ask", body.owner)
         return control_view(desk)
 
     @router.put("/{lease_id}", response_model=LeaseView, responses=REFUSED)
@@ -207,13 +209,13 @@ def lease_router(desk: LeaseDesk, keeper: Keeper | None = None) -> APIRouter:
     @router.delete("/{lease_id}", status_code=204, response_class=Response, responses=REFUSED)
     async def release(lease_id: LeaseId, request: Request) -> Response:
         """Give control back; a running job of this lease is stopped with a ramp."""
-        log.note(request, desk.release(lease_id), "lease.release")
+        log.log_note(request, desk.release(lease_id), "lease.release")
         return Response(status_code=204)
 
     @router.post("/{lease_id}/grant", response_model=ControlView, responses=REFUSED)
     async def grant(lease_id: LeaseId, body: GrantRequest, request: Request) -> ControlView:
         """Hand over: the named client may acquire within 30 s; until then the holder keeps control."""
-        log.note(request, desk.grant(lease_id, body.to), "lease.grant", body.to)
+        log.log_note(request, desk.grant_to(lease_id, body.to), "lease.grant", body.to)
         return control_view(desk)
 
     return router

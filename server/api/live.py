@@ -32,7 +32,7 @@ class LiveFeed:
 
     def _tick(self) -> None:
         try:
-            view = self._memory.live()
+            view = self._memory.live_message()
         except Exception:  # a defect in the view: the page says that nothing is current, and the next tick tries again
             log.exception("the live state could not be built")
             return
@@ -40,7 +40,7 @@ class LiveFeed:
         self._fresh.set()
         self._fresh = asyncio.Event()
 
-    async def next(self) -> str:
+    async def next_state(self) -> str:
         """The next state, as soon as there is one."""
         while True:
             await self._fresh.wait()
@@ -81,7 +81,7 @@ def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
 async def _send(socket: WebSocket, feed: LiveFeed, room: asyncio.Semaphore) -> None:
     while True:
         await room.acquire()
-        await socket.send_text(await feed.next())
+        await socket.send_text(await feed.next_state())
 
 
 async def _receive_viewer_messages(socket: WebSocket, memory: PanelMemory, room: asyncio.Semaphore) -> None:

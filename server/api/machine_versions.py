@@ -93,12 +93,12 @@ def machine_router(service: JobService) -> APIRouter:
     @router.post("/versions", status_code=201, response_model=VersionView, responses=REFUSED)
     async def make_version(body: NewVersion) -> JSONResponse:
         """Save the effects found by a finished diagnosis, confirmed and likely, as a version, without using it."""
-        one = service.diagnoses.find(body.diagnosis_id)
+        one = service.diagnoses.find_diagnosis(body.diagnosis_id)
         if one is None:
             return problem_response(404, "Unknown diagnosis", f"no diagnosis {body.diagnosis_id}", "unknown_diagnosis")
         try:
             answer = await asyncio.to_thread(service.diagnoses.result, one)
-            version = await asyncio.to_thread(service.versions.make, answer, one.diagnosis_id)
+            version = await asyncio.to_thread(service.versions.make_version, answer, one.diagnosis_id)
         except (ServerError, CompensationError) as error:
             return problem_response(409, "No version", str(error), "no_version", "see GET /v1/diagnoses")
         return JSONResponse(_version_view(version).model_dump(mode="json"), status_code=201)
@@ -122,7 +122,7 @@ def machine_router(service: JobService) -> APIRouter:
     )
     async def version_file(version_id: Id) -> Response:
         """The machine file with the version's effects, for `longreach sim --machine` and `longreach compare`."""
-        version = await asyncio.to_thread(service.versions.find, version_id)
+        version = await asyncio.to_thread(service.versions.find_version, version_id)
         if version is None:
             return problem_response(404, "Unknown version", f"no version {version_id}", "unknown_version")
         text = await asyncio.to_thread(service.versions.machine_file, version)
@@ -138,7 +138,7 @@ def _versions_view(service: JobService) -> VersionsView:
     return VersionsView(
         in_use="" if used is None else used.version_id,
         problem=service.versions.problem,
-        versions=[_version_view(version) for version in service.versions.all()],
+        versions=[_version_view(version) for version in service.versions.list_versions()],
         compared=[
             ComparedView(
                 number=comparison.number,

@@ -123,10 +123,10 @@ def _service_figures(service: JobService) -> Figures:
     job = service.engine.current
     keeper, free = service.keeper, service.disk.free_bytes
     return [
-        ("job_running", "1 while a job runs", float(job is not None and not job.ended)),
+        ("job_running", "1 while a job runs", float(job is not None and not job.has_ended)),
         ("control_held", "1 while a client has control", float(service.engine.leases.held is not None)),
         ("fencing", "the highest fencing number given", service.engine.leases.book.fencing),
-        ("store_ok", "1 while the database can be written", float(keeper is not None and not keeper.problem)),
+        ("store_ok", "1 while the database can be written", float(keeper is not None and not keeper.why_not_storing)),
         ("faults", "faults now", len(fault_views(service))),
         ("disk_free_bytes", "free disk space where recordings are written", float("nan") if free is None else free),
         ("asyncio_tasks", "tasks of the event loop", len(asyncio.all_tasks())),

@@ -96,7 +96,7 @@ def _recorder_faults(service: JobService) -> list[FaultView]:
 
 
 def _disk_faults(service: JobService) -> list[FaultView]:
-    problem = service.disk.problem
+    problem = service.disk.why_short
     hint = "move old recordings away: without space nothing is recorded, and motion is refused in the end"
     text = f"the disk is nearly full: {problem}"
     return [FaultView(fault_id="disk_low", level="WARNING", text=text, hint=hint)] if problem else []
@@ -143,7 +143,7 @@ def oversight_router(service: JobService, life: str) -> APIRouter:
         """Who commanded what and what came of it, newest first. For operators, engineers and admins."""
         if service.keeper is None:
             return []
-        rows = await service.keeper.database.found(lambda db: read_audit(db, before, limit))
+        rows = await service.keeper.database.read_async(lambda db: read_audit(db, before, limit))
         return [AuditView(**row) for row in rows]
 
     @router.get("/time", response_model=TimeView)

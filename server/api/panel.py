@@ -46,7 +46,7 @@ def set_goal(service: JobService, stand_off_mm: float, offset_x_mm: float, offse
     Raises: BusyError: a job is running and keeps the goal it began with.
     """
     job = service.engine.current
-    if job is not None and not job.ended:
+    if job is not None and not job.has_ended:
         raise BusyError(f"job {job.job_id} ({job.kind}) of {job.owner} is {job.state.value}; set the goal after it")
     context, knowledge = service.context, service.cell.knowledge
     goal = {"stand_off_mm": stand_off_mm, "offset_x_mm": offset_x_mm, "offset_y_mm": offset_y_mm}
@@ -184,7 +184,7 @@ def install_panel(app: FastAPI, service: JobService) -> Callable[[FastAPI], Awai
             timeout=10.0, trust_env=False
         )  # on this computer, never by a proxy
         tasks = SupervisedTasks()
-        service.inner_faults.watch(PART_FAILED, lambda: tasks.problem)
+        service.inner_faults.watch(PART_FAILED, lambda: tasks.recent_failure)
         tasks.start("live-feed", feed.run)
         tasks.start("scene-feed", scene.run)
 

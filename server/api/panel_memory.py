@@ -67,7 +67,7 @@ class PanelMemory:
         self.service.alarm_codes = lambda: self.book.active
         self._shown_look = self.service.cell.knowledge.last_look
 
-    def live(self) -> LiveView:
+    def live_message(self) -> LiveView:
         """One message, as of now."""
         service, now_s = self.service, mono_s()
         state = state_view(service.cell, service.engine, service.context, service.store_problem)

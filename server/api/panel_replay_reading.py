@@ -70,7 +70,7 @@ def replay_of(path: Path) -> tuple[dict[str, Any], list[bytes]]:
 def _wanted_messages(path: Path) -> Iterator[tuple[str, Message]]:
     channels = Channels()
     for record in RecordStream(path):
-        channels.take(record)
+        channels.take_record(record)
         if isinstance(record, Message) and (topic := channels.topic_of(record)) in WANTED:
             yield topic, record
 

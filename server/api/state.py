@@ -27,7 +27,7 @@ class StateCache:
         self._service, self._clock = service, clock
         self._text, self._made_s = "", float("-inf")
 
-    def text(self) -> str:
+    def fresh_text(self) -> str:
         """Not older than FRESH_S."""
         now_s = self._clock()
         if now_s - self._made_s > FRESH_S:
@@ -40,7 +40,7 @@ class StateCache:
 
     def answer(self) -> Response:
         """The text as an answer to a GET."""
-        return Response(self.text(), media_type="application/json", headers={"Cache-Control": "no-store"})
+        return Response(self.fresh_text(), media_type="application/json", headers={"Cache-Control": "no-store"})
 
 
 class StraightState:
@@ -122,8 +122,8 @@ def why_not_ready(service: JobService) -> list[str]:
         reasons.append(camera)
     if service.store_problem:
         reasons.append(f"the database cannot be written: {service.store_problem}")
-    if service.disk.problem:
-        reasons.append(f"the disk is nearly full: {service.disk.problem}: move old recordings away")
+    if service.disk.why_short:
+        reasons.append(f"the disk is nearly full: {service.disk.why_short}: move old recordings away")
     return [*reasons, *service.inner_faults.active.values()]
 
 

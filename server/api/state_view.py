@@ -134,7 +134,7 @@ def _no_plan(cell: Cell) -> str:
 
 def _blocking_reason(cell: Cell, engine: JobEngine) -> str:
     job = engine.current
-    if job is not None and not job.ended:
+    if job is not None and not job.has_ended:
         return f"{job.kind} of {job.owner} is {job.state.value}"
     if cell.starting:
         return cell.starting

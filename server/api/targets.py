@@ -70,7 +70,7 @@ def taught_object_router(service: JobService, choice: TargetChoice) -> APIRouter
 
     def view() -> ObjectsView:
         return ObjectsView(
-            names=teaching.names(),
+            names=teaching.object_names(),
             in_use=teaching.in_use,
             view_landmarks=[_mark_count(taken) for taken in teaching.views],
         )
@@ -90,7 +90,7 @@ def taught_object_router(service: JobService, choice: TargetChoice) -> APIRouter
     @router.delete("/views", response_model=ObjectsView, responses=REFUSED)
     async def forget_object_views() -> ObjectsView:
         """Forget the views taken so far."""
-        teaching.forget()
+        teaching.forget_views()
         return view()
 
     @router.post("", response_model=ObjectsView, responses=REFUSED)
@@ -102,7 +102,7 @@ def taught_object_router(service: JobService, choice: TargetChoice) -> APIRouter
     @router.post("/{name}/use", response_model=ObjectsView, responses=REFUSED, dependencies=[control])
     async def use_object(name: ObjectPath) -> ObjectsView:
         """Use a taught object as the object of interest: look at it before anything moves."""
-        await teaching.use(name)
+        await teaching.use_object(name)
         return view()
 
     @router.delete("/{name}", response_model=ObjectsView, responses=REFUSED, dependencies=[control])

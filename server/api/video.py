@@ -143,14 +143,14 @@ class VideoHub:
         self._arrived.set()
         self._arrived = asyncio.Event()
 
-    async def after(self, number: int) -> tuple[int, bytes]:
+    async def frame_after(self, number: int) -> tuple[int, bytes]:
         """The newest frame, as soon as there is one after that number."""
         while self._number <= number:
             await self._arrived.wait()
         return self._number, self._message
 
     @property
-    def number(self) -> int:
+    def newest_number(self) -> int:
         """Of the newest frame."""
         return self._number
 
@@ -187,10 +187,10 @@ async def _stream_to_viewer(socket: WebSocket, hub: VideoHub) -> None:
 
 
 async def _send(socket: WebSocket, hub: VideoHub, room: asyncio.Semaphore) -> None:
-    number = hub.number
+    number = hub.newest_number
     while True:
         await room.acquire()
-        number, message = await hub.after(number)
+        number, message = await hub.frame_after(number)
         await socket.send_bytes(message)
 
 

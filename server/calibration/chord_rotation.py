@@ -42,7 +42,7 @@ class ChordWeighting:
     spread: Array
     log_det: float
 
-    def times(self, values: Array) -> Array:
+    def project_values(self, values: Array) -> Array:
         """P @ values, shape (n, k)."""
         return self.own[:, None] * (values - self.drift_component(values))
 
@@ -175,7 +175,7 @@ def _at_ratio(
     stacked: Array, weighting: ChordWeighting, ratio: float, count: float, offset: tuple[float, float]
 ) -> tuple[Array, Array, Array, Array]:
     """Log likelihood, step, covariance and jitter at one drift-to-jitter ratio, for every size of strain."""
-    gram = stacked.T @ weighting.times(stacked)
+    gram = stacked.T @ weighting.project_values(stacked)
     N = np.sum([K.T @ gram @ K for K in _DESIGNS], axis=0)
     g = np.sum([K.T @ gram[:, 6 + axis] for axis, K in enumerate(_DESIGNS)], axis=0)
     square = float(np.trace(gram[6:, 6:]))

@@ -239,14 +239,14 @@ def estimate_hand_eye(
         return refused_hand_eye(wrong.status, wrong.reason)
     good_hand, good_cam = usable_poses(np.asarray(Ts_base_hand)), usable_poses(np.asarray(Ts_cam_target))
     hand = HandPoses(t_hand_s[good_hand], Ts_base_hand[good_hand], settings.gap_max_s)
-    good_cam &= hand.covers(t_cam_s, settings.offset_bound_s + 0.01)
+    good_cam &= hand.covers_times(t_cam_s, settings.offset_bound_s + 0.01)
     t_cam, Ts_cam = t_cam_s[good_cam], Ts_cam_target[good_cam]
     if len(t_cam) < _SAMPLES_MIN:
         counts = f"{len(t_cam)} camera poses lie within the hand's track, at least {_SAMPLES_MIN} are needed"
         return refused_hand_eye(CalibrationStatus.TOO_FEW, f"{counts}; record both streams", len(t_cam))
     start_s = _coarse_offset(hand, t_cam, Ts_cam, settings)
     track = inverse_poses(Ts_cam)
-    found = _solve_poses(lambda offset_s: hand.at(t_cam + offset_s), track, start_s, True, settings)
+    found = _solve_poses(lambda offset_s: hand.poses_at(t_cam + offset_s), track, start_s, True, settings)
     if found.X is not None and abs(found.time_offset_s) >= settings.offset_bound_s:
         text = f"time offset {1e3 * found.time_offset_s:.0f} ms, bound {1e3 * settings.offset_bound_s:.0f} ms"
         return refused_hand_eye(
@@ -263,7 +263,7 @@ class HandPoses:
         self._t_s, self._Ts, self._gap_max_s = t_s, Ts, gap_max_s
         self._slerp = Slerp(t_s, Rotation.from_matrix(Ts[:, :3, :3])) if len(t_s) >= 2 else None
 
-    def at(self, t_s: Array) -> Array:
+    def poses_at(self, t_s: Array) -> Array:
         """Poses at times (n,) [s], held at the ends."""
         t = np.clip(t_s, self._t_s[0], self._t_s[-1])
         out = np.tile(np.eye(4), (len(t), 1, 1))
@@ -272,7 +272,7 @@ class HandPoses:
         out[:, :3, 3] = np.column_stack([np.interp(t, self._t_s, self._Ts[:, axis, 3]) for axis in range(3)])
         return out
 
-    def covers(self, t_s: Array, margin_s: float) -> NDArray[np.bool_]:
+    def covers_times(self, t_s: Array, margin_s: float) -> NDArray[np.bool_]:
         """Which times lie inside, at least the margin from the ends, and in no gap."""
         if len(self._t_s) < 2:
             return np.zeros(len(t_s), dtype=bool)
@@ -293,7 +293,9 @@ def _coarse_offset(hand: HandPoses, t_cam: Array, Ts_cam: Array, settings: HandE
     seen = _motion_angles(Ts_cam, first, last, swapped=True)
     steps = round(settings.offset_bound_s / settings.offset_grid_s)
     grid = np.arange(-steps, steps + 1) * settings.offset_grid_s
-    costs = [float(np.mean(np.abs(_motion_angles(hand.at(t_cam + offset_s), first, last) - seen))) for offset_s in grid]
+    costs = [
+        float(np.mean(np.abs(_motion_angles(hand.poses_at(t_cam + offset_s), first, last) - seen))) for offset_s in grid
+    ]
     return float(grid[int(np.argmin(costs))])
 
 

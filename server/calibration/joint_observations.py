@@ -22,7 +22,7 @@ class JointTrack:
     qs: Array
     sides: Array | None = None
 
-    def at(self, t_s: Array) -> tuple[Array, Array | None]:
+    def joints_at(self, t_s: Array) -> tuple[Array, Array | None]:
         """Joints and their sides at these times (k, n), linear between samples."""
         qs = self._interpolate_columns(t_s, self.qs)
         return qs, None if self.sides is None else self._interpolate_columns(t_s, self.sides)
@@ -125,7 +125,7 @@ def run_residuals(
 
     bending (7, 3, 3): what each lens unknown adds to a step (`joint_lens.odometry_sensitivity`).
     """
-    qs, sides = run.joints.at(samples.t_s + state.time_offset_s)
+    qs, sides = run.joints.joints_at(samples.t_s + state.time_offset_s)
     Ts_base_cam = tcp_poses_with_errors(model, qs, state.errors, sides) @ state.T_tcp_cam
     R_first, p_first = Ts_base_cam[0, :3, :3], Ts_base_cam[0, :3, 3]
     p = (Ts_base_cam[1:, :3, 3] - p_first) @ R_first

@@ -43,7 +43,7 @@ class FitResiduals:
     seeing_chi2: float
 
     @property
-    def misfit(self) -> float:
+    def worst_mean_square(self) -> float:
         """The worst of all mean squares, about 1 or less where everything agrees."""
         freedoms = max(1, LOOK_FREEDOMS * len(self.look_chi2) - OOI_FREEDOMS)
         looks, seeing = sum(self.look_chi2) / freedoms, self.seeing_chi2 / SEEING_FREEDOMS

@@ -49,7 +49,7 @@ class LensFit:
     boards: Array
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def covariance_names(self) -> tuple[str, ...]:
         """What each row of the covariance is."""
         eyes = ("left", "right") if len(self.lenses) == 2 else ("lens",)
         return tuple(f"{eye}.{name}" for eye in eyes for name in LENS) + (() if self.rig is None else RIG)

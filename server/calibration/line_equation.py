@@ -172,7 +172,7 @@ class LineServo:
         self._last_m = np.inf
         self._steps = 0
 
-    def step(self, t_s: float, T_base_tcp: Array, p_cam_tool: Array, p_cam_ooi: Array) -> LineStep:
+    def next_reference(self, t_s: float, T_base_tcp: Array, p_cam_tool: Array, p_cam_ooi: Array) -> LineStep:
         """The next reference from a look taken at rest at t_s [s].
 
         Args:    T_base_tcp: present pose (4, 4); p_cam_tool, p_cam_ooi: as seen there (3,) [m].

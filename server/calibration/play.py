@@ -47,11 +47,11 @@ class PlayFollower:
         self._t_s, self._q = float("nan"), np.zeros(len(widths))
 
     @property
-    def side(self) -> Array:
+    def side_in_play(self) -> Array:
         """Where each joint rests in its play (n,), -1 to 1, 0 where that is not known."""
         return np.asarray(self._bounds.mean(axis=0), dtype=np.float64)
 
-    def see(self, t_s: float, q: Array) -> None:
+    def take_encoders(self, t_s: float, q: Array) -> None:
         """Take in the encoders (n,) [rad] at a time of their own clock [s]."""
         if not 0.0 <= t_s - self._t_s <= self._gap_max_s:
             self._bounds = self._nothing_known

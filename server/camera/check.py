@@ -119,7 +119,7 @@ class CheckSampler:
         return (len(recent) - 1) * 1e9 / span_ns if span_ns > 0 else 0.0
 
     @property
-    def missing(self) -> int:
+    def missing_count(self) -> int:
         """Sequence numbers that never came."""
         steps = ((before, after) for before, after in pairwise(self.times) if before[3] == after[3])
         return sum(max(0, after[2] - before[2] - 1) for before, after in steps)

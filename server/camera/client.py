@@ -121,7 +121,7 @@ class VisionClient:
     @property
     def listener_problem(self) -> str:
         """Which of those that `on_report` calls failed lately, and how."""
-        return self._listeners.problem
+        return self._listeners.recent_failure
 
     async def start(self) -> None:
         """Start the vision process; does not wait for the camera."""

@@ -100,7 +100,7 @@ class FrameReport:
     odometry_run: int = 0
 
     @property
-    def usable(self) -> bool:
+    def fit_for_look(self) -> bool:
         """Whether the images are fit for a look."""
         return not self.warnings
 

@@ -78,7 +78,7 @@ class LookCollector:
         """The finished look, or None when more pairs are wanted."""
         if report.t_exposure_mapped_ns < self.t_from_ns or report.pose_source != self.pose_source:
             return None
-        if not report.usable:
+        if not report.fit_for_look:
             self._reject_frame_report(report)
             return None
         self._pairs = [*self._pairs, report.observation][-self.n_pairs :]

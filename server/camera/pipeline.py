@@ -58,9 +58,9 @@ class CameraClock:
     @property
     def offset_ns(self) -> int:
         """PC time minus camera time [ns] at the last pair; 0 before the first."""
-        return self._smallest.at(self._t_receive_ns)
+        return self._smallest.offset_at(self._t_receive_ns)
 
-    def map(self, t_exposure_ns: int, t_receive_mono_ns: int, connection: int = 0, short_ns: int = 0) -> int:
+    def to_pc_clock(self, t_exposure_ns: int, t_receive_mono_ns: int, connection: int = 0, short_ns: int = 0) -> int:
         """The exposure on the PC's clock [ns]; a new connection starts afresh.
 
         `short_ns`: by how much this stamp came too soon after the one before, for the exposures between them.
@@ -162,7 +162,7 @@ class VisionPipeline:
 
     def targets_measured(self) -> list[TargetAnswer]:
         """Measured targets, found marks and taught views finished since the last call; each is returned once only."""
-        return [] if self._targets is None else self._targets.finished()
+        return [] if self._targets is None else self._targets.take_finished()
 
     def close(self) -> None:
         """End the threads."""
@@ -175,7 +175,7 @@ class VisionPipeline:
         started_s = time.perf_counter()
         findings = self._health.before_use(frame)
         forbidden = any(finding.forbids_odometry for finding in findings)
-        mapped_ns = self._clock.map(
+        mapped_ns = self._clock.to_pc_clock(
             frame.t_exposure_ns, frame.t_receive_mono_ns, frame.connection, self._health.stamp_short_ns
         )
         if self._pictures is not None and not forbidden:

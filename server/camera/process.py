@@ -150,16 +150,18 @@ class VisionLoop:
     def run(self) -> None:
         """Until QuitCommand; EOFError or BrokenPipeError when the server is gone."""
         while not self._quit:
-            self.step(READ_TIMEOUT_S)
+            self.run_once(READ_TIMEOUT_S)
 
-    def step(self, timeout_s: float) -> None:
+    def run_once(self, timeout_s: float) -> None:
         """One turn: all waiting commands, then at most one pair."""
         while self._pipe.poll(0.0):
             self._execute_command(self._pipe.recv())
         frame = None if self._quit else self._source.read(timeout_s)
         if self._source.ended and frame is None and not self._quit:
             self._quit = self._pipe.poll(timeout_s) and self._execute_command(self._pipe.recv())
-        if self._suspend.resumed():  # what is buffered is old, and the camera's clock went on or did not: begun again
+        if (
+            self._suspend.was_suspended()
+        ):  # what is buffered is old, and the camera's clock went on or did not: begun again
             self._pipe.send(StreamNotice(mono_ns(), SUSPENDED))
             self._quit = True
             return

@@ -72,7 +72,7 @@ def rig_of_rectification(R1: Array, P1: Array, R2: Array, P2: Array, fields: Fie
     """
     focal = float(P1[0, 0])
     if focal <= 0.0 or abs(P2[0, 0] - focal) > 1e-6 * focal:
-        raise fields.refused(f"P1 and P2 have focal lengths {P1[0, 0]:g} and {P2[0, 0]:g}; they must agree")
+        raise fields.refusal(f"P1 and P2 have focal lengths {P1[0, 0]:g} and {P2[0, 0]:g}; they must agree")
     shift = np.array([(P2[0, 3] - P1[0, 3]) / focal, 0.0, 0.0])
     return R2.T @ R1, R2.T @ shift
 
@@ -80,7 +80,7 @@ def rig_of_rectification(R1: Array, P1: Array, R2: Array, P2: Array, fields: Fie
 def _required_field_name(fields: Fields, names: tuple[str, ...]) -> str:
     name = fields.of_any(names)
     if name is None:
-        raise fields.refused(f"field {names[0]} (or {', '.join(names[1:4])}) is missing")
+        raise fields.refusal(f"field {names[0]} (or {', '.join(names[1:4])}) is missing")
     return name
 
 
@@ -103,7 +103,7 @@ def parse_eye(fields: Fields) -> tuple[EyeCalibration, tuple[int, int] | None]:
 def _refuse_omnidirectional(fields: Fields) -> None:
     mirror = next((key for key in fields.tree if OMNIDIRECTIONAL.match(str(key))), None)
     if mirror is not None:
-        raise fields.refused(
+        raise fields.refusal(
             f"field {mirror} belongs to OpenCV's omnidirectional model (omnidir), which is not read; calibrate with "
             "the pinhole or the fisheye model"
         )
@@ -114,16 +114,16 @@ def _read_lens_model(fields: Fields, lens_names: tuple[tuple[str, ...], ...] = L
     _refuse_omnidirectional(fields)
     key = fields.of_any(("model", "camera_model", "distortion_model"))
     if key is not None:
-        name = fields.word(key)
+        name = fields.lower_text(key)
         if name not in OPENCV_MODELS:
-            raise fields.refused(f"{key} {name!r} is not read; known are {', '.join(sorted(OPENCV_MODELS))}")
+            raise fields.refusal(f"{key} {name!r} is not read; known are {', '.join(sorted(OPENCV_MODELS))}")
         return OPENCV_MODELS[name]
     flag = fields.of_any(("fisheye", "fisheye_model"))
     if flag is not None:
-        return "fisheye" if fields.word(flag) in ("1", "true") else "brown"
+        return "fisheye" if fields.lower_text(flag) in ("1", "true") else "brown"
     lenses = [fields.numbers(name) for names in lens_names if (name := fields.of_any(names)) is not None]
     if any(len(lens) == FISHEYE_COUNT and lens.any() for lens in lenses):
-        raise fields.refused(
+        raise fields.refusal(
             f"{FISHEYE_COUNT} distortion coefficients are k1 k2 p1 p2 of the pinhole model or k1 k2 k3 k4 of the "
             "fisheye model, and the file does not state which; add the line `model: pinhole` or `model: fisheye`"
         )
@@ -146,7 +146,7 @@ def _stereo_extrinsics(fields: Fields) -> tuple[Array, Array]:
         P1, P2 = (fields.matrix(name, (3, 4)) for name in ("P1", "P2"))
         R, t = rig_of_rectification(R1, P1, R2, P2, fields)
         return R, translation_in_metres(t, fields.file, "P2")
-    raise fields.refused("R and T (or R1, P1, R2, P2) are missing; give the extrinsics file as well")
+    raise fields.refusal("R and T (or R1, P1, R2, P2) are missing; give the extrinsics file as well")
 
 
 def _read_rotation_matrix(fields: Fields, name: str) -> Array:
@@ -163,7 +163,7 @@ def _image_size_px(fields: Fields, size_px: tuple[int, int]) -> tuple[int, int]:
         return int(width), int(height)
     width_name, height_name = (fields.of_any(names) for names in SIDE_NAMES)
     if width_name is not None and height_name is not None:
-        return fields.whole(width_name), fields.whole(height_name)
+        return fields.whole_number(width_name), fields.whole_number(height_name)
     return size_px
 
 
@@ -189,13 +189,13 @@ def parse_ros(left: Fields, right: Fields) -> RigCalibration:
     """
     files = (left, right)
     eyes = [_ros_eye(file) for file in files]
-    sizes = [(file.whole("image_width"), file.whole("image_height")) for file in files]
+    sizes = [(file.whole_number("image_width"), file.whole_number("image_height")) for file in files]
     if sizes[0] != sizes[1]:
-        raise right.refused(f"image size {sizes[1]} differs from {left.file}'s {sizes[0]}")
+        raise right.refusal(f"image size {sizes[1]} differs from {left.file}'s {sizes[0]}")
     R1, R2 = (file.matrix("rectification_matrix", (3, 3)) for file in files)
     P1, P2 = (file.matrix("projection_matrix", (3, 4)) for file in files)
     if P2[0, 3] >= P1[0, 3]:
-        raise right.refused(
+        raise right.refusal(
             f"projection_matrix[0][3] = {P2[0, 3]:g} must be below the left eye's {P1[0, 3]:g}; give the left eye's "
             "file first, and files of one stereo calibration"
         )
@@ -207,12 +207,12 @@ def parse_ros(left: Fields, right: Fields) -> RigCalibration:
 def _ros_eye(fields: Fields) -> EyeCalibration:
     _refuse_part_of_picture(fields)
     lens = fields.numbers("distortion_coefficients")
-    name = fields.word("distortion_model")
+    name = fields.lower_text("distortion_model")
     if name in ("", "none") and not lens.any():
         name, lens = "plumb_bob", lens[:0]
     elif name not in ROS_MODELS or len(lens) not in ROS_MODELS[name][1]:
         known = ", ".join(f"{key} {counts}" for key, (_, counts) in ROS_MODELS.items())
-        raise fields.refused(f"distortion_model {name!r} with {len(lens)} coefficients; known are {known}")
+        raise fields.refusal(f"distortion_model {name!r} with {len(lens)} coefficients; known are {known}")
     matrix = fields.matrix("camera_matrix", (3, 3))
     return eye_from_matrix(matrix, lens, ROS_MODELS[name][0], fields.file, "camera_matrix")
 
@@ -224,18 +224,18 @@ def _refuse_part_of_picture(fields: Fields) -> None:
     """
     for key in ("binning_x", "binning_y"):
         if key in fields and (binning := float(fields.numbers(key)[0])) > 1.0:
-            raise fields.refused(
+            raise fields.refusal(
                 f"{key} = {binning:g}, but the matrices are of the picture without binning; switch the camera's "
                 "binning off, or calibrate with it and write 1"
             )
     if "roi" not in fields:
         return
-    roi = fields.part("roi")
+    roi = fields.nested_fields("roi")
     whole_side = {"width": "image_width", "height": "image_height"}
     for key in ("x_offset", "y_offset", "width", "height"):
         value = float(roi.numbers(key)[0]) if key in roi else 0.0
-        if value != 0.0 and not (key in whole_side and value == fields.whole(whole_side[key])):
-            raise fields.refused(
+        if value != 0.0 and not (key in whole_side and value == fields.whole_number(whole_side[key])):
+            raise fields.refusal(
                 f"roi {key} = {value:g}, but the matrices are of the whole picture; switch the camera's region of "
                 "interest off, or calibrate with it and write zeros"
             )
@@ -275,7 +275,7 @@ def parse_kalibr(fields: Fields) -> RigCalibration:
     Model:   cam1's T_cn_cnm1 takes cam0 to cam1.
     Source:  ethz-asl/kalibr, wiki "yaml formats".
     """
-    left, right = fields.part("cam0"), fields.part("cam1")
+    left, right = fields.nested_fields("cam0"), fields.nested_fields("cam1")
     return _rig_from_kalibr(left, right, _checked_pose_matrix(right, "T_cn_cnm1"), "distortion_coeffs")
 
 
@@ -283,7 +283,7 @@ def _rig_from_kalibr(left: Fields, right: Fields, T_right_left: Array, lens: str
     eyes = [_kalibr_eye(eye, lens) for eye in (left, right)]
     sizes = [eye.matrix("resolution", (1, 2)).ravel() for eye in (left, right)]
     if (sizes[0] != sizes[1]).any():
-        raise right.refused(f"resolution {sizes[1]} differs from {left.file}'s {sizes[0]}")
+        raise right.refusal(f"resolution {sizes[1]} differs from {left.file}'s {sizes[0]}")
     size = (int(sizes[0][0]), int(sizes[0][1]))
     rig = RigCalibration(eyes[0], eyes[1], T_right_left[:3, :3], T_right_left[:3, 3], *size)
     return checked_rig(rig, f"{left.file} and {right.file}")
@@ -292,16 +292,16 @@ def _rig_from_kalibr(left: Fields, right: Fields, T_right_left: Array, lens: str
 def _checked_pose_matrix(fields: Fields, key: str) -> Array:
     T = fields.matrix(key, (4, 4))
     if np.abs(T[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6 or np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-3:
-        raise fields.refused(f"{key} is not a pose; give a 4 x 4 matrix with last row 0 0 0 1")
+        raise fields.refusal(f"{key} is not a pose; give a 4 x 4 matrix with last row 0 0 0 1")
     return T
 
 
 def _kalibr_eye(fields: Fields, lens: str) -> EyeCalibration:
-    if "camera_model" in fields and fields.word("camera_model") != "pinhole":
-        raise fields.refused(f"camera_model {fields.word('camera_model')!r}; only pinhole is known")
-    name = fields.word("distortion_model")
+    if "camera_model" in fields and fields.lower_text("camera_model") != "pinhole":
+        raise fields.refusal(f"camera_model {fields.lower_text('camera_model')!r}; only pinhole is known")
+    name = fields.lower_text("distortion_model")
     if name not in KALIBR_MODELS:
-        raise fields.refused(f"distortion_model {name!r}; known are {', '.join(KALIBR_MODELS)}")
+        raise fields.refusal(f"distortion_model {name!r}; known are {', '.join(KALIBR_MODELS)}")
     fx, fy, cx, cy = fields.matrix("intrinsics", (1, 4)).ravel()
     coefficients = fields.numbers(lens) if name != "none" else np.zeros(0)
     values = tuple(float(value) for value in coefficients)

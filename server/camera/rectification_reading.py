@@ -146,8 +146,8 @@ def _of_one(fields: Fields, size_px: tuple[int, int]) -> RigCalibration:
     if is_opencv(fields):
         return parse_opencv(fields, size_px)
     if is_ros(fields) or is_euroc(fields):
-        raise fields.refused("one eye only; give the other eye's file as well, the left one first")
-    raise fields.refused(f"no calibration of a stereo rig; give {KNOWN}")
+        raise fields.refusal("one eye only; give the other eye's file as well, the left one first")
+    raise fields.refusal(f"no calibration of a stereo rig; give {KNOWN}")
 
 
 def _of_two(left: Fields, right: Fields, size_px: tuple[int, int]) -> RigCalibration:
@@ -158,7 +158,7 @@ def _of_two(left: Fields, right: Fields, size_px: tuple[int, int]) -> RigCalibra
     merged = Fields(f"{left.file} and {right.file}", {**left.tree, **right.tree})
     if is_opencv(merged):
         return parse_opencv(merged, size_px)
-    raise merged.refused(f"no calibration of a stereo rig together; give {KNOWN}")
+    raise merged.refusal(f"no calibration of a stereo rig together; give {KNOWN}")
 
 
 def read_calibration(paths: Sequence[str], size_px: tuple[int, int], off_centre: bool = False) -> RigCalibration:

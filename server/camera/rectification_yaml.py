@@ -23,7 +23,7 @@ class Fields:
     def __contains__(self, key: str) -> bool:
         return key in self.tree
 
-    def refused(self, text: str) -> CalibrationFileError:
+    def refusal(self, text: str) -> CalibrationFileError:
         """The error for something in this file."""
         return CalibrationFileError(f"{self.file}: {text}")
 
@@ -34,48 +34,50 @@ class Fields:
     def value(self, key: str) -> object:
         """A field as it is."""
         if key not in self:
-            raise self.refused(f"field {key} is missing; it has {', '.join(sorted(map(str, self.tree))[:12])}")
+            raise self.refusal(f"field {key} is missing; it has {', '.join(sorted(map(str, self.tree))[:12])}")
         return self.tree[key]
 
-    def part(self, key: str) -> "Fields":
+    def nested_fields(self, key: str) -> "Fields":
         """A field that holds fields."""
         value = self.value(key)
         if not isinstance(value, dict):
-            raise self.refused(f"{key} = {str(value)[:40]!r} holds no fields")
+            raise self.refusal(f"{key} = {str(value)[:40]!r} holds no fields")
         return Fields(f"{self.file}: {key}", cast("Mapping[str, object]", value))
 
     def numbers(self, key: str) -> Array:
         """All numbers of a field in order (n,): a list, a list of lists, or a matrix with rows, cols and data."""
         value, declared = self.value(key), None
         if isinstance(value, dict):
-            part = self.part(key)
-            declared = part.whole("rows") * part.whole("cols") if "rows" in part and "cols" in part else None
+            part = self.nested_fields(key)
+            declared = (
+                part.whole_number("rows") * part.whole_number("cols") if "rows" in part and "cols" in part else None
+            )
             value = part.value("data")
         found = np.array([self._finite_number(leaf, key) for leaf in _flatten_nested_list(value)], dtype=float)
         if declared is not None and declared != len(found):
-            raise self.refused(f"{key} has {len(found)} numbers, its rows x cols say {declared}")
+            raise self.refusal(f"{key} has {len(found)} numbers, its rows x cols say {declared}")
         return found
 
     def matrix(self, key: str, shape: tuple[int, int]) -> Array:
         """A matrix of a given shape."""
         found = self.numbers(key)
         if len(found) != shape[0] * shape[1]:
-            raise self.refused(f"{key} has {len(found)} numbers; give {shape[0]} x {shape[1]}")
+            raise self.refusal(f"{key} has {len(found)} numbers; give {shape[0]} x {shape[1]}")
         return found.reshape(shape)
 
-    def whole(self, key: str) -> int:
+    def whole_number(self, key: str) -> int:
         """A whole number above 0 and below a million."""
         value = self.value(key)
         number = self._finite_number(value, key)
         if number != int(number) or not 0 < number < 1_000_000:
-            raise self.refused(f"{key} = {str(value)[:40]!r} is not a whole number above 0")
+            raise self.refusal(f"{key} = {str(value)[:40]!r} is not a whole number above 0")
         return int(number)
 
-    def word(self, key: str) -> str:
+    def lower_text(self, key: str) -> str:
         """A field of text, in small letters."""
         value = self.value(key)
         if not isinstance(value, str):
-            raise self.refused(f"{key} is not a word")
+            raise self.refusal(f"{key} is not a word")
         return value.strip().lower()
 
     def _finite_number(self, value: object, key: str) -> float:
@@ -84,7 +86,7 @@ class Fields:
         except ValueError:
             number = float("nan")
         if not np.isfinite(number):
-            raise self.refused(f"{key}: {str(value)[:40]!r} is not a finite number")
+            raise self.refusal(f"{key}: {str(value)[:40]!r} is not a finite number")
         return number
 
 

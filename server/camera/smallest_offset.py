@@ -13,11 +13,11 @@ class SmallestOffset:
         self._read: tuple[int, int] | None = None  # receive time, offset
 
     @property
-    def known(self) -> bool:
+    def is_known(self) -> bool:
         """Whether a pair was seen."""
         return self._read is not None
 
-    def at(self, t_receive_ns: int) -> int:
+    def offset_at(self, t_receive_ns: int) -> int:
         """The offset as it may be by then [ns]; 0 before the first pair."""
         if self._read is None:
             return 0
@@ -26,7 +26,7 @@ class SmallestOffset:
 
     def learn(self, t_receive_ns: int, offset_ns: int) -> None:
         """Take in one pair's."""
-        if self._read is None or offset_ns < self.at(t_receive_ns):
+        if self._read is None or offset_ns < self.offset_at(t_receive_ns):
             self._read = t_receive_ns, offset_ns
 
     def begin(self, t_receive_ns: int, offset_ns: int) -> None:

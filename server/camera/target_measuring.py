@@ -64,7 +64,7 @@ class TargetMeasurementWorker:
     def execute_command(self, command: TargetCommand) -> None:
         """Serve a target from the next pair on, or begin to measure one; `finished` gives the answer."""
         if isinstance(command, UseTargetCommand):
-            return self._source.use(command.target)
+            return self._source.use_target(command.target)
         kept = tuple(self._kept)
         if isinstance(command, FindMarksCommand):
             self._running.append(self._thread.submit(self._answer_find_marks, command, kept))
@@ -74,7 +74,7 @@ class TargetMeasurementWorker:
             self._running.append(self._thread.submit(self._answer_measure_target, command, kept))
         return None
 
-    def finished(self) -> list[TargetAnswer]:
+    def take_finished(self) -> list[TargetAnswer]:
         """Answers finished since the last call; each is returned once only."""
         ready = []
         while self._running and self._running[0].done():

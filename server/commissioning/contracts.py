@@ -48,7 +48,7 @@ class Figure:
         return low and high
 
     @property
-    def text(self) -> str:
+    def as_line(self) -> str:
         """Name, value, limit and unit in one line."""
         low = "" if self.at_least is None else f"at least {self.at_least:g}"
         high = "" if self.at_most is None else f"at most {self.at_most:g}"
@@ -93,7 +93,7 @@ def result_of_figures(
     Args:    summary: what is right when nothing is wrong; remedy: for a figure outside its limits.
     """
     all_figures, missing = tuple(figures), tuple(open_points)
-    wrong = [figure.text for figure in all_figures if not figure.ok]
+    wrong = [figure.as_line for figure in all_figures if not figure.ok]
     verdict = Verdict.FAIL if wrong else Verdict.INCONCLUSIVE if missing else Verdict.PASS
     found = "; ".join(wrong) if wrong else "; ".join(missing) if missing else summary
     return StepResult(

@@ -51,7 +51,7 @@ def judge_marker(looks: Sequence[Sequence[FrameReport]], machine: Machine) -> St
     if not first.ok or len(poses) < 2:
         why = next((r.observation.tool.reason for r in reports if r.observation.tool.reason), "not in view")
         figures = (first, *disparity_figures(reports))
-        return StepResult(NAME, Verdict.FAIL, f"{first.text}; {why}", figures, REMEDY, tuple(notes))
+        return StepResult(NAME, Verdict.FAIL, f"{first.as_line}; {why}", figures, REMEDY, tuple(notes))
     figures = [
         first,
         *disparity_figures(reports),

@@ -55,7 +55,7 @@ class MachineVersion:
     effects: tuple[FoundEffect, ...]
 
     @property
-    def entries(self) -> tuple[EffectEntry, ...]:
+    def entries_in_use(self) -> tuple[EffectEntry, ...]:
         """The effects that are switched on."""
         return tuple(effect.entry for effect in self.effects if effect.on)
 
@@ -68,16 +68,16 @@ class MachineVersions:
         self._base_id = base_id_of(machine)
         self.problem = ""  # why a version that was in use is not
 
-    def all(self) -> tuple[MachineVersion, ...]:
+    def list_versions(self) -> tuple[MachineVersion, ...]:
         """All that can be read, newest first."""
         found = [self._read(path) for path in self._folder.glob("version-*.json")]
         return tuple(sorted((version for version in found if version), key=lambda version: -version.made_unix_s))
 
-    def find(self, version_id: str) -> MachineVersion | None:
+    def find_version(self, version_id: str) -> MachineVersion | None:
         """The one of that id."""
         return self._read(self._path(version_id))
 
-    def make(self, answer: dict[str, Any], diagnosis_id: str) -> MachineVersion:
+    def make_version(self, answer: dict[str, Any], diagnosis_id: str) -> MachineVersion:
         """A version of the effects that a budget takes for a machine file, all switched on; it is kept, not used yet.
 
         Raises: CompensationError: the answer holds no confirmed effect, or was found with another machine file.
@@ -111,7 +111,7 @@ class MachineVersions:
 
         Raises: CompensationError: no such version, or another number of effects.
         """
-        version = self.find(version_id)
+        version = self.find_version(version_id)
         if version is None or len(on) != len(version.effects):
             count = 0 if version is None else len(version.effects)
             raise CompensationError(f"version {version_id} has {count} effects, {len(on)} switches were given")
@@ -121,7 +121,7 @@ class MachineVersions:
         self._write(changed)
         return changed
 
-    def use(self, version_id: str) -> None:
+    def use_version(self, version_id: str) -> None:
         """Use this version from now on, also after a restart; empty: none.
 
         Raises: CompensationError: it is not of this machine.
@@ -149,7 +149,7 @@ class MachineVersions:
 
         Raises: CompensationError: no such version, or found with another machine file.
         """
-        version = self.find(version_id)
+        version = self.find_version(version_id)
         if version is None:
             raise CompensationError(f"no version {version_id} of this machine; see GET /v1/machine/versions")
         if version.base_id != self._base_id:
@@ -163,15 +163,15 @@ class MachineVersions:
     def compensation(self) -> Compensation | None:
         """What the version in use changes; None where nothing of it is switched on that the server can use."""
         version = self.in_use
-        if version is None or not sort_effects(version.entries).used:
+        if version is None or not sort_effects(version.entries_in_use).used:
             return None
-        return compensation_of(self._machine, version.entries)
+        return compensation_of(self._machine, version.entries_in_use)
 
     def machine_file(self, version: MachineVersion) -> str:
         """The machine file with the version's effects that are switched on, for `longreach sim` and `compare`."""
         head = f"\n# longreach identify: version {version.version_id}, {version.sentence}\n"
         try:
-            text = with_tables(with_room_for_effects(self._text), head + entries_to_toml(version.entries))
+            text = with_tables(with_room_for_effects(self._text), head + entries_to_toml(version.entries_in_use))
             parse_machine_toml(text)
         except (MachineFileError, MachineError) as error:
             text = f"version {version.version_id} cannot be written as a machine file: {error}"

@@ -88,7 +88,7 @@ def _axis_values(cell: Cell, fresh: bool) -> list[OpcUaValue]:
 
 def _device_values(service: JobService, fresh: bool) -> list[OpcUaValue]:
     latest, job = service.cell.link.latest, service.engine.current
-    running = job is not None and not job.ended
+    running = job is not None and not job.has_ended
     parameters = (SYSTEM, "MotionDevices", DEVICE, "ParameterSet")
     tasks = (SYSTEM, "Controllers", CONTROLLER, "TaskControls", "TaskControl_1", "ParameterSet")
     return [

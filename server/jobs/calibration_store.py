@@ -37,7 +37,7 @@ class CalibrationStore:
     path: Path | None
     _kept: LocalCalibration | None = None
 
-    def keep(self, knowledge: Knowledge) -> None:
+    def save_if_changed(self, knowledge: Knowledge) -> None:
         """Write the calibration if it changed; a full disk is logged and noted, it does not end a job."""
         life = knowledge.life
         if self.path is None or life is None or life is self._kept:

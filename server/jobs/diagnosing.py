@@ -64,7 +64,7 @@ class Diagnoses:
         self._turn = asyncio.Lock()
         self.all: deque[Diagnosis] = deque(maxlen=KEPT)
 
-    def find(self, diagnosis_id: str) -> Diagnosis | None:
+    def find_diagnosis(self, diagnosis_id: str) -> Diagnosis | None:
         """The one of that id."""
         return next((diagnosis for diagnosis in self.all if diagnosis.diagnosis_id == diagnosis_id), None)
 

@@ -70,7 +70,7 @@ class Job:
     fencing: int = 0  # of the lease it runs under; 0: the server's own
 
     @property
-    def ended(self) -> bool:
+    def has_ended(self) -> bool:
         """Whether the job has reached an end."""
         return self.state not in (JobState.RUNNING, JobState.STOPPING)
 
@@ -113,7 +113,7 @@ class JobEngine:
         """
         self._listeners.add(listener)
 
-    def find(self, job_id: str) -> Job | None:
+    def find_job(self, job_id: str) -> Job | None:
         """The job of that id among the last 200."""
         return next((job for job in self.jobs if job.job_id == job_id), None)
 
@@ -141,7 +141,7 @@ class JobEngine:
             job.code = getattr(error, "code", "internal")
             self._end(job, JobState.FAILED, f"it was not started: {error}")
             raise
-        lost = self.leases.lost(job.fencing) if lease else ""
+        lost = self.leases.why_lost(job.fencing) if lease else ""
         if job.state is JobState.STOPPING or lost:  # while it was written down
             plan.close()
             self._end(job, JobState.STOPPED, job.reason or lost)
@@ -153,7 +153,7 @@ class JobEngine:
         if self._closing:
             plan.close()
             raise JobFailedError("the server is shutting down; try again when it is back", "closing")
-        if self.current is not None and not self.current.ended:
+        if self.current is not None and not self.current.has_ended:
             plan.close()
             busy = self.current
             raise BusyError(
@@ -177,9 +177,9 @@ class JobEngine:
         With `only`, nothing is stopped unless it is that job which runs.
         """
         job, task = self.current, self._task
-        if only is not None and (job is not only or only.ended):
+        if only is not None and (job is not only or only.has_ended):
             return
-        running = job if job is not None and not job.ended else None
+        running = job if job is not None and not job.has_ended else None
         first = running is not None and self._stopping_job is not running  # a closed tab stops by its socket and lease
         self._stopping_job = running or self._stopping_job
         if running is not None and first:
@@ -197,7 +197,7 @@ class JobEngine:
         if task is not None and reason is not None:
             task.cancel()
         await asyncio.sleep(0.0)
-        if reason is not None and not job.ended:  # one that did not move has reported its end already
+        if reason is not None and not job.has_ended:  # one that did not move has reported its end already
             self._report_event(job, "stopping", 0.0, 1.0, "", reason)
         if task is not None:
             await asyncio.wait({task}, timeout=STOP_BOUND_S)
@@ -241,7 +241,7 @@ class JobEngine:
 
     def _ended_before_its_first_step(self, job: Job, plan: Plan) -> None:
         """A task that is cancelled before it begins never enters `_run`: its job needs an end all the same."""
-        if not job.ended:
+        if not job.has_ended:
             plan.close()
             self._end(job, JobState.STOPPED, job.reason or "cancelled")
 

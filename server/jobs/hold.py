@@ -39,7 +39,7 @@ class HoldToRun:
         self._ended = ""
 
     @property
-    def ended(self) -> str:
+    def why_ended(self) -> str:
         """Why the hold is over; empty while it is on. An ended hold never begins again."""
         return self._ended
 

@@ -64,14 +64,14 @@ class Identification:
             raise JobFailedError("no identification is paused: plan one without resume", "nothing_to_resume")
         return self.session.drive
 
-    def keep(self, drive: Drive, planned: PlannedIdentification) -> None:
+    def keep_plan(self, drive: Drive, planned: PlannedIdentification) -> None:
         """Keep a plan until it fires, expires, or another one is made."""
         if self.session is None or self.session.drive is not drive:
             self.session = Session(drive)
         self.session.planned = planned
         self.session.left = tuple(part.name for part in planned.parts)
 
-    def forget(self) -> None:
+    def forget_plan(self) -> None:
         """No plan is kept; what was driven already is."""
         if self.session is not None:
             self.session.planned = None

@@ -156,7 +156,7 @@ class Keeper:
         self._restored = False
 
     @property
-    def problem(self) -> str:
+    def why_not_storing(self) -> str:
         """Why nothing can be kept now, and so nothing may move; empty when all is well."""
         return self.database.problem
 
@@ -198,11 +198,11 @@ class Keeper:
                 save_answer(db, began.audit.who, began.key, began.answered)
 
         try:
-            await self.database.written(rows)
+            await self.database.write_async(rows)
         except StoreError:
             who, key = began.audit.who, began.key
             if began.answered is not None:  # a disk that was late may write it all the same: the job was refused
-                self.later(lambda db: forget_answer(db, who, key))
+                self.queue_write(lambda db: forget_answer(db, who, key))
             raise
 
     async def control(self, entry: AuditEntry) -> None:
@@ -215,27 +215,27 @@ class Keeper:
             save_fencing(db, entry.fencing)
             add_audit(db, entry)
 
-        await self.database.written(rows)
+        await self.database.write_async(rows)
 
     def check(self) -> None:
         """Raises: StoreError: nothing can be written down now, so nothing may move."""
-        if self.problem or not self._restored:
-            raise StoreError(self.problem or "the database has not been read yet")
+        if self.why_not_storing or not self._restored:
+            raise StoreError(self.why_not_storing or "the database has not been read yet")
 
     # --- what may not wait for the disk -----------------------------------------------------------------------------
 
-    def audit(self, entry: AuditEntry) -> None:
+    def queue_audit_line(self, entry: AuditEntry) -> None:
         """A line about what happened already, or about a refusal: queued; a full queue is logged."""
-        self.later(lambda db: add_audit(db, entry))
+        self.queue_write(lambda db: add_audit(db, entry))
 
-    def later(self, work: Work[Any]) -> None:
+    def queue_write(self, work: Work[Any]) -> None:
         """Queue a write whose failure is only logged."""
         try:
             self.database.submit(work, SPARE).add_done_callback(_log_write_error)
         except StoreError as error:
             log.error("not written: %s", error)
 
-    def note(self, job: Job, event: JobEvent) -> None:
+    def on_job_event(self, job: Job, event: JobEvent) -> None:
         """Listener of the engine: the end of a job, tried again until it is on disk."""
         if event.name == "ended":
             self._unsaved[job.job_id] = job
@@ -263,7 +263,7 @@ class Keeper:
                 if not self._restored:
                     self._apply_stored_state(*await asyncio.to_thread(self._read_stored_state))
                 operating_s = self._clock() - self._zero_s
-                await self.database.written(lambda db, now_s=operating_s: save_operating_time(db, now_s))
+                await self.database.write_async(lambda db, now_s=operating_s: save_operating_time(db, now_s))
             except StoreError:
                 continue  # logged by the database, once
 
@@ -280,7 +280,7 @@ class FindingLog:
         self._cell, self._keeper = cell, keeper
         self._known: LocalCalibration | None = cell.knowledge.life
 
-    def note(self, job: Job, event: JobEvent) -> None:
+    def on_job_event(self, job: Job, event: JobEvent) -> None:
         """Keep the previewed plan and the calibration that the ended job left."""
         if event.name != "ended":
             return
@@ -306,7 +306,7 @@ class FindingLog:
         plan_hash = previewed.plan_hash
         kept = {known: t_ns for known, t_ns in self._keeper.plan_expiries_ns.items() if t_ns > now_ns}
         self._keeper.plan_expiries_ns = kept | {plan_hash: previewed.expires_ns}
-        self._keeper.later(lambda db: add_plan(db, plan_hash, job_id, made_unix_s, expires_unix_s, view))
+        self._keeper.queue_write(lambda db: add_plan(db, plan_hash, job_id, made_unix_s, expires_unix_s, view))
 
     def _store_calibration(self, job_id: str) -> None:
         record = self._cell.knowledge.calibration
@@ -314,4 +314,4 @@ class FindingLog:
             return
         made, view = time.time(), json.dumps(asdict(record))
         figures = (record.method, record.sigma_deg, record.residual_rms_mm)
-        self._keeper.later(lambda db: add_calibration(db, made, job_id, *figures, view))
+        self._keeper.queue_write(lambda db: add_calibration(db, made, job_id, *figures, view))

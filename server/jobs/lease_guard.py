@@ -40,16 +40,16 @@ async def stop_unguarded(engine: JobEngine) -> None:
     Raises: LinkError: the stop was not confirmed; the PLC ramps by its own watchdog.
     """
     job = engine.current
-    if job is not None and not job.ended and job.fencing != 0 and job.state.value != "stopping":
+    if job is not None and not job.has_ended and job.fencing != 0 and job.state.value != "stopping":
         await engine.stop("the server's lease guard failed; its log says how")
 
 
 async def enforce_lease(engine: JobEngine) -> None:
     """Stop the running job if its lease no longer holds. A job without one (fencing 0) is the server's own."""
     job = engine.current
-    if job is None or job.ended or job.fencing == 0:
+    if job is None or job.has_ended or job.fencing == 0:
         return
-    lost = engine.leases.lost(job.fencing)
+    lost = engine.leases.why_lost(job.fencing)
     if not lost or job.state.value == "stopping":
         return
     log.warning("job %s (%s) is stopped: %s", job.job_id, job.kind, lost)

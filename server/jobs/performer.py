@@ -117,7 +117,7 @@ class Performer:
 
     def observe_plc_sample(self, sample: PlcSample) -> None:
         """Every PLC sample, also between jobs: every motion counts for where the joints rest in their play."""
-        self._play.see(sample.t_plc_ns * 1e-9, np.array(sample.q_rad))
+        self._play.take_encoders(sample.t_plc_ns * 1e-9, np.array(sample.q_rad))
 
     async def hold_until(self, t_mono_ns: int | None) -> None:
         """Let motion go on until then only; None: it need not be held."""
@@ -128,7 +128,7 @@ class Performer:
         try:
             await self._cell.link.stop(reason)
         finally:
-            await self._steering.forget()
+            await self._steering.forget_motion()
         self.may_be_moving = False
 
     def release(self) -> None:
@@ -158,7 +158,7 @@ class Performer:
             t_plc_ns=samples[-1].t_plc_ns,
             t_mono_ns=samples[-1].t_mono_ns,
             oil_temperature_c=measured_oil_c(samples[-1]),
-            side=self._play.side,
+            side=self._play.side_in_play,
         )
 
     async def _arm(self) -> None:
@@ -194,7 +194,7 @@ class Performer:
             case Correct():
                 self._steering.correct(request)
             case EndMove():
-                await self._steering.end()
+                await self._steering.wait_for_end()
                 self.may_be_moving = False
             case StopMove():
                 await self.stop_motion(request.reason)
@@ -264,7 +264,7 @@ class Performer:
         self._watched = deque(maxlen=WATCHED_MAX)
 
     def _watch(self, report: FrameReport) -> None:
-        if self._watched is not None and report.usable and report.pose_source == self._watching_by:
+        if self._watched is not None and report.fit_for_look and report.pose_source == self._watching_by:
             self._watched.append((report.t_exposure_mapped_ns * 1e-9, report.observation))
 
     def _stop_watching(self) -> object:

@@ -105,8 +105,8 @@ class JobService:
         self._store.restore(cell.knowledge, self.context.machine_id, cell.chain.n, time.time(), expiry)
         engine.on_event(self._record_job_event)
         if keeper is not None:
-            engine.on_event(keeper.note)
-            engine.on_event(FindingLog(cell, keeper).note)
+            engine.on_event(keeper.on_job_event)
+            engine.on_event(FindingLog(cell, keeper).on_job_event)
 
     def _context(self) -> PlanContext:
         """What plans are given: with what the settings name, else with the version in use."""
@@ -135,13 +135,13 @@ class JobService:
                 "[compensation] machine_file in the settings is in use; take it out of them and start the server again"
             )
         running = self.engine.current
-        if running is not None and not running.ended:
+        if running is not None and not running.has_ended:
             raise BusyError(f"job {running.job_id} ({running.kind}) is running; wait for its end or stop it", {})
         if version_id:
             self.versions.require_this_machine(version_id)
             if on is not None:
                 self.versions.switch_effects(version_id, on)
-        self.versions.use(version_id)
+        self.versions.use_version(version_id)
         self.context = self._context()
         self.cell.knowledge.forget_calibration()
         self.cell.knowledge.forget_sight()
@@ -150,12 +150,12 @@ class JobService:
     @property
     def store_problem(self) -> str:
         """Why nothing can be written down now, and so no job may begin; empty when all is well."""
-        return self.keeper.problem if self.keeper is not None else ""
+        return self.keeper.why_not_storing if self.keeper is not None else ""
 
     @property
     def recording_problem(self) -> str:
         """Why not all of the running job, or else of the last one, is written down; empty while it is."""
-        problem = self.cell.recorder.problem
+        problem = self.cell.recorder.why_not_recording
         return self.engine.not_noted or (problem if isinstance(problem, str) else "")
 
     async def start(self, body: JobBody, lease: Lease | None = None, command: Command = INSIDE_COMMAND) -> Job:
@@ -194,12 +194,12 @@ class JobService:
         Link and vision process watch for themselves: each ends and is started again, which disarms the machine and
         leaves no picture of before in a buffer.
         """
-        if self._suspend.resumed():
+        if self._suspend.was_suspended():
             log.warning(SUSPENDED)
             self._resumed, self._resumed_mono_s = True, mono_s()
             self.cell.knowledge.forget_sight()
-            self.identification.forget()
-            self.engine.leases.expel(SUSPENDED)
+            self.identification.forget_plan()
+            self.engine.leases.revoke(SUSPENDED)
 
     def _suspension_text(self, job: Job) -> str:
         """That the PC was suspended while the job ran, whether the silent PLC was noticed before or after it."""
@@ -230,7 +230,9 @@ class JobService:
                 return servo(ctx)
             case PlanIdentifyRequest():
                 desk = self.identification
-                return plan_identification(ctx, body.minutes, body.wall_free, desk.drive_to_resume(body), desk.keep)
+                return plan_identification(
+                    ctx, body.minutes, body.wall_free, desk.drive_to_resume(body), desk.keep_plan
+                )
             case IdentifyRequest():
                 return drive_identification(ctx, *self.identification.require_fresh_plan(body, mono_ns()))
             case RetractRequest():
@@ -268,9 +270,9 @@ class JobService:
         recorder = self.cell.recorder
         if event.name == "started":
             recorder.start(f"{job.kind}-{job.job_id}", self._settings_json, self.cell.machine_text)
-        recorder.event("info" if job.code == "" else "error", event.text)
+        recorder.log_event("info" if job.code == "" else "error", event.text)
         if event.name == "ended":
-            self._store.keep(self.cell.knowledge)
+            self._store.save_if_changed(self.cell.knowledge)
             recorder.result(job.result if job.result is not None else job.reason)
             recording = recorder.stop()
             self.identification.after_drive(job, recording)

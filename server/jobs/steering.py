@@ -94,7 +94,7 @@ class Steering:
         """Send a new tail, the rest of the running trajectory. While one is on its way, another is refused."""
         self._tail = asyncio.create_task(self._cell.link.correct(request.trajectory, request.first), name="new-tail")
 
-    async def end(self) -> None:
+    async def wait_for_end(self) -> None:
         """Wait for the motion's end. Raises: JobFailedError: it ended early. LinkError: it was refused."""
         motion, self._motion = self._motion, None
         if motion is None:
@@ -106,7 +106,7 @@ class Steering:
         if not ended.reached:
             raise JobFailedError(f"closed loop: motion ended early: {ended.reason}", "motion_ended_early")
 
-    async def forget(self) -> None:
+    async def forget_motion(self) -> None:
         """The machine was stopped: the motion ends by that, and whatever is left of it is of no interest."""
         if self._motion is not None:
             await asyncio.wait({self._motion}, timeout=ENDING_S)

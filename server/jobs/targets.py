@@ -126,7 +126,7 @@ class TargetChoice:
 
     def _require_idle(self) -> None:
         job = self._engine.current
-        if job is not None and not job.ended:
+        if job is not None and not job.has_ended:
             raise BusyError(f"job {job.job_id} ({job.kind}) of {job.owner} is {job.state.value}; choose after it", {})
 
 
@@ -149,7 +149,7 @@ class Teaching:
         taught = self._choice.taught
         return "" if taught is None else taught.name
 
-    def names(self) -> list[str]:
+    def object_names(self) -> list[str]:
         """Of all taught objects."""
         return sorted(path.stem for path in self._folder.glob(f"*{SUFFIX}"))
 
@@ -163,7 +163,7 @@ class Teaching:
         if self.box is None or not (
             _has_equal_values(self.box.centre_m, box.centre_m) and _has_equal_values(self.box.size_m, box.size_m)
         ):
-            self.forget()
+            self.forget_views()
         if len(self.views) >= VIEWS_MAX:
             raise JobFailedError(
                 f"{len(self.views)} views are kept (limit {VIEWS_MAX}); teach the object", "too_many_views"
@@ -175,7 +175,7 @@ class Teaching:
         self.views.append(found)
         return found
 
-    def forget(self) -> None:
+    def forget_views(self) -> None:
         """Drop the views that were taken."""
         self.box = None
         self.views.clear()
@@ -194,15 +194,15 @@ class Teaching:
             await asyncio.to_thread(save_taught, self._folder, found)
         except OSError as error:
             raise StoreError(f"object '{name}' was not kept: {error}; free the disk and teach again") from error
-        self.forget()
+        self.forget_views()
         return found
 
-    async def use(self, name: str) -> TaughtObject:
+    async def use_object(self, name: str) -> TaughtObject:
         """Use an object as the object of interest.
 
         Raises: JobFailedError: no object has that name, or its file cannot be read. BusyError: a job is running.
         """
-        if name not in self.names():
+        if name not in self.object_names():
             raise JobFailedError(f"no object '{name}' has been taught; see the list", "no_such_object")
         try:
             found = await asyncio.to_thread(load_taught, self._folder / f"{name}{SUFFIX}")
@@ -213,7 +213,7 @@ class Teaching:
 
     def remove(self, name: str) -> None:
         """Forget a taught object. Raises: JobFailedError: no object has that name, or it is in use."""
-        if name not in self.names():
+        if name not in self.object_names():
             raise JobFailedError(f"no object '{name}' has been taught; see the list", "no_such_object")
         if name == self.in_use:
             raise JobFailedError(f"object '{name}' is in use; go back to markers first", "object_in_use")

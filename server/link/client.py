@@ -89,7 +89,7 @@ class LinkClient:
             self._restart.cancel()
         if self._process:
             process, self._process = self._process, None
-            await process.end()
+            await process.end_process()
         self._end_motion("the link was closed")
 
     async def _spawn(self) -> None:
@@ -113,7 +113,7 @@ class LinkClient:
 
     def samples_since(self, t_mono_ns: int) -> list[PlcSample]:
         """The samples received after a time, at most three minutes of them."""
-        return self._ring.since(t_mono_ns)
+        return self._ring.samples_since(t_mono_ns)
 
     def on_sample(self, callback: SampleCallback) -> Callable[[], None]:
         """Call back for every sample (in the event loop, so be quick); the answer unsubscribes."""
@@ -122,7 +122,7 @@ class LinkClient:
     @property
     def listener_problem(self) -> str:
         """Which of those that `on_sample` calls failed lately, and how."""
-        return self._ring.listeners.problem
+        return self._ring.listeners.recent_failure
 
     @property
     def plc_to_pc_offset_ns(self) -> int | None:
@@ -337,7 +337,7 @@ class LinkClient:
         match report:
             case SamplesReport(samples=samples, dropped=dropped):
                 self._dropped = dropped
-                self._ring.extend(samples)
+                self._ring.add_samples(samples)
             case HealthReport(health=health, plc_to_pc_offset_ns=offset_ns):
                 self._health, self._t_health_ns = replace(health, samples_dropped=self._dropped), mono_ns()
                 self._offset_ns = offset_ns if offset_ns is not None else self._offset_ns
@@ -368,7 +368,7 @@ class LinkClient:
 
     async def _respawn(self, dead: SupervisedProcess) -> None:
         try:
-            await dead.end()
+            await dead.end_process()
         except Exception:  # whatever is left of it, without a new one nothing is ever commanded again
             _LOG.exception("the resources of the ended link process could not be released")
         while not self._closing:

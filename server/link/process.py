@@ -91,7 +91,7 @@ class LinkProcess:
         self._suspend = SuspendWatch()
         self._leaving: str | None = None
 
-    def leave(self, reason: str) -> None:
+    def stop_and_end(self, reason: str) -> None:
         """Stop the machine if it moves, then end; safe to call from a signal handler."""
         self._leaving = self._leaving or reason
 
@@ -106,8 +106,8 @@ class LinkProcess:
             while give_up_ns is None or (self._link.busy and mono_ns() < give_up_ns):
                 wait_s = max(0, deadline_ns - mono_ns()) / 1e9
                 ready = selector.select(wait_s)
-                if self._suspend.resumed():  # before any request or datagram from before the suspend
-                    self.leave(SUSPENDED)
+                if self._suspend.was_suspended():  # before any request or datagram from before the suspend
+                    self.stop_and_end(SUSPENDED)
                 for key, _ in ready:
                     if self._leaving:
                         self._forget_pipe(selector)
@@ -162,7 +162,7 @@ class LinkProcess:
 
     def _watch_parent(self) -> None:
         if os.getppid() != self._parent_pid or self._outbox.broken:
-            self.leave("the server has ended")
+            self.stop_and_end("the server has ended")
 
     def _watch_deadlines(self, now_ns: int) -> None:
         """What the button and the camera prove comes through the server; when it stops coming, motion stops, too."""
@@ -191,7 +191,7 @@ class LinkProcess:
             while self._pipe.poll():
                 self._request(self._pipe.recv())
         except (EOFError, OSError):
-            self.leave("the server has ended")
+            self.stop_and_end("the server has ended")
 
     def _request(self, request: LinkRequest) -> None:
         match request:
@@ -361,7 +361,7 @@ def link_process_main(pipe: Connection, settings: LinkSettings, table: LimitTabl
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         del frame
-        process.leave(f"link process got {signal.Signals(number).name}")
+        process.stop_and_end(f"link process got {signal.Signals(number).name}")
 
     signal.signal(signal.SIGTERM, on_signal)
     gc.freeze()  # nothing that exists now will go; later collections stay short

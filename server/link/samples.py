@@ -62,13 +62,13 @@ class SampleRing:
         """The newest sample."""
         return self._samples[-1] if self._samples else None
 
-    def extend(self, samples: Iterable[PlcSample]) -> None:
+    def add_samples(self, samples: Iterable[PlcSample]) -> None:
         """Keep new samples and call the listeners."""
         for sample in samples:
             self._samples.append(sample)
             self.listeners.call(sample)
 
-    def since(self, t_mono_ns: int) -> list[PlcSample]:
+    def samples_since(self, t_mono_ns: int) -> list[PlcSample]:
         """All samples received after this time."""
         kept = list(self._samples)
         return kept[bisect_right(kept, t_mono_ns, key=lambda sample: sample.t_mono_ns) :]
@@ -93,7 +93,7 @@ def knots_from(tuples: Iterable[KnotTuple]) -> tuple[Knot, ...]:
 
 def refusals_text(refusals: Sequence[Refusal]) -> str:
     """The motion gate's reasons in one line: the first three, and how many more."""
-    shown = "; ".join(refusal.text for refusal in refusals[:_REFUSALS_SHOWN])
+    shown = "; ".join(refusal.as_line for refusal in refusals[:_REFUSALS_SHOWN])
     more = len(refusals) - _REFUSALS_SHOWN
     return f"motion gate: {shown}" + (f"; and {more} more" if more > 0 else "")
 

@@ -72,7 +72,7 @@ class SupervisedProcess:
                 f"the link process has ended ({error}); it restarts automatically, then arm"
             ) from error
 
-    async def end(self) -> None:
+    async def end_process(self) -> None:
         """Let it stop the machine and end; killed after 2 s."""
         if self._process.is_alive():
             self._process.terminate()

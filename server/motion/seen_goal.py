@@ -26,7 +26,7 @@ class SeenGoal:
     T_first: Array
     _seen: deque[tuple[Array, float]] = field(default_factory=lambda: deque(maxlen=KEPT))
 
-    def jump(self, T_base_goal: Array, sigma_m: float, way_m: float) -> tuple[float, float]:
+    def jump_and_limit(self, T_base_goal: Array, sigma_m: float, way_m: float) -> tuple[float, float]:
         """How far a look's goal is off the present one, and how far it may be [m]; beyond it must not be used."""
         apart_m = float(np.linalg.norm(T_base_goal[:3, 3] - self.pose[:3, 3]))
         return apart_m, max(JUMP_FLOOR_M, JUMP_SIGMAS * _sigma_with_map_error(sigma_m, way_m))

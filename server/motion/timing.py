@@ -141,11 +141,11 @@ class Pace:
             return QuinticLaw().peak * self.even_s
         return self.even_s + self.ramp_s
 
-    def law(self, duration_s: float) -> TimeLaw:
+    def time_law(self, duration_s: float) -> TimeLaw:
         """The paper's quintic, or ramps and an even speed when the reference is shaped."""
         return CruiseLaw(min(0.5, self.ramp_s / duration_s)) if self.shaped else QuinticLaw()
 
-    def slower(self, planned: float, reference: float) -> "Pace":
+    def slowed(self, planned: float, reference: float) -> "Pace":
         """The pace that undoes an excess of the planned motion (less speed) and of the reference (softer ramps)."""
         if not self.shaped:
             return replace(self, even_s=self.even_s * max(planned, reference, 1.0))
@@ -231,12 +231,12 @@ def time_path(machine: Machine, chain: Chain, path: JointPath, settings: PlanSet
         duration = settings.knot_s * float(np.ceil(duration / settings.knot_s - 1e-9))
         if duration > settings.duration_max_s:
             break
-        motion, reference = _motion_and_reference_knots(machine, path, pace.law(duration), duration, settings)
+        motion, reference = _motion_and_reference_knots(machine, path, pace.time_law(duration), duration, settings)
         planned = limit_excess(machine, chain, motion, settings, settings.limit_share)
         sent = limit_excess(machine, chain, reference, settings, settings.reference_tcp_share)
         if max(planned.factor, sent.factor) <= 1.0:
             return TimedPath(reference, tcp_speed(chain, motion))
-        pace = pace.slower(1.02 * planned.factor, 1.02 * sent.factor)
+        pace = pace.slowed(1.02 * planned.factor, 1.02 * sent.factor)
         worst = max(planned, sent, key=lambda each: each.factor).worst
     text = (
         f"{worst} asks for {pace.duration_s:.0f} s, limit {settings.duration_max_s:.0f} s; "

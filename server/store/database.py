@@ -188,7 +188,7 @@ class Database:
         except TimeoutError:
             raise StoreError(f"the disk did not take a write within {WRITE_S:.0f} s") from None
 
-    async def written(self, work: Work[T]) -> T:
+    async def write_async(self, work: Work[T]) -> T:
         """As `write`, for the event loop."""
         try:
             async with asyncio.timeout(WRITE_S):
@@ -259,7 +259,7 @@ class Database:
         except sqlite3.Error as error:
             raise StoreError(f"database {self.path}: {error}") from error
 
-    async def found(self, work: Work[T]) -> T:
+    async def read_async(self, work: Work[T]) -> T:
         """As `read`, for the event loop."""
         return await asyncio.to_thread(self.read, work)
 

@@ -47,7 +47,7 @@ class SquareView:
     origin_m: Array
     px_m: float
 
-    def places(self, pixels: Array) -> Array:
+    def points_of(self, pixels: Array) -> Array:
         """Points (n, 3) [m] in the camera of pixels (n, 2)."""
         xy = self.origin_m + pixels * [1.0, -1.0] / self.px_m
         return transform_points(self.T_cam_plane, np.column_stack([xy, np.zeros(len(xy))]))
@@ -129,7 +129,7 @@ def square_view(left: Image, camera: StereoCamera, T_cam_plane: Array, mask: Ima
     origin = np.array([low[0], high[1]])
     u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
     view = SquareView(left, mask, T_cam_plane, origin, px_m)
-    pixels = project(camera, view.places(np.column_stack([u.ravel(), v.ravel()]).astype(float)))
+    pixels = project(camera, view.points_of(np.column_stack([u.ravel(), v.ravel()]).astype(float)))
     maps = np.nan_to_num(pixels, nan=-1e4).astype(np.float32).reshape(size[1], size[0], 2)
     grey = cv2.remap(left, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR)
     known = cv2.remap(mask, maps[..., 0], maps[..., 1], cv2.INTER_NEAREST, borderValue=0)
@@ -184,7 +184,7 @@ def _vote_peaks(
     top = cv2.dilate(cover, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (kernel, kernel)))
     v, u = np.nonzero((cover >= top) & (cover > COVER_MIN))
     order = np.argsort(-cover[v, u])[:RIVALS_MAX]
-    centres = view.places(np.column_stack([u, v]).astype(float)[order])
+    centres = view.points_of(np.column_stack([u, v]).astype(float)[order])
     axis = view.T_cam_plane[:3, 2]
     return [
         CirclePlace(Circle(centre, axis, float(radii[y, x] / view.px_m)), dark_inside, float(cover[y, x]))

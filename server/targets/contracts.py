@@ -96,7 +96,7 @@ class Landmarks:
     def __len__(self) -> int:
         return len(self.left_px)
 
-    def some(self, chosen: "BoolArray") -> "Landmarks":
+    def subset(self, chosen: "BoolArray") -> "Landmarks":
         """Only these landmarks."""
         arrays = (self.left_px, self.right_px, self.points_target, self.covariances_target, self.support_target)
         return Landmarks(*(array[chosen] for array in arrays))
@@ -123,7 +123,7 @@ class AnchoredTarget:
     surface: Landmarks
 
     @property
-    def references(self) -> tuple[Image, Image]:
+    def reference_images(self) -> tuple[Image, Image]:
         """Both eyes' reference images."""
         return self.reference_left, self.reference_right
 

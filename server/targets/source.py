@@ -33,7 +33,7 @@ class TargetPoseSource:
         """Where the own tool was in the last pair, left and right."""
         return self._mask.left_polygons, self._mask.right_polygons
 
-    def use(self, target: AnchoredTarget | TaughtObject | None) -> None:
+    def use_target(self, target: AnchoredTarget | TaughtObject | None) -> None:
         """Serve this target as the OOI from the next pair on; None: the OOI's markers again."""
         if isinstance(target, TaughtObject):
             self._tracker = TaughtTracker(target, self._camera, self._settings)
@@ -50,7 +50,7 @@ class TargetPoseSource:
         if left.shape != right.shape or left.shape != (self._camera.height_px, self._camera.width_px):
             reason = f"target: images of {left.shape[::-1]} px; the camera file says another size"
             return replace(seen, ooi=_no_pose(PoseStatus.NOT_SEEN, reason))
-        return replace(seen, ooi=_pose_of(self._tracker.find(left, right, self.masks_px)))
+        return replace(seen, ooi=_pose_of(self._tracker.find_target(left, right, self.masks_px)))
 
 
 def _pose_of(fix: TargetFix) -> ObjectPose:

@@ -64,7 +64,7 @@ class TaughtView:
     masks_px: Polygons
 
     @property
-    def references(self) -> tuple[Image, Image]:
+    def reference_images(self) -> tuple[Image, Image]:
         """Both eyes' images."""
         return self.reference_left, self.reference_right
 
@@ -225,7 +225,7 @@ def teach_object(
 def _seen_in(view: TaughtView, other: TaughtView, camera: StereoCamera, settings: TargetSettings) -> MarksPose | None:
     """Where one view's landmarks place the object in another view; None where they are not found."""
     pair = _as_pair(other, camera, settings)
-    seen, _ = align_marks(view.references, view.marks, pair, other.T_cam_object)
+    seen, _ = align_marks(view.reference_images, view.marks, pair, other.T_cam_object)
     if len(seen.indices) < FIX_MIN:
         return None
     fit = solve_pose(pair, view.marks, seen, other.T_cam_object)
@@ -234,7 +234,7 @@ def _seen_in(view: TaughtView, other: TaughtView, camera: StereoCamera, settings
 
 def _as_pair(view: TaughtView, camera: StereoCamera, settings: TargetSettings) -> SearchedPair:
     masks = allowed_masks((camera.height_px, camera.width_px), view.masks_px)
-    return SearchedPair(view.references, masks, camera, settings)
+    return SearchedPair(view.reference_images, masks, camera, settings)
 
 
 def _landmarks_at_pose(view: TaughtView, T_cam_object: Array) -> Landmarks:
@@ -265,13 +265,13 @@ def _confirm_landmarks(
             if other is view:
                 continue
             pair = _as_pair(other, camera, settings)
-            seen, visible = align_marks(view.references, view.marks, pair, other.T_cam_object)
+            seen, visible = align_marks(view.reference_images, view.marks, pair, other.T_cam_object)
             if len(seen.indices) < FIX_MIN:
                 continue
             fit = solve_pose(pair, view.marks, seen, other.T_cam_object)
             agreed[seen.indices[fit.agree]] = True
             best = max(best, float(fit.agree.sum()) / visible)
-        kept.append(replace(view, marks=view.marks.some(agreed), descriptors=view.descriptors[agreed]))
+        kept.append(replace(view, marks=view.marks.subset(agreed), descriptors=view.descriptors[agreed]))
         shares.append(best)
     return kept, shares
 

@@ -49,7 +49,7 @@ class TaughtTracker:
         self._last: tuple[Image, Array] | None = None
         self._lost = 0
 
-    def find(
+    def find_target(
         self, left: Image, right: Image, masks_px: tuple[Sequence[Array], Sequence[Array]] = ((), ())
     ) -> TargetFix:
         """Where the object is in this raw pair (h, w), or why that is not known.
@@ -137,7 +137,7 @@ class TaughtTracker:
     def _fix_from_guess(self, pair: SearchedPair, guess: Array) -> TargetFix:
         """The fix from a guess by the landmarks of the view nearest to it, verified."""
         view = self._nearest_view(guess)
-        seen, _, fit = fitted_marks(view.references, view.marks, pair, guess)
+        seen, _, fit = fitted_marks(view.reference_images, view.marks, pair, guess)
         if fit is None:
             return self._not_seen(len(seen.indices))
         missing = np.setdiff1d(np.arange(len(view.marks)), seen.indices[fit.agree])

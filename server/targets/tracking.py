@@ -77,7 +77,7 @@ class TargetTracker:
         self._mask_reference = _disc_mask(target, camera, self._settings, self._size)
         self._lost = 0
 
-    def find(
+    def find_target(
         self, left: Image, right: Image, masks_px: tuple[Sequence[Array], Sequence[Array]] = ((), ())
     ) -> TargetFix:
         """Where the target is in this raw pair (h, w), or why that is not known.
@@ -136,7 +136,7 @@ class TargetTracker:
     def _fix_from_guess(self, pair: SearchedPair, guess: Array) -> tuple[TargetFix, Array | None]:
         """The fix from a guess; the pose None where the surroundings were not found."""
         target = self._target
-        seen, visible, fit = fitted_marks(target.references, target.surroundings, pair, guess)
+        seen, visible, fit = fitted_marks(target.reference_images, target.surroundings, pair, guess)
         if fit is None:
             return not_found(len(seen.indices), visible), None
         n = int(fit.agree.sum())
@@ -293,7 +293,7 @@ def _patch_verdict(target: AnchoredTarget, pair: SearchedPair, fit: MarksPose) -
     The middle of the patch is judged first, by itself: an object smaller than the patch may lie on it or have moved.
     """
     near = np.linalg.norm(target.surface.points_target, axis=1) <= MIDDLE_M
-    for marks in (target.surface.some(near), target.surface):
+    for marks in (target.surface.subset(near), target.surface):
         share, problem = _marks_verdict(target, marks, pair, fit)
         if problem:
             return share, problem
@@ -301,7 +301,7 @@ def _patch_verdict(target: AnchoredTarget, pair: SearchedPair, fit: MarksPose) -
 
 
 def _marks_verdict(target: AnchoredTarget, marks: Landmarks, pair: SearchedPair, fit: MarksPose) -> tuple[float, str]:
-    seen, visible = align_marks(target.references, marks, pair, fit.T)
+    seen, visible = align_marks(target.reference_images, marks, pair, fit.T)
     if visible < VISIBLE_MIN:
         return float("nan"), ""  # under our own tool; the surroundings speak for it
     share = len(seen.indices) / visible

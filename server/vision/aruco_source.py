@@ -130,7 +130,7 @@ class BoardFinder:
         if self.marker_ids:
             warm_up_boards()
 
-    def decoded(self, found: tuple[EyeDetection, EyeDetection]) -> Decoded:
+    def decoded_markers(self, found: tuple[EyeDetection, EyeDetection]) -> Decoded:
         """The boards' own markers in each eye, wherever they were read once."""
         repeated = found[0].repeated_ids | found[1].repeated_ids
         left, right = (
@@ -199,7 +199,7 @@ class ArucoPoseSource:
         poses: dict[ObjectName, ObjectPose] = {}
         views: list[MarkerView] = []
         repeated = found[0].repeated_ids | found[1].repeated_ids
-        decoded = self._boards.decoded(found)
+        decoded = self._boards.decoded_markers(found)
         boards = self._boards.sightings((left, right), decoded)
         everything = (
             *sightings_of(self._all_markers, found[0].markers, found[1].markers),

@@ -60,7 +60,7 @@ class MarkerFollower:
         self._patterns: dict[int, Array] = {}
         self._followed: dict[int, _TrackedMarker] = {}
 
-    def follow(self, marker_id: int, image: Image) -> FoundMarker | None:
+    def follow_marker(self, marker_id: int, image: Image) -> FoundMarker | None:
         """The marker in the next image of this eye; None where it must be searched."""
         known = self._followed.get(marker_id)
         if known is None:
@@ -213,7 +213,7 @@ class EyeDetector:
         """The last pair's markers that are still there, each followed or found near its last place."""
         tracked = {}
         for marker_id, last in self._last.items():
-            found = self._follower.follow(marker_id, image) or self._find_near_last(last, image)
+            found = self._follower.follow_marker(marker_id, image) or self._find_near_last(last, image)
             if found is not None:
                 tracked[marker_id] = found
         return tracked

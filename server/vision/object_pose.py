@@ -76,7 +76,7 @@ def _doubly_seen(problem: PoseProblem) -> list[SeenGroup]:
 def _rms_without(problem: PoseProblem, group: SeenGroup, T_cam_object: Array, apart_rad: float) -> float:
     rows = np.ones(len(problem.observations.points_object), dtype=bool)
     rows[group.first : group.end] = False
-    found = distinct_minima(T_cam_object[None], problem.observations.some(rows), apart_rad)
+    found = distinct_minima(T_cam_object[None], problem.observations.subset(rows), apart_rad)
     if not found:
         return float("inf")
     return float(np.sqrt(found[0].sum_squares_px2 / found[0].residuals_px.size))
@@ -192,7 +192,7 @@ def _contradiction_of(problem: PoseProblem, settings: PoseSettings) -> str:
 def _pose_minima(problem: PoseProblem, indices: Sequence[int]) -> list[RefinedPose]:
     """Distinct local minima, the best first."""
     observations = problem.observations_of(indices)
-    found = distinct_minima(problem.starts(indices), observations, SAME_MINIMUM_RAD)
+    found = distinct_minima(problem.starting_poses(indices), observations, SAME_MINIMUM_RAD)
     if not found:
         return []
     other = mirrored_pose(found[0].T_cam_object, observations.points_object, observations.eye_x_m)

@@ -63,9 +63,9 @@ class StereoOdometry:
         """The kept keyframes, the anchor first."""
         return tuple(self._keyframes)
 
-    def hides(self, left_px: Array) -> NDArray[np.bool_]:
+    def on_own_structure(self, left_px: Array) -> NDArray[np.bool_]:
         """Which places (n, 2) [raw px] of the left picture were recognised as own structure so far."""
-        return self._own.hides(left_px)
+        return self._own.on_own_structure(left_px)
 
     def map_points(self, count_max: int) -> Array:
         """At most so many of the map's points (n, 3) in vo [m]: for looking at, not for measuring."""
@@ -126,7 +126,7 @@ class StereoOdometry:
 
     def _start(self, sight: Sight) -> OdometryPose:
         motion = standing_motion(np.eye(4), sight.t_exposure_ns)
-        kept = sight.keep()
+        kept = sight.keep_copy()
         keyframe = self._add_keyframe(kept, motion, np.zeros((6, 6)), None, np.zeros((0, 2)))
         if keyframe.n_points < self._settings.inliers_min:
             self.reset()
@@ -152,7 +152,7 @@ class StereoOdometry:
             self._unsure_m = max(self._unsure_m, travel_limit_m(last.motion, sight.t_exposure_ns))
         if self._unsure_m == 0.0:
             return located
-        ways_px = sight.repeats()
+        ways_px = sight.repetition_ways()
         best, others = best_place(
             self._camera, ways_px, located, lambda T_vo_cam: self._fit_pose_to_map(sight, last.motion, T_vo_cam, False)
         )
@@ -184,7 +184,13 @@ class StereoOdometry:
     def _fit_pose_to_map(self, sight: Sight, motion: Motion, T_vo_cam: Array, coarse: bool) -> LocatedPose | None:
         settings = self._settings
         observed = observe_map(
-            self._camera, self._keyframes, sight, T_vo_cam, settings.points_max, settings.sigma_px, self._own.hides
+            self._camera,
+            self._keyframes,
+            sight,
+            T_vo_cam,
+            settings.points_max,
+            settings.sigma_px,
+            self._own.on_own_structure,
         )
         frac = COARSE_ALIGNED_MIN_FRAC if coarse else settings.aligned_min_frac
         if len(observed.left_px) < max(frac * observed.n_expected, settings.inliers_min):
@@ -252,7 +258,7 @@ class StereoOdometry:
             return located
         keyframe, motion = self._keyframes[-1], last.motion
         twist = motion.twist_between(motion.moved_to(inverse_pose(located.fit.T_cam_vo), sight.t_exposure_ns))
-        keyframe.place(keyframe.T_vo_cam, twist.value, self._readout.value_s)
+        keyframe.place_points(keyframe.T_vo_cam, twist.value, self._readout.value_s)
         self._known.set_twist(len(self._keyframes) - 1, twist.sigma)
         if len(self._keyframes) > 1:
             self._adjust_keyframe_window(located.fit.noise_factor)
@@ -262,14 +268,14 @@ class StereoOdometry:
 
     def _accept_located_pose(self, sight: Sight, last: LastLocatedPair, located: LocatedPose) -> OdometryPose:
         fit, observed = located.fit, located.observed
-        observed.count(fit.inliers)
+        observed.count_misses(fit.inliers)
         if not located.doubt:
             vote_by_pair(self._own, sight, observed, fit, located.rest_squares)
         T_vo_cam = inverse_pose(fit.T_cam_vo)
         T_vo_cam[:3, :3] = nearest_rotation(T_vo_cam[:3, :3])
         inliers_px = observed.left_px[fit.inliers]
         gains = self._pose_sensitivity(located)
-        covariance = covariance_in_vo(fit.T_cam_vo, fit.covariance) + self._known.carried(gains)
+        covariance = covariance_in_vo(fit.T_cam_vo, fit.covariance) + self._known.pose_covariance(gains)
         covariance += gains.of_twist @ np.diag(located.twist.sigma**2) @ gains.of_twist.T
         covariance += self._readout.sigma_s**2 * np.outer(gains.of_readout, gains.of_readout)
         self._learn_readout(gains)
@@ -295,7 +301,7 @@ class StereoOdometry:
             and (motion.is_velocity_known or not self._has_rolling_shutter)
             and not located.doubt
         )
-        kept = sight.keep() if wanted else sight
+        kept = sight.keep_copy() if wanted else sight
         if wanted:
             seen_here = self._seen_here(located)  # by the list as it is: adding one may forget another
             keyframe = self._add_keyframe(kept, motion, covariance, gains, inliers_px)
@@ -320,7 +326,7 @@ class StereoOdometry:
             return
         self._readout = self._readout.updated_with_step(gains.readout_step_s, gains.readout_information)
         for keyframe in self._keyframes:
-            keyframe.place(keyframe.T_vo_cam, keyframe.twist, self._readout.value_s)
+            keyframe.place_points(keyframe.T_vo_cam, keyframe.twist, self._readout.value_s)
 
     def _pose_sensitivity(self, located: LocatedPose) -> Sensitivity:
         observed = located.observed
@@ -356,7 +362,7 @@ class StereoOdometry:
     ) -> Keyframe:
         camera, settings = self._camera, self._settings
         found = sight.match_eyes(camera, settings.features, occupied_px)
-        free = ~self._own.hides(found.left_px)
+        free = ~self._own.on_own_structure(found.left_px)
         found = replace(found, left_px=found.left_px[free], right_px=found.right_px[free])
         self._texture_grey, self._unique_depth = found.texture_grey, self._unique_depth and found.unique
         twist = motion.twist()

@@ -26,7 +26,7 @@ class TrackedPoints:
     hosts: Indices
     indices: Indices
 
-    def places(self, window: Sequence[Keyframe]) -> Array:
+    def points_in_vo(self, window: Sequence[Keyframe]) -> Array:
         """The points (m, 3) in vo."""
         points = np.empty((len(self.hosts), 3))
         for host in np.unique(self.hosts):
@@ -61,7 +61,7 @@ def adjust_keyframes(
     sigma = np.column_stack([ray_sigma(camera, rays[:, :2]), ray_sigma(camera, rays[:, 2:])])
     problem = BundleProblem(
         Ts_vo_cam=np.array([keyframe.T_vo_cam for keyframe in window]),
-        points_vo=tracked.places(window),
+        points_vo=tracked.points_in_vo(window),
         frames=seen.frames,
         points=seen.points,
         uv=rays + _rolling_shutter_correction(camera, window, tracked, seen, readout_s),
@@ -76,7 +76,7 @@ def adjust_keyframes(
     covariances, mixings = given_the_poses(problem, result.Ts_vo_cam, result.points_vo)
     covariances /= noise_factor**2
     for number, keyframe in enumerate(window):
-        keyframe.place(result.Ts_vo_cam[number], keyframe.twist, readout_s)
+        keyframe.place_points(result.Ts_vo_cam[number], keyframe.twist, readout_s)
         on = tracked.hosts == number
         at = tracked.indices[on]
         keyframe.move_points(at, result.points_vo[on], covariances[on], readout_s)
@@ -131,7 +131,7 @@ def _rolling_shutter_correction(
     change = np.zeros((len(seen.left_px), 4))
     if readout_s == 0.0:
         return change
-    points_vo = tracked.places(window)
+    points_vo = tracked.points_in_vo(window)
     for number, keyframe in enumerate(window):
         on = seen.frames == number
         middle = transform_points(inverse_pose(keyframe.T_vo_cam), points_vo[seen.points[on]])

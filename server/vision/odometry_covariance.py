@@ -50,7 +50,7 @@ class KeyframeCovariances:
     def __init__(self) -> None:
         self._joint = np.zeros((0, 0))
 
-    def carried(self, found: Sensitivity) -> Array:
+    def pose_covariance(self, found: Sensitivity) -> Array:
         """What the keyframes' errors amount to in a pose that was fitted to their points, (6, 6)."""
         gain, places = self._gain_and_indices(found)
         return gain @ self._joint[np.ix_(places, places)] @ gain.T

@@ -99,18 +99,18 @@ class Keyframe:
         """Points this keyframe put into the map."""
         return len(self.points_row)
 
-    def count(self, indices: NDArray[np.int64], found: NDArray[np.bool_]) -> None:
+    def count_misses(self, indices: NDArray[np.int64], found: NDArray[np.bool_]) -> None:
         """Hold the misses of a pair against the points that were looked for; those given up get their turn."""
         self.failures[indices] = np.clip(self.failures[indices] + np.where(found, -1, 1), 0, FAILURES_MAX)
         self.counted += 1
         turn = np.arange(self.counted % TURNS, self.n_points, TURNS)
         self.failures[turn] = np.minimum(self.failures[turn], FAILURES_MAX - 1)
 
-    def vote(self, indices: NDArray[np.int64], signs: NDArray[np.int8]) -> None:
+    def vote_on_motion(self, indices: NDArray[np.int64], signs: NDArray[np.int8]) -> None:
         """One more pair says that points (m,) went with the world (1), with the camera (-1), or neither (0)."""
         self.votes[indices] = np.clip(self.votes[indices] + signs, -VOTES_MAX, VOTES_MAX)
 
-    def place(self, T_vo_cam: Array, twist: Array, readout_s: float) -> None:
+    def place_points(self, T_vo_cam: Array, twist: Array, readout_s: float) -> None:
         """Put the map points where this pose, velocity (6,) and readout of the shutter say they are."""
         times = -self.row_fractions * readout_s
         self.twist = twist
@@ -129,7 +129,7 @@ class Keyframe:
         self.support_row[at] += (rows - self.points_row[at])[:, None]
         self.points_row[at] = rows
         self.covariances_row[at] = T_cam_vo[:3, :3] @ covariances_vo @ T_cam_vo[:3, :3].T
-        self.place(self.T_vo_cam, self.twist, readout_s)
+        self.place_points(self.T_vo_cam, self.twist, readout_s)
 
 
 def triangulated(camera: StereoCamera, found: StereoMatches, sigma_px: float) -> tuple[Array, Array]:
@@ -188,7 +188,7 @@ def make_keyframe(
     )
     keyframe.serial = serial
     keyframe.mixing = {serial: np.tile(np.eye(3), (len(points), 1, 1))}
-    keyframe.place(T_vo_cam, twist, readout_s)
+    keyframe.place_points(T_vo_cam, twist, readout_s)
     return keyframe
 
 

@@ -140,14 +140,14 @@ def part_motions(problem: PoseProblem, fit: PoseFit, scene: Scene, needed: int) 
     on = (np.bincount(cells, at_rest - at_rest.mean(), N_CELLS) < 0.0)[cells]
     squares = single = np.minimum(fit.squares, problem.limit)
     for _ in range(STILL_ROUNDS):
-        again = _fit_of(problem.without(on), fit.T_cam_vo)
+        again = _fit_of(problem.without_points(on), fit.T_cam_vo)
         if again is None:
             return [], False
         moving, squares, before = again, np.minimum(problem.squares(again.T_cam_vo), problem.limit), on
         on = (np.bincount(cells, squares - at_rest, N_CELLS) > 0.0)[cells]
         if (on == before).all():
             break
-    resting = _fit_of(problem.without(~on), fit.T_cam_vo)
+    resting = _fit_of(problem.without_points(~on), fit.T_cam_vo)
     if resting is None or min(resting.inliers.sum(), moving.inliers.sum()) < needed:
         return [], False
     gained = (single.sum() - squares[~on].sum() - at_rest[on].sum()) / problem.noise**2

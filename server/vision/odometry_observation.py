@@ -40,7 +40,7 @@ class ObservedPoints:
     correlations: Array
     tried: tuple["SearchedPoints", ...] = ()
 
-    def count(self, good: NDArray[np.bool_]) -> None:
+    def count_misses(self, good: NDArray[np.bool_]) -> None:
         """Hold misses, and finds that are not `good` (n,), against the points.
 
         Only right where the pair was located: in the dark all are missed.
@@ -50,7 +50,7 @@ class ObservedPoints:
             found = tried.found.copy()
             end = start + int(found.sum())
             found[found] = good[start:end]
-            tried.keyframe.count(tried.wanted.indices, found)
+            tried.keyframe.count_misses(tried.wanted.indices, found)
             start = end
 
 
@@ -154,8 +154,8 @@ def _observe_keyframe(
     number: int, keyframe: Keyframe, sight: Sight, wanted: SearchPoints, room: int
 ) -> tuple[_Part, int]:
     if len(wanted.indices) > room:
-        wanted = wanted.some(np.linspace(0, len(wanted.indices) - 1, room).astype(np.int64))
-    left, right = sight.find(keyframe.sight, wanted)
+        wanted = wanted.subset(np.linspace(0, len(wanted.indices) - 1, room).astype(np.int64))
+    left, right = sight.find_points(keyframe.sight, wanted)
     good = left.good
     right_px = np.where(right.good[:, None], right.points_px, np.nan)[good]
     part = _Part(SearchedPoints(keyframe, wanted, good), number, left.points_px[good], right_px, left.correlation[good])
@@ -174,7 +174,7 @@ class OwnStructure:
         self._votes = np.zeros((shape[0] // cell_px + 1, shape[1] // cell_px + 1), dtype=np.int64)
         self._hidden = np.zeros(self._votes.shape, dtype=np.bool_)
 
-    def vote(self, own_px: Array, world_px: Array) -> None:
+    def vote_on_motion(self, own_px: Array, world_px: Array) -> None:
         """Count points (n, 2) of one pair that stood still against the world, and points that moved with it."""
         for places, sign in ((own_px, -1), (world_px, 1)):
             np.add.at(self._votes, self._cells(places), sign)
@@ -183,7 +183,7 @@ class OwnStructure:
         wide = np.asarray(cv2.dilate(own.astype(np.uint8), np.ones((3, 3), np.uint8))) > 0
         self._hidden = own | (wide & (self._votes == 0))
 
-    def hides(self, left_px: Array) -> Mask:
+    def on_own_structure(self, left_px: Array) -> Mask:
         """Which places (n, 2) [raw px] lie on it or right at it, where nothing of the world was ever seen."""
         return self._hidden[self._cells(left_px)]
 
@@ -206,10 +206,12 @@ def vote_by_pair(own: OwnStructure, sight: Sight, observed: ObservedPoints, fit:
     for tried in observed.tried:
         end = start + int(tried.found.sum())
         at = tried.wanted.indices[tried.found]
-        tried.keyframe.vote(at, with_world[start:end].astype(np.int8) - with_camera[start:end].astype(np.int8))
+        tried.keyframe.vote_on_motion(
+            at, with_world[start:end].astype(np.int8) - with_camera[start:end].astype(np.int8)
+        )
         own_px.append(_image_fixed_points(sight, tried, limit_px))
         start = end
-    own.vote(np.concatenate(own_px), observed.left_px[with_world])
+    own.vote_on_motion(np.concatenate(own_px), observed.left_px[with_world])
 
 
 def _image_fixed_points(sight: Sight, tried: SearchedPoints, limit_px: float) -> Array:
@@ -219,11 +221,11 @@ def _image_fixed_points(sight: Sight, tried: SearchedPoints, limit_px: float) ->
     missed = np.flatnonzero(~tried.found & away & sight.may_show(wanted.places_left_px))
     if len(missed) == 0:
         return np.zeros((0, 2))
-    some = wanted.some(missed)
+    some = wanted.subset(missed)
     warps, places = np.tile(np.eye(2), (len(missed), 1, 1)), (some.places_left_px, some.places_right_px)
-    found = sight.find(tried.keyframe.sight, SearchPoints(some.indices, *places, warps, *places))
+    found = sight.find_points(tried.keyframe.sight, SearchPoints(some.indices, *places, warps, *places))
     good = np.ones(len(missed), dtype=bool)
     for eye, place in zip(found, places, strict=True):
         good &= eye.good & (np.linalg.norm(eye.points_px - place, axis=1) < limit_px)
-    tried.keyframe.vote(some.indices[good], np.full(int(good.sum()), -1, dtype=np.int8))
+    tried.keyframe.vote_on_motion(some.indices[good], np.full(int(good.sum()), -1, dtype=np.int8))
     return places[0][good]

@@ -306,7 +306,7 @@ class PoseProblem:
         """Squared whitened residual below which a point is an inlier."""
         return INLIER_SQUARE * max(self.noise, 1.0) ** 2
 
-    def without(self, points: NDArray[np.bool_]) -> "PoseProblem":
+    def without_points(self, points: NDArray[np.bool_]) -> "PoseProblem":
         """The same without some of the points (n,): they agree with no pose."""
         return replace(self, roots=np.where(points[:, None, None], 0.0, self.roots))
 

@@ -96,7 +96,7 @@ class SearchPoints:
     guesses_left_px: Array
     guesses_right_px: Array
 
-    def some(self, chosen: NDArray[np.int64]) -> "SearchPoints":
+    def subset(self, chosen: NDArray[np.int64]) -> "SearchPoints":
         """Only these of them."""
         return SearchPoints(
             self.indices[chosen],
@@ -120,7 +120,7 @@ class Sight(Protocol):
         """New points in both eyes, about `count` at most, away from `occupied_px` (m, 2)."""
         ...
 
-    def find(self, kept: "Sight", wanted: SearchPoints) -> tuple[Alignment, Alignment]:
+    def find_points(self, kept: "Sight", wanted: SearchPoints) -> tuple[Alignment, Alignment]:
         """Points of a kept pair in this pair's left and right eye."""
         ...
 
@@ -136,11 +136,11 @@ class Sight(Protocol):
         """Left places (n, 2) of a kept pair and where they seem to be in this left eye, wherever the camera is."""
         ...
 
-    def repeats(self) -> Array:
+    def repetition_ways(self) -> Array:
         """Ways (k, 2) [px] by which the left picture may repeat itself."""
         ...
 
-    def keep(self) -> "Sight":
+    def keep_copy(self) -> "Sight":
         """A copy that stays true when the caller's buffers are used again."""
         ...
 
@@ -216,7 +216,7 @@ class ImageSight:
         )
         return np.where(moved.good[:, None], moved.points_px, np.nan), unique
 
-    def find(self, kept: Sight, wanted: SearchPoints) -> tuple[Alignment, Alignment]:
+    def find_points(self, kept: Sight, wanted: SearchPoints) -> tuple[Alignment, Alignment]:
         """Patches of the kept pair, warped, laid onto this one; what lies under a mask is not found."""
         kept = _require_image_sight(kept)
         left = align_reference_patches(
@@ -243,11 +243,11 @@ class ImageSight:
         kept = _require_image_sight(kept)
         return recognise(kept.left, kept.masks[0], self.left, self.masks[0])
 
-    def repeats(self) -> Array:
+    def repetition_ways(self) -> Array:
         """By its likeness to itself."""
         return repeats(self.left)
 
-    def keep(self) -> "ImageSight":
+    def keep_copy(self) -> "ImageSight":
         """With images of its own."""
         return ImageSight(self.left.copy(), self.right.copy(), self.masks, self.t_exposure_ns)
 

@@ -75,7 +75,7 @@ class PoseProblem:
         """The rows of these sightings only."""
         if len(indices) == len(self.sightings):
             return self.observations
-        return self.observations.some(self.rows_of(indices))
+        return self.observations.subset(self.rows_of(indices))
 
     def common_pixels(self) -> tuple[Array, Array]:
         """Points that both eyes see, undistorted (m, 2) [px], left and right."""
@@ -91,7 +91,7 @@ class PoseProblem:
         seen = np.isfinite(left).all(axis=1) & np.isfinite(right).all(axis=1)
         return left[seen], right[seen]
 
-    def starts(self, indices: Sequence[int]) -> Array:
+    def starting_poses(self, indices: Sequence[int]) -> Array:
         """T_cam_object (k, 4, 4) by both planar solutions of every sighting in every eye."""
         found = [start for group in self.groups if group.sighting in indices for start in self._starts_of(group)]
         return np.array(found) if found else np.empty((0, 4, 4))

@@ -30,7 +30,7 @@ class PointObservations:
     focal_px: Array
     weights: Array | None = None
 
-    def some(self, rows: NDArray[np.bool_]) -> "PointObservations":
+    def subset(self, rows: NDArray[np.bool_]) -> "PointObservations":
         """Only these rows (n,)."""
         weights = None if self.weights is None else self.weights[rows]
         kept = self.points_object[rows], self.seen_px[rows], self.eye_x_m[rows]

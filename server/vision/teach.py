@@ -206,7 +206,7 @@ def _fit_layouts(
     fit = fit_layout(start, corners, priors)
     stray = stray_sightings(sighting_rms_px(fit, corners, len(seen.views), len(task.ids)), settings)
     if stray.any():
-        corners = corners.without(stray.ravel()[corners.sighting])
+        corners = corners.without_rows(stray.ravel()[corners.sighting])
         fit = fit_layout(fit.state, corners, priors)
     refusal = check_directions(fit.state, settings) or check_rigid(fit, corners, priors, task.ids, settings)
     return refusal or _refit_with_measured_noise(seen, corners, fit, priors, int(stray.sum()))

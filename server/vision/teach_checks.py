@@ -166,7 +166,7 @@ def _worst_fitting_marker(fit: LayoutFit, corners: Corners, priors: Priors, ids:
     """The marker without which the others fit best, and their rms [px]."""
     trials = []
     for k in range(len(ids)):
-        rest = corners.without(corners.marker == k)
+        rest = corners.without_rows(corners.marker == k)
         if len(rest.view):
             trials.append((rms_of(fit_layout(fit.state, rest, priors).residuals_px), k))
     rms, k = min(trials)
@@ -178,7 +178,7 @@ def _split_rms_px(fit: LayoutFit, corners: Corners, priors: Priors) -> float:
     n_views, found = len(fit.state.Ts_cam_ref), [rms_of(fit.residuals_px)]
     for moment in np.unique(np.linspace(2, n_views - 2, SPLITS_MAX).round()):
         late = corners.view >= moment
-        parts = [fit_layout(fit.state, corners.without(drop), priors).residuals_px for drop in (late, ~late)]
+        parts = [fit_layout(fit.state, corners.without_rows(drop), priors).residuals_px for drop in (late, ~late)]
         found.append(rms_of(np.concatenate(parts)))
     return min(found)
 

@@ -34,7 +34,7 @@ class Corners:
     focal_px: Array
     baseline_m: float
 
-    def without(self, dropped: NDArray[np.bool_]) -> "Corners":
+    def without_rows(self, dropped: NDArray[np.bool_]) -> "Corners":
         """The rows that are not dropped (n,)."""
         keep = ~dropped
         return replace(

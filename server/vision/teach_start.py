@@ -31,7 +31,7 @@ class SeenViews:
     ids: tuple[int, ...]
     views: tuple[TeachView, ...]
 
-    def shows(self, view: int) -> list[int]:
+    def markers_in_view(self, view: int) -> list[int]:
         """Places (in `ids`) of the markers in one view, by either eye."""
         one = self.views[view]
         return [k for k, marker_id in enumerate(self.ids) if marker_id in one.left or marker_id in one.right]
@@ -91,7 +91,7 @@ def groups_seen_together(seen: SeenViews) -> list[list[int]]:
     """Markers (places in `ids`) that hang together through views that show two of them, largest group first."""
     group = list(range(len(seen.ids)))
     for view in range(len(seen.views)):
-        shown = seen.shows(view)
+        shown = seen.markers_in_view(view)
         joined = {group[k] for k in shown}
         group = [min(joined) if root in joined else root for root in group]
     found = [[k for k, root in enumerate(group) if root == name] for name in sorted(set(group))]
@@ -105,7 +105,7 @@ def start_of(seen: SeenViews, sides_m: Array, camera: StereoCamera) -> LayoutSta
              along the pairs seen together most often; each view by its best start over all its markers.
     """
     alone = [
-        {k: _pose_candidates(shot, seen.ids[k], sides_m[k], camera) for k in seen.shows(v)}
+        {k: _pose_candidates(shot, seen.ids[k], sides_m[k], camera) for k in seen.markers_in_view(v)}
         for v, shot in enumerate(seen.views)
     ]
     Ts = _chain_marker_poses(alone, sides_m)
@@ -122,7 +122,7 @@ def _pose_candidates(view: TeachView, marker_id: int, side_m: float, camera: Ste
     """T_cam_marker by this marker alone: its distinct minima, the best first."""
     marker = Marker(marker_id, float(side_m), "ooi", np.eye(4))
     problem = pose_problem([Sighting(marker, view.left.get(marker_id), view.right.get(marker_id))], camera)
-    minima = distinct_minima(problem.starts([0]), problem.observations, SAME_RAD)
+    minima = distinct_minima(problem.starting_poses([0]), problem.observations, SAME_RAD)
     return [minimum.T_cam_object for minimum in minima[:CANDIDATES_MAX]]
 
 

@@ -73,7 +73,7 @@ def camera_in_markers(view: TeachView, camera: StereoCamera) -> dict[int, Array]
         if eye["left_px"] is None:
             eye = {"left_px": None, "right_px": view.right[marker_id]}
         problem = pose_problem([Sighting(marker, **eye)], camera)  # one eye: two would want the true side
-        minima = distinct_minima(problem.starts([0]), problem.observations, SAME_RAD)
+        minima = distinct_minima(problem.starting_poses([0]), problem.observations, SAME_RAD)
         if minima:
             places[marker_id] = inverse_pose(minima[0].T_cam_object)[:3, 3]
     return places
@@ -91,7 +91,7 @@ class ViewKeeper:
         self._resting = 0
         self.views: list[TeachView] = []
 
-    def offer(self, view: TeachView) -> OfferedView:
+    def keep_if_new(self, view: TeachView) -> OfferedView:
         """Keep the view if the camera rests and it differs from all that are kept."""
         if len(view.left.keys() | view.right.keys()) < self._markers_min:
             self._last, self._resting = None, 0

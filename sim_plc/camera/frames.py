@@ -23,7 +23,7 @@ class Subscriber:
         self._frame: Frame | None = None
         self._arrived = asyncio.Event()
 
-    def offer(self, frame: Frame) -> None:
+    def put_frame(self, frame: Frame) -> None:
         """Put a frame; one that was not taken yet is replaced and counted as skipped."""
         self.skipped += self._frame is not None
         self._frame = frame
@@ -34,7 +34,7 @@ class Subscriber:
         self._frame = None
         self._arrived.set()
 
-    async def next(self) -> Frame | None:
+    async def next_frame(self) -> Frame | None:
         """The newest frame not seen yet; None when the camera shuts down."""
         await self._arrived.wait()
         self._arrived.clear()
@@ -57,7 +57,7 @@ class FrameHub:
         return len(self._subscribers)
 
     @property
-    def skipped(self) -> int:
+    def skipped_count(self) -> int:
         """Frames that clients were too slow for, over all clients so far."""
         return self._skipped_before + sum(subscriber.skipped for subscriber in self._subscribers)
 
@@ -65,7 +65,7 @@ class FrameHub:
         """Make this frame the newest and offer it to everybody."""
         self.newest = frame
         for subscriber in self._subscribers:
-            subscriber.offer(frame)
+            subscriber.put_frame(frame)
 
     def close(self) -> None:
         """End all subscriptions."""

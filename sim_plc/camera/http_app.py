@@ -63,7 +63,7 @@ class ExposureGrid:
     rate_hz: float
     skipped: int = 0
 
-    def take(self, t_now_ns: int) -> int:
+    def next_exposure(self, t_now_ns: int) -> int:
         """The next exposure: the earliest on the grid that is not more than one period old."""
         period_ns = round(1e9 / self.rate_hz)
         late = max(0, (t_now_ns - self.t_next_ns) // period_ns)
@@ -79,7 +79,7 @@ class TrueClock:
     def __init__(self) -> None:
         self._offset_ns: int | None = None
 
-    def saw(self, t_true_ns: int, t_mono_ns: int) -> None:
+    def note_pose_time(self, t_true_ns: int, t_mono_ns: int) -> None:
         """The newest pose known at `t_mono_ns` is of `t_true_ns`."""
         offset_ns = t_true_ns - t_mono_ns
         self._offset_ns = offset_ns if self._offset_ns is None else max(self._offset_ns, offset_ns)
@@ -112,7 +112,7 @@ def multipart_part(frame: Frame) -> bytes:
 async def multipart_stream(hub: FrameHub) -> AsyncIterator[bytes]:
     """Parts for one client, newest picture only, until the camera shuts down."""
     with hub.subscribe() as subscriber:
-        while (frame := await subscriber.next()) is not None:
+        while (frame := await subscriber.next_frame()) is not None:
             yield multipart_part(frame)
     yield f"--{BOUNDARY}--\r\n".encode()
 

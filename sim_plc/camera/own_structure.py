@@ -121,7 +121,7 @@ class OwnStructure:
         if view.tool is not None:
             paint_patch(image, view.tool)
 
-    def masks(self, T_base_tcp: Array) -> tuple[Mask, Mask]:
+    def own_masks(self, T_base_tcp: Array) -> tuple[Mask, Mask]:
         """Where own structure, tool included, covers at least half of a pixel: left, right; (height, width) bool.
 
         The simulation's truth, for tests and benches.

@@ -81,7 +81,7 @@ class CameraLoop:
         self._time_code = time_code
 
     @property
-    def skipped(self) -> int:
+    def skipped_count(self) -> int:
         """Exposures left out because rendering was behind."""
         return 0 if self._grid is None else self._grid.skipped
 
@@ -123,7 +123,7 @@ class CameraLoop:
         renderer.render_static(feed.pose_at(feed.latest_t_ns()))  # compiles before the clock counts
         grid = self._grid = ExposureGrid(feed.latest_t_ns() + half_ns, self.governor.wanted_hz)
         while True:
-            t_mid_ns = grid.take(feed.latest_t_ns() - half_ns)
+            t_mid_ns = grid.next_exposure(feed.latest_t_ns() - half_ns)
             if not self._wait_for(feed, t_mid_ns + half_ns):
                 return
             start = time.perf_counter()
@@ -151,7 +151,7 @@ class CameraLoop:
         """Until the feed has reached a time; False when stopped."""
         while not self.stop.is_set():
             latest_ns = feed.latest_t_ns()
-            self._clock.saw(latest_ns, mono_ns())
+            self._clock.note_pose_time(latest_ns, mono_ns())
             if latest_ns >= t_ns:
                 return True
             self.stop.wait(max(_POLL_S, min(1e-9 * (t_ns - latest_ns), 0.05)))
@@ -187,10 +187,10 @@ def health_of(loop: CameraLoop, hub: FrameHub) -> dict[str, Any]:
         "fps": loop.fps(),
         "busy_ms": round(1e3 * loop.governor.busy_s, 1),
         "frames": loop.frames,
-        "skipped": loop.skipped,
+        "skipped": loop.skipped_count,
         "late": loop.late,
         "clients": hub.n_clients,
-        "client_skipped": hub.skipped,
+        "client_skipped": hub.skipped_count,
     }
 
 

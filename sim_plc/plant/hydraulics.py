@@ -67,7 +67,7 @@ def pump_flow(p_supply: float, p_set: float, droop: float, flow_max: float) -> f
 
 
 @njit(cache=True, error_model="numpy")
-def play(output: float, value: float, half_width: float) -> float:
+def play_operator(output: float, value: float, half_width: float) -> float:
     """New output of the play operator; half_width = 0 is the identity.
 
     Model:   out <- min(max(out, in - b/2), in + b/2).

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from machine.rotations import Array
 from sim_plc.plant.aba import aba
 from sim_plc.plant.cylinder import interpolate_table
-from sim_plc.plant.hydraulics import VAPOUR_PA, play, pump_flow, spool_opening, spool_step, valve_flows
+from sim_plc.plant.hydraulics import VAPOUR_PA, play_operator, pump_flow, spool_opening, spool_step, valve_flows
 
 SUBSTEPS = 4
 STEP_S = 1e-3 / SUBSTEPS
@@ -100,7 +100,7 @@ class State(NamedTuple):
 def _actuator_step(j: int, q: float, qd: float, u: float, p_supply: float, par: Parameters, state: State) -> float:
     """Step valve, chambers and friction of joint j: torque into state.tau, returns its flow out of the supply."""
     c, s = par.joint[j], state.joint[j]
-    s[HELD_COMMAND] = play(s[HELD_COMMAND], u, c[HYSTERESIS])
+    s[HELD_COMMAND] = play_operator(s[HELD_COMMAND], u, c[HYSTERESIS])
     s[SPOOL], s[SPOOL_RATE] = spool_step(s[SPOOL], s[SPOOL_RATE], s[HELD_COMMAND], c[OMEGA], c[ZETA], c[RATE], STEP_S)
     y = interpolate_table(par.table_y[j], c[TABLE_Q0], c[TABLE_STEP], q)
     lever = interpolate_table(par.table_lever[j], c[TABLE_Q0], c[TABLE_STEP], q)
@@ -151,7 +151,9 @@ def advance(par: Parameters, state: State, command: Array, n_ms: int) -> None:
             qd[i] += STEP_S * state.qdd[i]
             q[i] += STEP_S * qd[i]
         for j in range(par.motors.shape[0]):
-            state.joint[j, OUTPUT] = play(state.joint[j, OUTPUT], q[int(par.motors[j])], par.joint[j, HALF_PLAY])
+            state.joint[j, OUTPUT] = play_operator(
+                state.joint[j, OUTPUT], q[int(par.motors[j])], par.joint[j, HALF_PLAY]
+            )
         pumped = pump_flow(shared[P_SUPPLY], oil[P_SET], oil[DROOP], oil[FLOW_MAX])
         shared[P_SUPPLY] = max(shared[P_SUPPLY] + STEP_S * (pumped - drawn) / oil[ACCUMULATOR], oil[P_TANK])
         shared[TIME] += STEP_S
@@ -170,5 +172,5 @@ def advance_rigid(par: Parameters, state: State, command: Array, n_ms: int) -> N
             s[SPOOL] += STEP_S * s[SPOOL_RATE]
             state.qd[i] = c[GAIN] * s[SPOOL]
             state.q[i] = min(max(state.q[i] + STEP_S * state.qd[i], c[STOP_LOW]), c[STOP_HIGH])
-            s[OUTPUT] = play(s[OUTPUT], state.q[int(i)], c[HALF_PLAY])
+            s[OUTPUT] = play_operator(s[OUTPUT], state.q[int(i)], c[HALF_PLAY])
         state.shared[TIME] += STEP_S

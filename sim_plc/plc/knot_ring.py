@@ -52,7 +52,7 @@ class KnotRing:
             return self._check_new(command, view)
         return self._check_more(command, view)
 
-    def load(self, command: Command, view: PlaybackView) -> None:
+    def load_knots(self, command: Command, view: PlaybackView) -> None:
         """Take the knots of a command that was checked in the same cycle."""
         if command.traj_id != self.traj_id or self.last < 0:
             self.traj_id, self.first, self.last, self.end = command.traj_id, 0, -1, -1

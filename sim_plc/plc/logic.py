@@ -88,7 +88,7 @@ class PlcLogic:
         """Take one datagram; any bytes may come. Returns what it led to, for the shell's log."""
         return self._handle_link_events(self.link.receive(datagram, t_plc_ns, source), t_plc_ns)
 
-    def cycle(self, t_plc_ns: int, sample: PlantSample) -> Array:
+    def run_cycle(self, t_plc_ns: int, sample: PlantSample) -> Array:
         """One cycle: valve commands (n,) [fraction of full command]; a view that the next cycle changes."""
         self._counters.cycles += 1
         self._sample = sample = with_finite_readings(sample)
@@ -156,7 +156,7 @@ class PlcLogic:
         reference = self.reference
         if reference.motion is Motion.FOLLOW:
             if not (self.monitor.present and self.monitor.present & FaultBit.SENSOR):
-                reference.follow(sample.q_rad)
+                reference.follow_joints(sample.q_rad)
             return
         if reference.starving():
             self._counters.starved = True
@@ -169,7 +169,7 @@ class PlcLogic:
             if self.state in (PlcState.RUN, PlcState.STOPPING):
                 self._apply_link_event(PlcEvent.END if played else PlcEvent.AT_REST, t_plc_ns)
             if self.state not in ARMED_STATES:
-                reference.follow(sample.q_rad)
+                reference.follow_joints(sample.q_rad)
 
     def _settle(self, sample: PlantSample, played: bool) -> None:
         """The end of a motion: at its last knot, or after a ramp where the joints have come to rest behind it."""
@@ -210,7 +210,7 @@ class PlcLogic:
         if new is PlcState.HOLD and old is PlcState.LINKED:
             self._control.neutral()
             if self._sample is not None:
-                reference.hold(self._sample.q_rad)
+                reference.hold_at(self._sample.q_rad)
         elif event is PlcEvent.QUICK_STOP:
             reference.quick_stop()
         elif old is PlcState.RUN and new is not PlcState.HOLD:
@@ -218,16 +218,16 @@ class PlcLogic:
         if new is PlcState.DISARMED:
             self.panel.disarmed()
         if new not in ARMED_STATES and reference.motion is Motion.HOLD and self._sample is not None:
-            reference.follow(self._sample.q_rad)
+            reference.follow_joints(self._sample.q_rad)
 
     def _load(self, command: Command) -> None:
         if command.traj_id != self.ring.traj_id:
             self.reference.rewind()
             self._counters.starved = False
-        self.ring.load(command, self._view())
+        self.ring.load_knots(command, self._view())
         self.reference.speed_override = command.speed_override
         if self.state is PlcState.RUN and self.reference.motion is Motion.HOLD:
-            self.reference.play()
+            self.reference.play_from_start()
 
     def _load_servo(self, command: Command, t_plc_ns: int) -> None:
         if command.traj_id != self.ring.traj_id:
@@ -235,7 +235,7 @@ class PlcLogic:
             self.ring.traj_id = command.traj_id
             self.reference.rewind()
             self._counters.starved = False
-        self.reference.servo.load(command, t_plc_ns)
+        self.reference.servo.load_target(command, t_plc_ns)
         self.reference.speed_override = command.speed_override
         if self.state is PlcState.RUN and self.reference.motion is Motion.HOLD:
             self.reference.start_servo()

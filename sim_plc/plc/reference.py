@@ -85,7 +85,7 @@ class Reference:
         """Trajectory seconds per second: 1 at full speed, 0 at rest."""
         return self._rate
 
-    def follow(self, q: Array) -> None:
+    def follow_joints(self, q: Array) -> None:
         """Be where the joints are."""
         self.motion = Motion.FOLLOW
         self._hold_at(q)
@@ -96,7 +96,7 @@ class Reference:
         self.fade = 1.0
         self._out[1:] = 0.0
 
-    def hold(self, q: Array) -> None:
+    def hold_at(self, q: Array) -> None:
         """Stay at q."""
         self.motion = Motion.HOLD
         self._hold_at(q)
@@ -104,13 +104,13 @@ class Reference:
     def settle_at(self, q: Array) -> None:
         """A ramp is over: stay at q, where the joints are, with nothing left to catch up with."""
         self._rate = 0.0
-        self.hold(q)
+        self.hold_at(q)
 
     def rewind(self) -> None:
         """Stand before knot 0 of a new trajectory."""
         self._k, self._sigma, self._rate = 0, 0.0, 0.0
 
-    def play(self) -> None:
+    def play_from_start(self) -> None:
         """Start from knot 0; it is at rest, so starting at full rate is not a step."""
         self.rewind()
         self._rate = self.speed_override

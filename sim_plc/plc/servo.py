@@ -80,7 +80,7 @@ class Servo:
         self.left_s = 0.0  # for how long the target still moves on without news
         self.ending = False
 
-    def load(self, command: Command, t_plc_ns: int) -> None:
+    def load_target(self, command: Command, t_plc_ns: int) -> None:
         """Take the target of a command that was checked in the same cycle."""
         n, knot = self._settings.n, command.knots[0]
         self._target[:] = knot.q[:n]

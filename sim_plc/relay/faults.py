@@ -130,7 +130,7 @@ class FaultChannel:
             due.append(datagram)
         return due
 
-    def forget(self) -> None:
+    def lose_pending(self) -> None:
         """Lose what is on its way; it counts as cut."""
         self.counts.cut += len(self._flying)
         self._flying.clear()

@@ -66,7 +66,7 @@ class UdpRelay:
         return self._listener.getsockname()
 
     @property
-    def figures(self) -> RelayFigures:
+    def counts(self) -> RelayFigures:
         """What has been done so far."""
         to_plc, to_pc = FaultCounts(), FaultCounts()
         to_plc.add(self._gone.to_plc)
@@ -159,7 +159,7 @@ def run_relay(
                 ready(relay.address)
             end = mono_s() + for_s if for_s is not None else None
             relay.run(lambda: signalled() or (end is not None and mono_s() >= end))
-        return relay.figures
+        return relay.counts
     finally:
         relay.close()
 

@@ -28,7 +28,7 @@ class RunningRelay:
 
     @property
     def figures(self) -> RelayFigures:
-        return self.relay.figures
+        return self.relay.counts
 
     def close(self) -> None:
         self.done.set()

@@ -44,7 +44,7 @@ class VirtualLink:
         for datagram in self.to_plc.pop(self.t_ns):
             self.plc.receive(datagram, t_plc_ns, "pc")
         running = self.plc.state is PlcState.RUN
-        self.plant.step(self.plc.cycle(t_plc_ns, self.plant.sample(True)), 1)
+        self.plant.step(self.plc.run_cycle(t_plc_ns, self.plant.sample(True)), 1)
         if running:
             self.played.append((self.plc.reference.t_play_ns, self.plc.q_ref, self.plc.qd_ref))
         if self.t_ns % (10 * MS) == 0 and self.plc.link.peer is not None:

@@ -221,7 +221,7 @@ class VirtualCell:
         self.step(self.thinking_ms)
         knots = knots_from(knots_of(request.trajectory, 6))
         refusals = self.virtual.client.request_tail(self.traj_id, request.first, knots, self.t_ns)
-        self.tail, self.tail_text = ("refused", refusals[0].text) if refusals else ("pending", "")
+        self.tail, self.tail_text = ("refused", refusals[0].as_line) if refusals else ("pending", "")
 
     def _end(self) -> None:
         while self.ended is None:

@@ -266,7 +266,7 @@ async def test_a_steered_motion_goes_on_by_its_pairs_and_not_past_a_stall(raw_pl
         time.sleep(1.5)  # noqa: ASYNC251 the server is busy with something else
         assert raw_plc.plc.link.state is not PlcState.RUN
         with pytest.raises(JobFailedError, match="no stereo pair was evaluated in time"):
-            await asyncio.wait_for(steering.end(), 3.0)
+            await asyncio.wait_for(steering.wait_for_end(), 3.0)
         task = asyncio.ensure_future(link.run(long_path(raw_plc)))  # the next job is not held to it
         assert await until(lambda: raw_plc.plc.link.state is PlcState.RUN, 3.0)
         await link.stop("test")

@@ -94,7 +94,7 @@ def test_it_passes_bytes_both_ways_and_keeps_pcs_apart(bench: Callable[..., Benc
     b.down(b"for two", from_two)
     assert b.pcs[1].recvfrom(100) == (b"for two", b.relay.address)
     assert b.nothing_at(b.pcs[0])
-    figures = b.relay.figures
+    figures = b.relay.counts
     assert figures.pcs == 2
     assert figures.to_plc == FaultCounts(taken=2, delivered=2)
     assert figures.to_pc == FaultCounts(taken=1, delivered=1)
@@ -115,7 +115,7 @@ def test_windows_count_from_the_first_datagram(bench: Callable[..., Bench]) -> N
         b.up(datagram)
         b.now_ns += 100 * MS
     assert [b.plc.recv(100), b.plc.recv(100)] == [b"a", b"c"]
-    assert b.relay.figures.to_plc.cut == 1
+    assert b.relay.counts.to_plc.cut == 1
 
 
 def test_beyond_sixteen_pcs_the_oldest_is_given_up_but_still_counted(bench: Callable[..., Bench]) -> None:
@@ -123,7 +123,7 @@ def test_beyond_sixteen_pcs_the_oldest_is_given_up_but_still_counted(bench: Call
     for pc in range(17):
         b.up(b"hello", pc)
     _, oldest = b.plc.recvfrom(100)
-    assert b.relay.figures.to_plc.delivered == 17
+    assert b.relay.counts.to_plc.delivered == 17
     b.plc.sendto(b"nobody there", oldest)
     b.relay.turn(0.0)
     assert b.nothing_at(b.pcs[0])
@@ -134,7 +134,7 @@ def test_a_plc_that_is_not_there_is_only_silence(bench: Callable[..., Bench]) ->
     b.plc.close()
     for _ in range(3):
         b.up(b"anybody?")
-    assert b.relay.figures.to_plc.taken == 3
+    assert b.relay.counts.to_plc.taken == 3
     assert b.nothing_at(b.pcs[0])
 
 

@@ -197,7 +197,7 @@ class Pair:
         """One cycle and one state of both, compared."""
         self._panel_to_st()
         sample = self.plant.sample(self._rng)
-        valves = self.plc.cycle(self.t_ns, sample)
+        valves = self.plc.run_cycle(self.t_ns, sample)
         st_valves = self.st.cycle(sample, self.t_ns)
         python = self.plc.send(self.t_ns)[self._overhead :]
         st = self.st.build_state(self.t_ns)

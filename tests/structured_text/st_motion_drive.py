@@ -248,7 +248,7 @@ class Driver:
         if pair.t_ns < self._silent_until or rng.random() < trouble.lose:
             return playback
         return self._answered(
-            playback, pair.deliver(command), playback.splice is not None and window.covers(playback.splice)
+            playback, pair.deliver(command), playback.splice is not None and window.holds_knot(playback.splice)
         )
 
     def _answered(self, playback: Playback, code: RejectCode, covered: bool) -> Playback:

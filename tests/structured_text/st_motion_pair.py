@@ -106,7 +106,7 @@ class MotionPair:
 
     def hold(self, q: np.ndarray, follow: bool = False) -> None:
         """Both stay at q (n,)."""
-        (self.reference.follow if follow else self.reference.hold)(q)
+        (self.reference.follow_joints if follow else self.reference.hold_at)(q)
         self.st.stay("Follow" if follow else "HoldAt", pad_to_eight_axes(tuple(q.tolist())))
         self.compare("hold")
 
@@ -225,14 +225,14 @@ class MotionPair:
             self.st.do("Rewind")
             self._spent = False
         if servo:
-            reference.servo.load(command, self.t_ns)
+            reference.servo.load_target(command, self.t_ns)
             self.st.load_servo(payload, self.t_ns)
         else:
-            self.ring.load(command, self._view())
+            self.ring.load_knots(command, self._view())
             self.st.load(payload)
         reference.speed_override = command.speed_override
         if self.motion is Motion.HOLD and CommandFlag.START in command.cmd_flags:
-            (reference.start_servo if servo else reference.play)()
+            (reference.start_servo if servo else reference.play_from_start)()
             self.st.do("StartServo" if servo else "Play")
 
     def _settle(self, played: bool) -> None:

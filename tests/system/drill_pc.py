@@ -76,7 +76,7 @@ def main(port):
             now_ns = mono_ns()
             refusals = link.request_run(moves, knots, now_ns)
             if refusals:
-                sys.exit("; ".join(refusal.text for refusal in refusals))
+                sys.exit("; ".join(refusal.as_line for refusal in refusals))
             print(knots[-1].t_ns * 1e-9, flush=True)
         datagram = link.send(now_ns)
         if datagram:

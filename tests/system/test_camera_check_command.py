@@ -71,7 +71,7 @@ def camera_url() -> Iterator[str]:
     publisher.start()
     world = SmallWorld(replace(camera), scene, machine, 1)
     process = multiprocessing.get_context("spawn").Process(
-        target=run_camera, args=(world, feed.name, "127.0.0.1", port, RATE_HZ, 95, True)
+        target=run_camera, args=(world, feed.feed_name, "127.0.0.1", port, RATE_HZ, 95, True)
     )
     process.start()
     url = f"http://127.0.0.1:{port}"

@@ -161,7 +161,7 @@ class Drill:
         watch.t_s = self.t_ns * 1e-9
         for datagram in self.to_plc.pop(self.t_ns):
             watch.events(self.plc.receive(datagram, t_plc_ns, self._pc_source), t_plc_ns)
-        valves = self.plc.cycle(t_plc_ns, self.plant.sample("line down" not in self._until))
+        valves = self.plc.run_cycle(t_plc_ns, self.plant.sample("line down" not in self._until))
         watch.cycle(t_plc_ns, valves)
         if self.t_ns % STATE_PERIOD.ns < cycle_ms * MS and self.plc.link.peer is not None:
             datagram = self.plc.send(t_plc_ns)
@@ -294,7 +294,7 @@ class Drill:
         self._pc_dead = True
         self._actions.clear()
         self._until = {name: t for name, t in self._until.items() if name != "pc dead"}
-        self.to_plc.forget()  # what was on its way is gone, too: the bounds count from the last one that arrives
+        self.to_plc.lose_pending()  # what was on its way is gone, too: the bounds count from the last one that arrives
 
     def _close_watch(self) -> None:
         self._faults += self.watch.faults_seen

@@ -89,7 +89,7 @@ class PlcEnd:
         """Cycles of the PLC; the joints are where the reference is."""
         for _ in range(ms):
             self.t_ns += MS
-            self.plc.cycle(self.t_ns, self._sample())
+            self.plc.run_cycle(self.t_ns, self._sample())
             self._q = self.plc.reference.q.copy()
         self.honest.t_plc_ns = self.t_ns
 

@@ -109,7 +109,7 @@ class InServerLink:
         except LocalProtocolError as error:
             raise LinkRefusedError(str(error)) from error
         if refusals:
-            raise LinkRefusedError(refusals[0].text)
+            raise LinkRefusedError(refusals[0].as_line)
         self._motion = asyncio.get_running_loop().create_future()
         return await self._motion
 

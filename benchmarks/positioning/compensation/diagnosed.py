@@ -35,18 +35,18 @@ def effects_of(fitted: Recording, left: Recording, judged: Recording) -> Found:
     Model: as `longreach diagnose --fit-baseline` and then `longreach diagnose` with the file that it makes; the second
            step's count of what each effect gains by chance is left out here.
     """
-    effects = budget_of(_read(fitted)).entries()
+    effects = budget_of(_read(fitted)).effect_entries()
     remainder = remainders_of([with_baseline(_read(left), effects, ())])
     last = _read(judged)
     before, after = (_energy(with_baseline(last, some, ())) for some in ((), effects))
     found = budget_of(with_baseline(last, effects, remainder))
     closed = 1.0 - (after - 1.0) / max(before - 1.0, 1e-9)
-    return Found((*effects, *found.entries()), found.verdict, closed, found.why)
+    return Found((*effects, *found.effect_entries()), found.verdict, closed, found.why)
 
 
 def _read(recording: Recording) -> Read:
     whole = examine_recording(recording, Path("tour"))
-    if not whole.usable:
+    if not whole.has_judgeable_stage:
         raise RuntimeError("; ".join(str(one) for one in whole.findings))
     return whole
 

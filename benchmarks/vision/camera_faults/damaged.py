@@ -101,8 +101,8 @@ def run_damaged(machine: Machine, pictures: Pictures, kind: str, quality: int, s
             continue
         report = _processed(pipeline, eyes, number)
         looks.add(number, report)
-        held += is_damaged and not report.usable
-        wrong_used += is_damaged and report.usable and _is_wrong(report, truth)
+        held += is_damaged and not report.fit_for_look
+        wrong_used += is_damaged and report.fit_for_look and _is_wrong(report, truth)
     pipeline.close()
     wrong = sum(
         _off(look.T_cam_tool, look.tool_covariance, truth[0]) or _off(look.T_cam_ooi, look.ooi_covariance, truth[1])

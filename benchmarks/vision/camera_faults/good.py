@@ -62,7 +62,7 @@ def run_good(machine: Machine, kind: str, seed: int, pairs: int) -> GoodCase:
     alarms = 0
     for frame in islice(_stream(frames, seed), pairs):
         report = pipeline.process(frame, 0)
-        alarms += not report.usable
+        alarms += not report.fit_for_look
         texts.update(set(report.warnings))
     pipeline.close()
     return GoodCase(kind, seed, pairs, alarms, dict(texts.most_common(5)))

@@ -65,7 +65,7 @@ class PointSight:
         """Which wall points have these places (k, 2) in the left eye."""
         return np.array([self.numbers[x, y] for x, y in places_px.tolist()], dtype=np.int64)
 
-    def find(self, kept: Sight, wanted: SearchPoints) -> tuple[Alignment, Alignment]:
+    def find_points(self, kept: Sight, wanted: SearchPoints) -> tuple[Alignment, Alignment]:
         """The same wall points in this pair."""
         on = _points_sight(kept).numbers_of(wanted.places_left_px)
         found = [self.left_px[on], self.right_px[on]]
@@ -91,11 +91,11 @@ class PointSight:
         found = self.flow_from(kept, places)
         return places[found.good], found.points_px[found.good]
 
-    def repeats(self) -> Array:
+    def repetition_ways(self) -> Array:
         """Points are known by their numbers."""
         return np.zeros((0, 2))
 
-    def keep(self) -> "PointSight":
+    def keep_copy(self) -> "PointSight":
         """It never changes."""
         return self
 

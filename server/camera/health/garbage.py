@@ -66,7 +66,7 @@ class GarbageMonitor:
         self._still = 0
         return ()
 
-    def take(self) -> None:
+    def keep_as_reference(self) -> None:
         """The picture checked last was good in every other way, too: later ones are compared with it."""
         self._good = self._now
 

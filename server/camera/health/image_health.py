@@ -50,7 +50,7 @@ class Latch:
     def __init__(self) -> None:
         self._held: dict[FaultCode, tuple[Finding, int]] = {}
 
-    def hold(self, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    def hold_findings(self, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
         """These findings, and those of before that have not been absent for long enough."""
         lingering: list[Finding] = []
         now = {finding.code: finding for finding in reversed(findings)}
@@ -188,7 +188,7 @@ class ImageHealth:
         if sick:
             self._stamps.short_ns = 0  # judged with the next pair of the right size
             self._pair, self._shape = None, ()
-            return self._images.hold(sick)
+            return self._images.hold_findings(sick)
         pair = self._pair = self._seen(frame)
         findings = [*self._stamps.check(pair)]
         for monitor in self._first:
@@ -197,15 +197,17 @@ class ImageHealth:
             for monitor in self._then:
                 findings += monitor.check(pair)
         if not any(finding.forbids_look for finding in findings):
-            self._garbage.take()
-        return self._images.hold(tuple(findings))
+            self._garbage.keep_as_reference()
+        return self._images.hold_findings(tuple(findings))
 
     def after_markers(self, observation: PairObservation | None) -> tuple[Finding, ...]:
         """What the markers found in the same pair add; to be called after `before_use`, None when there are none."""
         if self._pair is None or observation is None:
-            return self._marked.hold(())
+            return self._marked.hold_findings(())
         pair = replace(self._pair, observation=observation)
-        return self._marked.hold((*self._blur.at_markers(pair), *self._markers.check(pair), *self._jump.check(pair)))
+        return self._marked.hold_findings(
+            (*self._blur.at_markers(pair), *self._markers.check(pair), *self._jump.check(pair))
+        )
 
     def _seen(self, frame: StereoFrame) -> Pair:
         known, same_shape = self._connection == frame.connection, self._shape == frame.left.shape
@@ -215,5 +217,10 @@ class ImageHealth:
         self._connection, self._shape = frame.connection, frame.left.shape
         left, right = self._left.look(frame.left), self._right.look(frame.right)
         return Pair(
-            frame, left, right, self._left.step, first=not (known and same_shape), resumed=same_shape and not known
+            frame,
+            left,
+            right,
+            self._left.thumbnail_step_px,
+            first=not (known and same_shape),
+            resumed=same_shape and not known,
         )

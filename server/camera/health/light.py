@@ -27,14 +27,14 @@ class ExposureMonitor:
             return (_both_black(min(black)),)
         if max(black) > BLACK_FRAC:
             return (_one_black("left" if black[0] > BLACK_FRAC else "right", max(black)),)
-        white = [float(eye.field(WHITE).mean()) for _, eye in pair.eyes]
+        white = [float(eye.cell_field(WHITE).mean()) for _, eye in pair.eyes]
         if max(white) > WHITE_FRAC:
             return (_saturation_finding("left" if white[0] >= white[1] else "right", white),)
         return _low_contrast_findings(pair)
 
 
 def _black_frac(eye: EyeCells) -> float:
-    return float(np.mean((eye.field(MEAN) < BLACK_GREY) & (eye.field(STD) < BLACK_STD_GREY)))
+    return float(np.mean((eye.cell_field(MEAN) < BLACK_GREY) & (eye.cell_field(STD) < BLACK_STD_GREY)))
 
 
 def _both_black(share: float) -> Finding:

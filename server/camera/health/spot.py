@@ -52,7 +52,7 @@ class _EyeStatistics:
             self.change = np.zeros(eye.grey.shape, np.float32)
             self.before = eye.grey.copy()
             self.count = 0
-        elif float(eye.field(CHANGE).mean()) > MOVING_MIN_GREY:
+        elif float(eye.cell_field(CHANGE).mean()) > MOVING_MIN_GREY:
             self.count += 1
             _update_running_averages(eye.grey, self.before, max(WEIGHT, 1.0 / self.count), self.mean, self.change)
         self.before[:] = eye.grey

@@ -84,7 +84,7 @@ class StampMonitor:
     def _clock_was_set(self, frame: StereoFrame) -> None:
         """By no more than its stamps fell short: a picture may be late besides."""
         now_ns = frame.t_receive_mono_ns
-        most_ns = self._smallest.at(now_ns) + self.short_ns
+        most_ns = self._smallest.offset_at(now_ns) + self.short_ns
         self._smallest.begin(now_ns, min(now_ns - frame.t_exposure_ns, most_ns))
         self._learnt = 1
 
@@ -118,7 +118,7 @@ class StampMonitor:
 
     def _arrival_delay_finding(self, frame: StereoFrame) -> Finding | None:
         now_ns = frame.t_receive_mono_ns
-        later_s = (now_ns - frame.t_exposure_ns - self._smallest.at(now_ns)) * 1e-9
+        later_s = (now_ns - frame.t_exposure_ns - self._smallest.offset_at(now_ns)) * 1e-9
         ahead_max_s = AHEAD_SETTLED_MAX_S if self._learnt >= AHEAD_SETTLED_FROM else AHEAD_MAX_S
         if -later_s > ahead_max_s and self._learnt < STARTING_PAIRS:
             self._learnt = 0

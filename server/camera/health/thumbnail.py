@@ -141,7 +141,7 @@ class EyeCells:
     one_grey_rows: int  # at the bottom
     spread_grey: float  # root mean square of all contrast
 
-    def field(self, number: int) -> Array:
+    def cell_field(self, number: int) -> Array:
         """One field of all cells (9, 16)."""
         return self.cells[:, :, number]
 
@@ -159,7 +159,7 @@ class EyeMemory:
         self._rows = np.zeros(0)
 
     @property
-    def step(self) -> int:
+    def thumbnail_step_px(self) -> int:
         """Pixels per thumbnail pixel."""
         return self._step
 

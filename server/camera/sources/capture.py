@@ -43,7 +43,7 @@ class CapturedSource(LiveSource[tuple[Picture, int, int, int, int]]):
 
     def read(self, timeout_s: float) -> StereoFrame | None:
         """The newest pair; a picture that cannot be decoded is passed over and reported in `state`."""
-        taken = self._newest.take(timeout_s)
+        taken = self._newest.take_newest(timeout_s)
         if taken is None:
             return None
         picture, t_exposure_ns, t_receive_ns, sequence, connection = taken

@@ -155,7 +155,7 @@ class HttpStereoSource(LiveSource[_Received]):
 
     def read(self, timeout_s: float) -> StereoFrame | None:
         """The newest pair; a picture that cannot be decoded is passed over and reported in `state`."""
-        received = self._newest.take(timeout_s)
+        received = self._newest.take_newest(timeout_s)
         if received is None:
             return None
         part = received.part

@@ -32,7 +32,7 @@ class NewestOnlyBox(Generic[Item]):
             self._item = item
             self._condition.notify()
 
-    def take(self, timeout_s: float) -> Item | None:
+    def take_newest(self, timeout_s: float) -> Item | None:
         """The newest item, taken out; None when none came in time."""
         with self._condition:
             if self._item is None:

@@ -148,7 +148,9 @@ def _servo_along_line(
         look = taken.look
         if look.T_cam_tool is None or look.T_cam_ooi is None:
             return
-        step = servo.step(10.0 * number, ctx.tcp(taken.reading.q_rad), look.T_cam_tool[:3, 3], look.T_cam_ooi[:3, 3])
+        step = servo.next_reference(
+            10.0 * number, ctx.tcp(taken.reading.q_rad), look.T_cam_tool[:3, 3], look.T_cam_ooi[:3, 3]
+        )
         if step.T_base_tcp_ref is None:
             return
         number += 1

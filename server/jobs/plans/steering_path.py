@@ -45,7 +45,7 @@ class SteeredPath:
 def off_goal(ctx: PlanContext, steered: SteeredPath, seen: PairSeen) -> str:
     """Take a good pair in; or why its goal cannot be believed."""
     T_goal, sigma_m, way_m = _goal_seen(ctx, seen)
-    apart_m, most_m = steered.goal.jump(T_goal, sigma_m, way_m)
+    apart_m, most_m = steered.goal.jump_and_limit(T_goal, sigma_m, way_m)
     if apart_m > most_m:
         return (
             f"the goal jumped by {1e3 * apart_m:.1f} mm (limit {1e3 * most_m:.1f} mm, "

@@ -49,7 +49,7 @@ class World:
     def enforce(self):
         """The lease guard."""
         job = self.running
-        if job is not None and self.book.lost(job.fencing, self.now_s):
+        if job is not None and self.book.why_lost(job.fencing, self.now_s):
             self.end(JobState.STOPPED)
 
     def end(self, state):
@@ -205,7 +205,7 @@ def test_motion_is_exactly_once_and_control_is_never_two_peoples(block):
         numbers = [fencing for _, fencing in world.begun]
         assert numbers == sorted(numbers), f"seed {seed}: an older holder moved after a newer one"
         world.crash()
-        assert all(job.ended for job in read_jobs(world.db)), f"seed {seed}: a job without an end"
+        assert all(job.has_ended for job in read_jobs(world.db)), f"seed {seed}: a job without an end"
         world.db.close()
         begun, crashes = begun + len(commands), crashes + world.life
         replays += sum(len(client.answers) for client in clients)

@@ -20,14 +20,14 @@ def test_a_key_is_made_listed_used_and_revoked(tmp_path):
     file = tmp_path / "keys.json"
     secret = secret_of(keys("add", "truck 7", "--role", "fleet", "--file", file))
     ring = KeyRing(file)
-    assert (ring.find(secret, 0.0).name, ring.find(secret, 0.0).role) == ("truck 7", Role.FLEET)
-    assert ring.find(secret + "x", 0.0) is None
+    assert (ring.find_key(secret, 0.0).name, ring.find_key(secret, 0.0).role) == ("truck 7", Role.FLEET)
+    assert ring.find_key(secret + "x", 0.0) is None
     listed = keys("list", "--file", file).output
     assert "truck 7" in listed
     assert secret not in listed
     assert keys("revoke", "truck 7", "--file", file).exit_code == 0
-    assert ring.find(secret, 1e9) is None
-    assert ring.empty
+    assert ring.find_key(secret, 1e9) is None
+    assert ring.has_no_valid_key
     assert isinstance(keys("revoke", "truck 7", "--file", file).exception, KeysError)
     assert secret_of(keys("add", "truck 7", "--role", "fleet", "--file", file)) != secret
 
@@ -62,14 +62,14 @@ def test_a_ring_that_cannot_read_its_file_holds_no_key_until_it_can(tmp_path):
     ring, whole = KeyRing(file), file.read_text()
     file.write_text(whole[:40])
     for now_s in (1e9, 1e9 + 0.1, 1e9 + 10.0):
-        assert ring.find(secret, now_s) is None
-        assert "keys.json" in ring.problem
+        assert ring.find_key(secret, now_s) is None
+        assert "keys.json" in ring.why_no_key_valid
     file.write_text(whole)
-    assert ring.find(secret, 1e9 + 20.0).name == "anna"
-    assert ring.problem == ""
+    assert ring.find_key(secret, 1e9 + 20.0).name == "anna"
+    assert ring.why_no_key_valid == ""
     file.unlink()
-    assert ring.find(secret, 1e9 + 30.0) is None
-    assert "not there" in ring.problem
+    assert ring.find_key(secret, 1e9 + 30.0) is None
+    assert "not there" in ring.why_no_key_valid
 
 
 def test_a_server_does_not_start_with_a_key_file_that_cannot_be_read(tmp_path):

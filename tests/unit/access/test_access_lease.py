@@ -34,11 +34,11 @@ def test_stale_is_not_lost_its_holder_revives_it_until_somebody_else_acquires():
     book, lease = held_by()
     with pytest.raises(LeaseStaleError, match=r"not renewed for 10\.0 s"):
         book.check(lease.lease_id, lease.fencing, TTL_S)
-    assert "stale" in book.lost(lease.fencing, TTL_S)
+    assert "stale" in book.why_lost(lease.fencing, TTL_S)
     revived = book.keep_alive(lease.lease_id, 25.0)
     assert revived.fencing == lease.fencing
     assert book.check(lease.lease_id, lease.fencing, 34.9).owner == "anna"
-    assert book.lost(lease.fencing, 34.9) == ""
+    assert book.why_lost(lease.fencing, 34.9) == ""
     book.acquire("bert", FLEET, TTL_S, "b", 35.0)
     with pytest.raises(LeaseLostError, match="bert acquired it"):
         book.keep_alive(lease.lease_id, 35.1)
@@ -49,7 +49,7 @@ def test_a_person_takes_it_from_a_fleet_or_a_person_and_a_fleet_from_nobody():
     taken = book.take("anna", PERSON, TTL_S, "somebody is in the way", "a", 1.0)
     with pytest.raises(LeaseLostError, match="anna took it: somebody is in the way; anna"):
         book.check(lease.lease_id, lease.fencing, 1.0)
-    assert book.lost(lease.fencing, 1.0) == "control was lost: anna took it: somebody is in the way"
+    assert book.why_lost(lease.fencing, 1.0) == "control was lost: anna took it: somebody is in the way"
     for fleet in ("fleet 1", "anna"):
         with pytest.raises(TakeRefusedError):
             book.take(fleet, FLEET, TTL_S, "hurry", "f", 2.0)
@@ -58,10 +58,10 @@ def test_a_person_takes_it_from_a_fleet_or_a_person_and_a_fleet_from_nobody():
 
 def test_asking_and_granting_hand_it_over_to_the_named_one_only():
     book, lease = held_by()
-    assert book.ask("bert").asked_by == ("bert",)
-    book.ask("cora")
-    assert book.ask("bert").asked_by == ("cora", "bert")
-    book.grant(lease.lease_id, "bert", 1.0)
+    assert book.request_control("bert").asked_by == ("bert",)
+    book.request_control("cora")
+    assert book.request_control("bert").asked_by == ("cora", "bert")
+    book.grant_to(lease.lease_id, "bert", 1.0)
     assert book.check(lease.lease_id, lease.fencing, 1.0).owner == "anna"  # until it is collected
     with pytest.raises(LeaseHeldError):
         book.acquire("cora", PERSON, TTL_S, "c", 1.5)
@@ -70,7 +70,7 @@ def test_asking_and_granting_hand_it_over_to_the_named_one_only():
 
 def test_an_offer_that_is_not_collected_ends():
     book, lease = held_by()
-    book.grant(lease.lease_id, "bert", 0.0)
+    book.grant_to(lease.lease_id, "bert", 0.0)
     late_s = OFFER_S
     book.keep_alive(lease.lease_id, late_s)
     with pytest.raises(LeaseHeldError):
@@ -78,7 +78,7 @@ def test_an_offer_that_is_not_collected_ends():
 
 
 def test_asking_for_free_control_says_that_it_is_free():
-    assert LeaseBook().ask("bert") is None
+    assert LeaseBook().request_control("bert") is None
 
 
 @pytest.mark.parametrize(

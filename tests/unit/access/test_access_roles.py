@@ -39,15 +39,15 @@ def test_six_failures_lock_for_a_minute_and_a_minute_of_peace_forgets():
     lockout = Lockout()
     for number in range(FAILURES_MAX):
         assert lockout.locked_s("a", float(number)) == 0.0
-        lockout.failed("a", float(number))
+        lockout.count_failure("a", float(number))
     assert lockout.locked_s("a", 5.0) == LOCKED_S
     assert lockout.locked_s("b", 5.0) == 0.0
     assert lockout.locked_s("a", 5.0 + LOCKED_S) == 0.0
-    lockout.failed("a", 6.0 + LOCKED_S)
+    lockout.count_failure("a", 6.0 + LOCKED_S)
     assert lockout.locked_s("a", 6.0 + LOCKED_S) == 0.0
     lockout.clear_failed_attempts("a")
     for number in range(ADDRESSES_MAX + 10):
-        lockout.failed(f"address {number}", 0.0)
+        lockout.count_failure(f"address {number}", 0.0)
     assert len(lockout._failed) == ADDRESSES_MAX
 
 

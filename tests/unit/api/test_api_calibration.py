@@ -119,7 +119,7 @@ async def test_without_any_it_says_what_to_do(tmp_path):
 async def test_the_closed_loop_is_off_until_switched_on(tmp_path):
     service = served(tmp_path / "calibration.json")
     ended = asyncio.Event()
-    service.engine.on_event(lambda job, event: ended.set() if job.ended else None)
+    service.engine.on_event(lambda job, event: ended.set() if job.has_ended else None)
     async with client_of(service) as client:
         started = (await client.post("/v1/jobs", json={"kind": "servo"})).json()
         await asyncio.wait_for(ended.wait(), 10.0)

@@ -133,7 +133,7 @@ def test_a_refused_client_stops_nobody_elses_job(address):
         with JobClient(url, kind="fleet", key=made.keys["fleet"]) as client:
             with pytest.raises(JobRefusedError, match="anna"):
                 client.run({"kind": "park"})
-            client.abandon()  # as Ctrl-C in a fleet: what another one runs goes on
+            client.stop_for_good()  # as Ctrl-C in a fleet: what another one runs goes on
         assert not made.service.engine.current.ended
 
 

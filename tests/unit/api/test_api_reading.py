@@ -116,7 +116,7 @@ async def test_a_late_reader_gets_what_happens_from_then_on_and_only_the_newest_
     reading = asyncio.create_task(events_of(log, "", 3, with_state=True))
     await asyncio.sleep(0)
     for number in range(5):
-        log.show(json.dumps({"state": number}))
+        log.show_state(json.dumps({"state": number}))
     log.add("job", {"n": 2})
     told = await reading
     assert [line.split("\n")[0] for line in told[1:]] == ["id: life-2", "event: state"]

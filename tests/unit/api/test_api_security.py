@@ -309,4 +309,4 @@ def test_a_key_file_holds_no_key_and_is_its_owners(keyed, tmp_path):
     file = tmp_path / "keys.json"
     assert file.stat().st_mode & 0o077 == 0
     assert not any(secret in file.read_text() for secret in keyed.keys.values())
-    assert KeyRing(file).find(keyed.keys["fleet"], 1e9).name == "fleet 1"
+    assert KeyRing(file).find_key(keyed.keys["fleet"], 1e9).name == "fleet 1"

@@ -46,13 +46,13 @@ def sleeper(monkeypatch):
 
 def test_the_clock_counts_the_night_and_a_resume_is_reported_once(sleeper):
     before_ns, slept_before_ns, watch = mono_ns(), suspended_ns(), SuspendWatch()
-    assert not any(watch.resumed() for _ in range(1000))
+    assert not any(watch.was_suspended() for _ in range(1000))
     sleeper.slept_ns += NIGHT_NS
     assert mono_ns() - before_ns >= NIGHT_NS
     assert suspended_ns() - slept_before_ns == pytest.approx(NIGHT_NS, abs=1e6)
-    assert [watch.resumed() for _ in range(3)] == [True, False, False]
+    assert [watch.was_suspended() for _ in range(3)] == [True, False, False]
     sleeper.slept_ns += 5 * 10**6
-    assert [watch.resumed() for _ in range(2)] == [True, False]
+    assert [watch.was_suspended() for _ in range(2)] == [True, False]
 
 
 def test_a_process_that_is_held_up_between_two_readings_was_not_suspended(monkeypatch, sleeper):
@@ -60,7 +60,7 @@ def test_a_process_that_is_held_up_between_two_readings_was_not_suspended(monkey
     monkeypatch.setattr(sleeper, "monotonic_ns", lambda: next(held_up))
     monkeypatch.setattr(sleeper, "clock_gettime_ns", lambda _number: next(held_up))
     watch = SuspendWatch()
-    assert not any(watch.resumed() for _ in range(1000))
+    assert not any(watch.was_suspended() for _ in range(1000))
 
 
 @pytest.mark.parametrize("body", [{"kind": "execute", "plan_hash": "0123456789abcdef"}, {"kind": "preview"}])

@@ -37,7 +37,7 @@ def test_a_diagnosis_is_timed_and_compared_with_what_is_wrong(tmp_path: Path) ->
     assert one.cpu_s > 0.0
     assert 50.0 < one.peak_mb < 4000.0
     write_short(tmp_path / "healthy", 3)
-    assert read_for_diagnosis(tmp_path / "healthy").usable
+    assert read_for_diagnosis(tmp_path / "healthy").has_judgeable_stage
     (tmp_path / "healthy" / "plc.csv").unlink()
     with pytest.raises(RuntimeError, match=r"healthy ended with 2: .*no stage can be judged"):
         timed(Size(1), tmp_path / "healthy")

@@ -66,7 +66,7 @@ def test_what_is_compiled_of_other_sources_another_processor_or_not_at_all_is_no
     assert not compile_command.is_compiled()
     (cache / COMPILED).write_text("not json")
     assert not compile_command.is_compiled()
-    (cache / COMPILED).write_text(json.dumps({"key": compile_command.key()}))
+    (cache / COMPILED).write_text(json.dumps({"key": compile_command.source_key()}))
     assert compile_command.is_compiled()
     monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
     assert not compile_command.is_compiled()

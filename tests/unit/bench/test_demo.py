@@ -64,7 +64,7 @@ def test_each_stage_of_the_start_is_told_once_when_it_has_ended() -> None:
         (4.0, "camera: vision process is starting"),
         (4.2, "the PLC does not answer"),
     ):
-        assert stages.seen(waited_s, why) == why
+        assert stages.report_progress(waited_s, why) == why
     told = [line.split("s  ")[1] for line in console.export_text().splitlines()]
     assert told == [
         "the panel answers: http://127.0.0.1:1/",

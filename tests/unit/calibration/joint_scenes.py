@@ -111,7 +111,10 @@ def odometry_run(
     sides = play_sides(qs, play_rad, np.ones(6))
     joints = JointTrack(t_s, qs, play_sides(qs, NOMINAL_PLAY, np.ones(6)))
     camera_t = t_s[2:-2]
-    true_qs = joints.at(camera_t + clock_s)[0] - 0.5 * play_rad * JointTrack(t_s, sides).at(camera_t + clock_s)[0]
+    true_qs = (
+        joints.joints_at(camera_t + clock_s)[0]
+        - 0.5 * play_rad * JointTrack(t_s, sides).joints_at(camera_t + clock_s)[0]
+    )
     Ts = np.array([true.tcp(q) @ true.T_tcp_cam for q in true_qs])
     Ts = inverse_pose(Ts[0]) @ Ts
     warp = np.eye(3) + rng.normal(0.0, affine_frac, (3, 3))

@@ -34,8 +34,8 @@ def test_weighting_is_the_information_of_drift_and_jitter(drawn):
     steps, weights, values = drawn
     P = dense_information(steps, DRIFT, JITTER, weights)
     found = chord_weighting(steps, DRIFT, JITTER, weights)
-    np.testing.assert_allclose(found.times(values), P @ values, rtol=1e-6, atol=1e-6 * np.abs(P).max())
-    np.testing.assert_allclose(found.times(np.ones((40, 1))), 0.0, atol=1e-6 / JITTER)
+    np.testing.assert_allclose(found.project_values(values), P @ values, rtol=1e-6, atol=1e-6 * np.abs(P).max())
+    np.testing.assert_allclose(found.project_values(np.ones((40, 1))), 0.0, atol=1e-6 / JITTER)
 
 
 def test_weighting_sums_over_chords_of_every_length(drawn):
@@ -43,7 +43,9 @@ def test_weighting_sums_over_chords_of_every_length(drawn):
     P = dense_information(steps, DRIFT, JITTER, weights)
     chords = values[:, None] - values[None]
     by_chords = -0.5 * np.einsum("ij,ija,ijb->ab", P, chords, chords)
-    np.testing.assert_allclose(values.T @ chord_weighting(steps, DRIFT, JITTER, weights).times(values), by_chords)
+    np.testing.assert_allclose(
+        values.T @ chord_weighting(steps, DRIFT, JITTER, weights).project_values(values), by_chords
+    )
 
 
 def test_log_determinant_changes_as_the_dense_one(drawn):

@@ -53,8 +53,8 @@ def test_what_is_left_over_widens_the_covariance():
     assert np.allclose(covariance_widened_by_misfit(covariance, 0.6), covariance)
     assert np.allclose(covariance_widened_by_misfit(covariance, 1.7), 1.7 * covariance)
     fitted = FitResiduals([10.0], [1.6], [0.2], [0.1], [np.ones(60)], 1.0, 0.01, 3.0)
-    assert fitted.misfit == pytest.approx(10.0 / 6.0)
-    assert replace(fitted, run_spread=[3.1]).misfit == 3.1
+    assert fitted.worst_mean_square == pytest.approx(10.0 / 6.0)
+    assert replace(fitted, run_spread=[3.1]).worst_mean_square == 3.1
 
 
 @pytest.mark.parametrize(

@@ -162,8 +162,8 @@ def test_what_is_written_is_read_back_equal():
 def test_a_kept_run_gives_the_same_joints_at_the_camera_s_times():
     kept = parse_calibration(calibration_text(SavedCalibration(calibration(), (run(),)))).runs[0]
     assert len(kept.joints.t_s) < len(run().joints.t_s)
-    there, _ = kept.joints.at(kept.camera.t_s)
-    before, _ = run().joints.at(run().camera.t_s)
+    there, _ = kept.joints.joints_at(kept.camera.t_s)
+    before, _ = run().joints.joints_at(run().camera.t_s)
     assert np.abs(there - before).max() < 3e-5
     np.testing.assert_allclose(kept.camera.Ts_vo_cam, run().camera.Ts_vo_cam, atol=1e-9)
 

@@ -94,7 +94,7 @@ def servo_run(direction, p_start, p_goal, R, steps=5):
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R, p
         in_plane = R[:, :2].T @ (p_goal - p)
-        step = servo.step(10.0 * k, T, np.zeros(3), np.append(in_plane, 0.5))
+        step = servo.next_reference(10.0 * k, T, np.zeros(3), np.append(in_plane, 0.5))
         seen.append(step.distance_m)
         if step.T_base_tcp_ref is None:
             break
@@ -125,16 +125,16 @@ def test_the_servo_waits_stops_and_refuses():
     T, eye = case.T_init, np.array([1.0, 0.0, 0.0])
     servo = LineServo(eye)
     far, near = np.array([0.3, 0.0, 0.5]), np.array([0.002, 0.001, 0.5])
-    assert servo.step(0.0, T, np.zeros(3), far).T_base_tcp_ref is not None
-    early = servo.step(0.2, T, np.zeros(3), far)
+    assert servo.next_reference(0.0, T, np.zeros(3), far).T_base_tcp_ref is not None
+    early = servo.next_reference(0.2, T, np.zeros(3), far)
     assert early.T_base_tcp_ref is None
     assert not early.ended
-    assert servo.step(2.0, T, np.zeros(3), near).ended
-    worse = servo.step(3.0, T, np.zeros(3), 2.0 * far)
+    assert servo.next_reference(2.0, T, np.zeros(3), near).ended
+    worse = servo.next_reference(3.0, T, np.zeros(3), 2.0 * far)
     assert worse.ended
     assert "direction" in worse.reason
-    assert "look again" in servo.step(4.0, T, np.zeros(3), np.full(3, np.nan)).reason
+    assert "look again" in servo.next_reference(4.0, T, np.zeros(3), np.full(3, np.nan)).reason
     with pytest.raises(CalibrationInputError):
-        servo.step(0.5, T, np.zeros(3), far)
+        servo.next_reference(0.5, T, np.zeros(3), far)
     with pytest.raises(CalibrationInputError):
         LineServo(2.0 * eye)

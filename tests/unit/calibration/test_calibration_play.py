@@ -11,8 +11,8 @@ WIDTHS = np.array([0.004, 0.0])
 def followed(qs, t_s=None):
     follower = PlayFollower(WIDTHS)
     for t, q in zip(0.01 * np.arange(len(qs)) if t_s is None else t_s, qs, strict=True):
-        follower.see(float(t), np.array([q, q]))
-    return follower.side
+        follower.take_encoders(float(t), np.array([q, q]))
+    return follower.side_in_play
 
 
 @pytest.mark.parametrize(("way_m", "side"), [(0.0, 0.0), (0.001, 0.25), (0.002, 0.5), (0.004, 1.0), (-0.004, -1.0)])
@@ -29,8 +29,8 @@ def test_the_true_side_is_never_outside_of_what_is_told(true_start):
     true, follower = true_start, PlayFollower(WIDTHS)
     for i, q in enumerate(qs):
         true = float(np.clip(true + (q - qs[i - 1] if i else 0.0) / 0.002, -1.0, 1.0))
-        follower.see(0.01 * i, np.array([q, q]))
-        told = follower.side[0]
+        follower.take_encoders(0.01 * i, np.array([q, q]))
+        told = follower.side_in_play[0]
         assert abs(true - told) <= 1.0 - abs(told) + 1e-9
 
 

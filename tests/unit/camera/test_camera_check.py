@@ -394,6 +394,6 @@ def test_gathering_keeps_some_pairs_and_all_times() -> None:
     assert len(gathered.pairs) == 3
     assert [stamp for _, _, stamp in gathered.pairs] == [0, 10, 20]
     assert gathering.rate_hz == pytest.approx(10.0)
-    assert gathering.missing == 5
+    assert gathering.missing_count == 5
     assert gathered.times.skipped == 2
     assert gathered.pairs[0][0] is not image  # a copy: sources may reuse their buffers

@@ -73,7 +73,7 @@ async def test_reports_look_death_and_restart() -> None:
             await until(lambda: len(seen) > STARTING_PAIRS)
             report = client.latest
             assert report is not None
-            assert report.usable, report.warnings
+            assert report.fit_for_look, report.warnings
             assert abs(report.t_exposure_mapped_ns - report.t_receive_mono_ns) < 1e9
             assert client.latest_preview is not None
             assert client.latest_preview[0][:2] == b"\xff\xd8"

@@ -47,7 +47,7 @@ class Stream:
         frame = StereoFrame(self.eye, self.eye, stamp_ns, receive_ns, self.number)
         found = self.stamps.check(Pair(frame, None, None, 1, False))  # pyright: ignore[reportArgumentType]
         self.found.append(tuple(one.code for one in found))
-        return self.clock.map(stamp_ns, receive_ns, 0, self.stamps.short_ns)
+        return self.clock.to_pc_clock(stamp_ns, receive_ns, 0, self.stamps.short_ns)
 
 
 @pytest.mark.parametrize("drift_ppm", [0.0, 100.0, -100.0, 50.0, -50.0])
@@ -72,7 +72,7 @@ def test_the_plain_minimum_of_the_window_would_be_early() -> None:
     assert DRIFT_MAX_PPM == 100.0
     clock = CameraClock()
     ours_ms = [
-        (clock.map(round(t * (1.0 - 100e-6)), round(t * (1.0 - 100e-6)) + round(offset)) - t) / MS - SMALLEST_MS
+        (clock.to_pc_clock(round(t * (1.0 - 100e-6)), round(t * (1.0 - 100e-6)) + round(offset)) - t) / MS - SMALLEST_MS
         for t, offset in zip(t_ns, offsets_ns, strict=True)
     ]
     assert min(ours_ms) > -0.01
@@ -163,6 +163,6 @@ def test_a_picture_out_of_order_and_stamps_that_stand_still_do_no_harm() -> None
 
 def test_a_new_connection_has_a_clock_of_its_own() -> None:
     clock = CameraClock()
-    clock.map(0, 100 * MS)
-    assert clock.map(10_001 * MS, 900 * MS, connection=2) == 900 * MS
+    clock.to_pc_clock(0, 100 * MS)
+    assert clock.to_pc_clock(10_001 * MS, 900 * MS, connection=2) == 900 * MS
     assert clock.offset_ns == 900 * MS - 10_001 * MS

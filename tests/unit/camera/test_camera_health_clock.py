@@ -116,19 +116,19 @@ def test_clock_keeps_the_smallest_latency() -> None:
     for number in range(900):
         t_camera = number * 66 * MS
         latency = smallest_ns + int(rng.exponential(8.0) * MS)
-        mapped = clock.map(t_camera, t_camera + offset_ns + latency)
+        mapped = clock.to_pc_clock(t_camera, t_camera + offset_ns + latency)
         errors.append(mapped - (t_camera + offset_ns + smallest_ns))
     assert min(errors[50:]) >= 0
     assert max(errors[50:]) < 1.0 * MS
-    slow = [clock.map(number * 66 * MS, number * 66 * MS + offset_ns + 50 * MS) for number in range(900, 1200)]
+    slow = [clock.to_pc_clock(number * 66 * MS, number * 66 * MS + offset_ns + 50 * MS) for number in range(900, 1200)]
     assert slow[-1] < 1199 * 66 * MS + offset_ns + smallest_ns + 3 * MS  # a slow line is no clock that was set
 
 
 def test_clock_starts_afresh_with_a_new_connection_and_with_a_clock_set_forward() -> None:
     clock = CameraClock()
-    clock.map(0, 100 * MS)
-    assert clock.map(10_000 * MS, 300 * MS) == 300 * MS
-    assert clock.map(10_001 * MS, 900 * MS, connection=2) == 900 * MS
+    clock.to_pc_clock(0, 100 * MS)
+    assert clock.to_pc_clock(10_000 * MS, 300 * MS) == 300 * MS
+    assert clock.to_pc_clock(10_001 * MS, 900 * MS, connection=2) == 900 * MS
 
 
 def test_mask_covers_the_tool_and_remembers_it() -> None:

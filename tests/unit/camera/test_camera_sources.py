@@ -102,11 +102,11 @@ def test_http_url_is_checked(url: str) -> None:
 
 def test_newest_keeps_one_and_counts() -> None:
     box: NewestOnlyBox[int] = NewestOnlyBox()
-    assert box.take(0.0) is None
+    assert box.take_newest(0.0) is None
     for number in range(5):
         box.put(number)
-    assert box.take(0.0) == 4
-    assert box.take(0.0) is None
+    assert box.take_newest(0.0) == 4
+    assert box.take_newest(0.0) is None
     assert box.skipped == 4
 
 
@@ -236,7 +236,7 @@ def test_inter_coded_video_file_needs_consent(tmp_path: Path) -> None:
     writer = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (160, 64))
     writer.write(np.zeros((64, 160, 3), np.uint8))
     writer.release()
-    with pytest.raises(CameraError, match="codec 'FMP4' hides damaged pictures.*accept_inter_coded = true"):
+    with pytest.raises(CameraError, match=r"codec 'FMP4' hides damaged pictures.*accept_inter_coded = true"):
         open_source(FileSource(path))
     source = open_source(FileSource(path, accept_inter_coded=True))
     assert source.read(1.0) is not None

@@ -147,5 +147,5 @@ def test_a_thing_that_stands_still_shows_the_cameras_own_step():
 
 
 def test_reports_of_these_tests_are_usable():
-    assert report().usable
-    assert not dataclasses.replace(report(), warnings=("dark",)).usable
+    assert report().fit_for_look
+    assert not dataclasses.replace(report(), warnings=("dark",)).fit_for_look

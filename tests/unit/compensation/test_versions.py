@@ -34,12 +34,12 @@ def versions(folder, text=TEXT):
 
 def test_confirmed_effects_are_kept_and_used_one_by_one(tmp_path):
     desk = versions(tmp_path)
-    one = desk.make(ANSWER, "0" * 12)
+    one = desk.make_version(ANSWER, "0" * 12)
     assert [effect.entry.name for effect in one.effects] == ["gravity_sag", "hand_eye_rotation", "valve_lag"]
     assert [bool(effect.does) for effect in one.effects] == [True, True, False]
     assert desk.in_use is None
     assert desk.compensation() is None
-    desk.use(one.version_id)
+    desk.use_version(one.version_id)
     again = versions(tmp_path)  # after a restart
     assert again.in_use == one
     assert again.compensation().knows_mount
@@ -49,7 +49,7 @@ def test_confirmed_effects_are_kept_and_used_one_by_one(tmp_path):
     assert [effect.name for effect in machine.effects] == ["gravity_sag"]
     again.switch_effects(one.version_id, (False, False, True))
     assert again.compensation() is None  # what is left is for a simulation only
-    again.use("")
+    again.use_version("")
     assert versions(tmp_path).in_use is None
 
 
@@ -69,13 +69,13 @@ def test_a_version_of_another_machine_is_never_used(tmp_path, old, new):
     if "T_tcp_tool" in old:
         other = other.replace("-1.0, 0.0, 0.0, 0.0,", "1.0, 0.0, 0.0, 0.0,", 1)
     desk = versions(tmp_path)
-    one = desk.make(ANSWER, "0" * 12)
-    desk.use(one.version_id)
+    one = desk.make_version(ANSWER, "0" * 12)
+    desk.use_version(one.version_id)
     theirs = versions(tmp_path, other)
     assert theirs.compensation() is None
     assert "another machine file" in theirs.problem
     with pytest.raises(CompensationError, match="identify again"):
-        theirs.use(one.version_id)
+        theirs.use_version(one.version_id)
 
 
 def test_a_comment_does_not_make_another_machine():
@@ -86,5 +86,5 @@ def test_a_comment_does_not_make_another_machine():
 def test_a_budget_that_confirms_nothing_makes_no_version(tmp_path):
     doubtful = {"budget": {"effects": ANSWER["budget"]["effects"][3:]}}
     with pytest.raises(CompensationError, match="confirms no effect"):
-        versions(tmp_path).make(doubtful, "0" * 12)
-    assert versions(tmp_path).all() == ()
+        versions(tmp_path).make_version(doubtful, "0" * 12)
+    assert versions(tmp_path).list_versions() == ()

@@ -113,7 +113,7 @@ def test_each_parameter_moves_the_output(effect) -> None:
     for slot in slots:
         base.put(slot, slot.start)
     for slot in slots:
-        moved = base.repeated(2)
+        moved = base.repeated_sets(2)
         further = slot.start + (1.0 if slot.parameter == "order" else 0.05 * (min(slot.high, 2.0) - slot.low))
         moved.put(slot, further, 1)
         traces = simulate(plant, moved, run)

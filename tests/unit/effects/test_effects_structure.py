@@ -150,7 +150,7 @@ def test_every_parameter_is_felt_finite_and_neutral_is_exact(effect) -> None:
     for option in effect.choice.options if effect.choice else ("",):
         for slot in slots_of(effect.name, joint, option):
             for value, same in ((slot.neutral, True), (slot.start, False), (slot.low, None), (slot.high, None)):
-                changed = base.repeated(1)
+                changed = base.repeated_sets(1)
                 changed.put(slot, value)
                 poses = link_poses(ARM, changed, QS)
                 assert np.isfinite(poses).all()

@@ -24,7 +24,7 @@ def test_it_goes_on_as_long_as_every_challenge_is_answered():
     for t_ns in range(0, 5_000 * MS, CHALLENGE_NS):
         challenge = asked(held, t_ns)
         assert held.answer(challenge.seq, reply_to(challenge.nonce), "plan-a")
-    assert held.ended == ""
+    assert held.why_ended == ""
 
 
 def test_silence_ends_it_after_250_ms_and_for_ever():
@@ -32,9 +32,9 @@ def test_silence_ends_it_after_250_ms_and_for_ever():
     challenge = asked(held, 0)
     held.answer(challenge.seq, reply_to(challenge.nonce), "plan-a")
     held.poll(SILENCE_NS)
-    assert held.ended == ""
+    assert held.why_ended == ""
     assert held.poll(SILENCE_NS + MS) is None
-    assert "silent for 251 ms" in held.ended
+    assert "silent for 251 ms" in held.why_ended
     assert not held.answer(challenge.seq, reply_to(challenge.nonce), "plan-a")
     assert held.poll(SILENCE_NS + 40 * MS) is None
 
@@ -45,7 +45,7 @@ def test_a_burst_of_late_answers_renews_nothing():
     for challenge in challenges[:2]:
         assert held.answer(challenge.seq, reply_to(challenge.nonce), "plan-a")  # all arrive at 245 ms
     held.poll(291 * MS)  # 251 ms after the challenge at 40 ms was made
-    assert held.ended != ""
+    assert held.why_ended != ""
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_a_wrong_answer_does_not_count(seq, reply, bond):
     asked(held, 0)
     assert not held.answer(seq, reply, bond)
     held.poll(SILENCE_NS + MS)
-    assert held.ended != ""
+    assert held.why_ended != ""
 
 
 def test_an_answer_counts_once():
@@ -76,5 +76,5 @@ def test_letting_go_ends_it_with_its_first_reason():
     held = hold()
     held.release("button released")
     held.release("socket closed")
-    assert held.ended == "button released"
+    assert held.why_ended == "button released"
     assert held.poll(0) is None

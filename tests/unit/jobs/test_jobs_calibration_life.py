@@ -198,7 +198,7 @@ def test_a_path_that_has_expired_does_not_become_young_by_another_one():
 def test_the_limits_of_the_settings_are_those_that_count(tmp_path):
     world, ctx = positioned()
     file = tmp_path / "calibration.json"
-    CalibrationStore(file).keep(ctx.knowledge)
+    CalibrationStore(file).save_if_changed(ctx.knowledge)
     knowledge, strict = Knowledge(), replace(ctx.knowledge.life.expiry, age_max_s=1800.0)
     CalibrationStore(file).restore(knowledge, ctx.machine_id, CHAIN.n, world.t_ns * 1e-9 + 5 * 3600.0, strict)
     assert "5.0 h old (limit 0.5 h)" in knowledge.calibration_note
@@ -216,7 +216,7 @@ def test_a_calibration_is_of_its_machine_file_and_of_what_was_compensated():
 def test_a_number_that_cannot_be_written_ends_no_job(tmp_path):
     _, ctx = positioned()
     ctx.knowledge.life = replace(ctx.knowledge.life, residual_rms_mm=float("nan"))
-    CalibrationStore(tmp_path / "calibration.json").keep(ctx.knowledge)
+    CalibrationStore(tmp_path / "calibration.json").save_if_changed(ctx.knowledge)
     assert "not saved" in ctx.knowledge.calibration_note
 
 
@@ -307,7 +307,7 @@ def test_what_is_no_more_than_a_guess_is_refused_even_with_moves_left(monkeypatc
 def test_kept_on_disk_it_is_taken_up_by_the_next_server(tmp_path):
     world, ctx = positioned()
     store, file = CalibrationStore(tmp_path / "runs" / "calibration.json"), tmp_path / "runs" / "calibration.json"
-    store.keep(ctx.knowledge)
+    store.save_if_changed(ctx.knowledge)
     assert parse_calibration(file.read_text()).calibration.n_used == ctx.knowledge.life.n_used
     fresh = replace(ctx, knowledge=Knowledge())
     CalibrationStore(file).restore(fresh.knowledge, ctx.machine_id, CHAIN.n, world.t_ns * 1e-9)
@@ -331,7 +331,7 @@ def test_kept_on_disk_it_is_taken_up_by_the_next_server(tmp_path):
 def test_a_spoilt_file_is_a_note_and_never_a_crash(tmp_path, spoil, word):
     world, ctx = positioned()
     file = tmp_path / "calibration.json"
-    CalibrationStore(file).keep(ctx.knowledge)
+    CalibrationStore(file).save_if_changed(ctx.knowledge)
     file.write_text(spoil(file.read_text()))
     knowledge = Knowledge()
     CalibrationStore(file).restore(knowledge, ctx.machine_id, CHAIN.n, world.t_ns * 1e-9)
@@ -342,7 +342,7 @@ def test_a_spoilt_file_is_a_note_and_never_a_crash(tmp_path, spoil, word):
 def test_another_machine_another_arm_and_an_old_file_are_not_taken_up(tmp_path):
     world, ctx = positioned()
     file = tmp_path / "calibration.json"
-    CalibrationStore(file).keep(ctx.knowledge)
+    CalibrationStore(file).save_if_changed(ctx.knowledge)
     now_s = world.t_ns * 1e-9
     for machine_id, n, t_s, word in (
         ("another", 6, now_s, "another machine"),
@@ -358,7 +358,7 @@ def test_another_machine_another_arm_and_an_old_file_are_not_taken_up(tmp_path):
 def test_a_disk_that_takes_nothing_is_noted_and_ends_no_job(tmp_path):
     _, ctx = positioned()
     (tmp_path / "file").write_text("")
-    CalibrationStore(tmp_path / "file" / "calibration.json").keep(ctx.knowledge)
+    CalibrationStore(tmp_path / "file" / "calibration.json").save_if_changed(ctx.knowledge)
     assert "not saved" in ctx.knowledge.calibration_note
 
 

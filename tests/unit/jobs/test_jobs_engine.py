@@ -309,7 +309,7 @@ async def test_what_a_job_left_on_is_released_on_every_ending(answer):
     job = engine.submit("calibrate", plan(Settle()), "me")
     await asyncio.sleep(0.05)
     await engine.stop("enough")
-    assert job.ended
+    assert job.has_ended
     assert stand_in.released == 1
 
 

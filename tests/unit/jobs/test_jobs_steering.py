@@ -96,7 +96,7 @@ async def test_a_pair_comes_with_the_joints_at_its_own_exposure(cell):
     assert (seen.number, seen.fault, seen.tool, seen.ended) == (1, "", "the tool", False)
     assert seen.q_rad[0] == pytest.approx((one.t_exposure_mapped_ns - OFFSET_NS) * 1e-9 - 0.05, abs=1e-6)
     assert seen.t_play_s == pytest.approx(0.7, abs=0.05)
-    await steering.forget()
+    await steering.forget_motion()
 
 
 async def test_the_newest_pair_is_given_and_none_twice(cell):
@@ -109,7 +109,7 @@ async def test_the_newest_pair_is_given_and_none_twice(cell):
     assert not waiting.done()
     cell.vision.report(report())
     assert (await waiting).number == 4
-    await steering.forget()
+    await steering.forget_motion()
 
 
 async def test_silence_is_a_fault_that_counts_from_the_last_pair(cell):
@@ -121,7 +121,7 @@ async def test_silence_is_a_fault_that_counts_from_the_last_pair(cell):
         "no pair for 30 ms; check the camera, its cable and its rate",
         None,
     )
-    await steering.forget()
+    await steering.forget_motion()
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ async def test_an_unfit_pair_says_why(cell, one, word):
     steering = await begun(cell)
     cell.vision.report(one())
     assert word in (await steering.next_pair(asked())).fault
-    await steering.forget()
+    await steering.forget_motion()
 
 
 async def test_a_pair_waits_a_little_for_encoders_that_are_on_their_way(cell):
@@ -151,7 +151,7 @@ async def test_a_pair_waits_a_little_for_encoders_that_are_on_their_way(cell):
     cell.link.silent_since_ns = mono_ns() - 100_000_000
     cell.vision.report(report(age_s=0.0))
     assert "no encoders" in (await steering.next_pair(asked(after=1))).fault  # but not for ever
-    await steering.forget()
+    await steering.forget_motion()
 
 
 async def next_tail(cell, steering, number):
@@ -174,7 +174,7 @@ async def test_a_correction_never_keeps_a_pair_waiting_and_its_answer_is_told_on
     cell.link.tail.set_exception(LinkRefusedError("begins too near"))
     await asyncio.sleep(0.0)
     assert await next_tail(cell, steering, 3) == ("refused", "begins too near")
-    await steering.forget()
+    await steering.forget_motion()
 
 
 async def test_the_end_is_told_and_an_early_one_fails(cell):
@@ -183,18 +183,18 @@ async def test_the_end_is_told_and_an_early_one_fails(cell):
     await asyncio.sleep(0.0)
     cell.vision.report(report())
     assert (await steering.next_pair(asked())).ended
-    await steering.end()
+    await steering.wait_for_end()
     await steering.start(PATH)
     cell.link.motion.set_result(MotionEnded(2, False, "underrun", 0))
     with pytest.raises(JobFailedError, match="ended early: underrun"):
-        await steering.end()
+        await steering.wait_for_end()
 
 
 async def test_a_stopped_motion_leaves_no_task_behind(cell):
     steering = await begun(cell)
     steering.correct(Correct(PATH, 2))
     await asyncio.sleep(0.0)
-    await steering.forget()
+    await steering.forget_motion()
     await asyncio.sleep(0.0)
     assert {task.get_name() for task in asyncio.all_tasks()}.isdisjoint({"steered-motion", "new-tail"})
     cell.vision.report(report())
@@ -213,7 +213,7 @@ async def test_a_pair_that_waited_behind_a_stall_is_too_old_to_act_upon(cell):
     assert seen.number == 3
     assert "the newest pair is 40" in seen.fault
     assert "limit 21" in seen.fault
-    await steering.forget()
+    await steering.forget_motion()
 
 
 async def test_only_a_pair_without_a_fault_lets_the_motion_go_on(cell):
@@ -229,7 +229,7 @@ async def test_only_a_pair_without_a_fault_lets_the_motion_go_on(cell):
     await steering.next_pair(asked(after=1))
     await steering.next_pair(asked(after=2, silence_max_s=0.01))  # silence
     assert len(cell.link.until) == 2
-    await steering.forget()
+    await steering.forget_motion()
     assert cell.link.until[2:] == [None]
 
 
@@ -239,7 +239,7 @@ async def test_a_motion_at_its_end_needs_no_more_pairs(cell):
     await asyncio.sleep(0.0)
     cell.vision.report(report())
     await steering.next_pair(asked())
-    await steering.end()
+    await steering.wait_for_end()
     assert cell.link.until[1:] == [None]
     cell.vision.report(report())
     await steering.next_pair(asked(after=1))  # at rest: nothing to let go on

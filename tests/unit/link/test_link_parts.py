@@ -51,16 +51,16 @@ def test_a_sample_carries_the_joints_in_use() -> None:
 def test_ring_keeps_three_minutes_and_answers_since() -> None:
     ring = SampleRing()
     assert ring.latest is None
-    assert ring.since(0) == []
+    assert ring.samples_since(0) == []
     heard: list[int] = []
     unsubscribe = ring.subscribe(lambda s: heard.append(s.t_mono_ns))
-    ring.extend(sample(t) for t in range(1, 18_101))
+    ring.add_samples(sample(t) for t in range(1, 18_101))
     assert ring.latest is not None
     assert ring.latest.t_mono_ns == 18_100
-    assert [s.t_mono_ns for s in ring.since(18_097)] == [18_098, 18_099, 18_100]
-    assert len(ring.since(0)) == 18_000
+    assert [s.t_mono_ns for s in ring.samples_since(18_097)] == [18_098, 18_099, 18_100]
+    assert len(ring.samples_since(0)) == 18_000
     unsubscribe()
-    ring.extend([sample(20_000)])
+    ring.add_samples([sample(20_000)])
     assert len(heard) == 18_100
 
 
@@ -71,9 +71,9 @@ def test_a_listener_that_raises_keeps_no_sample_from_the_others_and_is_a_fault()
     ring, heard = SampleRing(), []
     ring.subscribe(broken)
     ring.subscribe(lambda s: heard.append(s.t_mono_ns))
-    ring.extend(sample(t) for t in range(5))
+    ring.add_samples(sample(t) for t in range(5))
     assert heard == [0, 1, 2, 3, 4]
-    assert "broken failed to handle a PLC sample: ValueError('a defect')" in ring.listeners.problem
+    assert "broken failed to handle a PLC sample: ValueError('a defect')" in ring.listeners.recent_failure
 
 
 def test_lateness_percentiles() -> None:

@@ -120,4 +120,4 @@ def test_chain_of_takes_every_column_from_its_field():
     for column, wanted in ((chain.a, k), (chain.d, k + 10), (chain.alpha, k + 20), (chain.theta_offset, k + 30)):
         assert np.array_equal(column, wanted)
     assert isinstance(chain, Chain)
-    assert chain.label(1) == "joint 2 (lift)"
+    assert chain.joint_label(1) == "joint 2 (lift)"

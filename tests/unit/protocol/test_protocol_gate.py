@@ -243,7 +243,7 @@ def test_what_is_not_safe_becomes_a_stop_with_its_reason(case: Bad) -> None:
     for refusal in verdict.refusals:
         assert refusal.subject
         assert refusal.remedy
-        assert refusal.remedy in refusal.text
+        assert refusal.remedy in refusal.as_line
 
 
 @pytest.mark.parametrize("factor", [1 - 1e-5, 1.0])

@@ -109,16 +109,16 @@ def test_diagram_has_every_state() -> None:
 def test_sequence_rule(last: int, step: int) -> None:
     verdict = classify_sequence(last, (last + step) % 2**32)
     if step == 1:
-        assert (verdict.kind, verdict.lost, verdict.usable) == (SequenceKind.NEXT, 0, True)
+        assert (verdict.kind, verdict.lost, verdict.is_usable) == (SequenceKind.NEXT, 0, True)
     elif 2 <= step <= 1000:
-        assert (verdict.kind, verdict.lost, verdict.usable) == (SequenceKind.GAP, step - 1, True)
+        assert (verdict.kind, verdict.lost, verdict.is_usable) == (SequenceKind.GAP, step - 1, True)
     elif step == 0:
         assert verdict.kind is SequenceKind.DUPLICATE
     elif -1000 <= step < 0:
         assert verdict.kind is SequenceKind.LATE
     else:
         assert verdict.kind is SequenceKind.JUMP
-    assert verdict.usable == (1 <= step <= 1000)
+    assert verdict.is_usable == (1 <= step <= 1000)
 
 
 def test_sequence_wraps() -> None:

@@ -121,7 +121,7 @@ def test_a_disk_that_is_late_holds_the_closing_no_longer_than_asked(tmp_path: Pa
         writer.row(plc_state(number), SECOND_NS + number)
     report = writer.close(RunInfo("late", seed=5), wait_s=0.05)
     assert "the disk has not taken all of it within 0.05 s" in report.error
-    assert (writer.ended, writer.error) == (False, "")
+    assert (writer.has_ended, writer.error) == (False, "")
     writer.row(plc_state(3), SECOND_NS)  # belongs to no run any more
     stalled.set()
     assert writer.close().error == ""
@@ -138,4 +138,4 @@ def test_a_full_queue_does_not_hold_up_the_closing(tmp_path: Path, monkeypatch: 
     assert "2 entries wait for the disk" in writer.close(wait_s=0.05).error
     stalled.set()
     writer.close()
-    assert writer.ended
+    assert writer.has_ended

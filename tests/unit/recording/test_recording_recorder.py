@@ -98,7 +98,7 @@ def test_a_run_holds_everything_it_was_told(tmp_path: Path) -> None:
         recorder.sample(sample(number))
         if number % 10 == 0:
             recorder.report(report(number))
-    recorder.event("warning", "oil is cold")
+    recorder.log_event("warning", "oil is cold")
     recorder.record(Look(LookStatus.OK, "", np.eye(4), np.eye(4), None, None, 20, 19, 1, 2, 0.4))
     rotation = CameraRotationEstimate(
         CalibrationStatus.OK, "", "ours", np.eye(3), np.eye(3) * 1e-8, 0.02, 1.5, 3.0, 120, 0.2, 1.3
@@ -111,7 +111,7 @@ def test_a_run_holds_everything_it_was_told(tmp_path: Path) -> None:
     assert path is not None
     assert path.name.endswith("-position-1.mcap")
     assert not recorder.recording
-    assert recorder.problem == ""
+    assert recorder.why_not_recording == ""
 
     recording = read_run(path)
     assert recording.complete
@@ -174,9 +174,9 @@ def test_a_folder_that_cannot_be_written_is_told_not_raised(tmp_path: Path) -> N
     (tmp_path / "file").write_text("in the way")
     recorder = Recorder(tmp_path / "file", MACHINE)
     recorder.start("x", "{}", MACHINE_TOML)
-    assert "choose a folder" in recorder.problem
+    assert "choose a folder" in recorder.why_not_recording
     recorder.sample(sample(0))
-    recorder.event("info", "nothing is written")
+    recorder.log_event("info", "nothing is written")
     assert recorder.stop() is None
 
 
@@ -185,14 +185,14 @@ def test_a_file_that_broke_off_is_told_while_the_run_goes_on(tmp_path: Path) -> 
     recorder.start("x", "{}", MACHINE_TOML)
     recorder.sample(replace(sample(0), seq=2**64))
     deadline_s = time.monotonic() + 5.0
-    while not recorder.problem and time.monotonic() < deadline_s:
+    while not recorder.why_not_recording and time.monotonic() < deadline_s:
         recorder.sample(sample(1))
-    assert "seq_received = 18446744073709551616 cannot be written" in recorder.problem
+    assert "seq_received = 18446744073709551616 cannot be written" in recorder.why_not_recording
     assert recorder.recording
     recorder.stop()
-    assert "seq_received" in recorder.problem
+    assert "seq_received" in recorder.why_not_recording
     recorder.start("y", "{}", MACHINE_TOML)
-    assert recorder.problem == ""
+    assert recorder.why_not_recording == ""
     recorder.stop()
 
 
@@ -203,7 +203,7 @@ def test_a_disk_that_is_full_at_the_start_is_told_not_raised(tmp_path: Path, mon
     monkeypatch.setattr("recording.writer.McapWriter.add_attachment", full)
     recorder = Recorder(tmp_path, MACHINE)
     recorder.start("x", "{}", MACHINE_TOML)
-    assert "No space left" in recorder.problem
+    assert "No space left" in recorder.why_not_recording
     recorder.sample(sample(0))
     assert recorder.stop() is None
 
@@ -230,10 +230,10 @@ def test_a_disk_that_is_late_at_the_end_holds_nobody_and_is_told_until_it_came(
     recorder.sample(sample(0))
     assert recorder.stop() is None
     assert not recorder.recording
-    assert "the disk has not taken all of it within 0.05 s" in recorder.problem
+    assert "the disk has not taken all of it within 0.05 s" in recorder.why_not_recording
     stalled.set()
     recorder.finish()
-    assert recorder.problem == ""
+    assert recorder.why_not_recording == ""
     (path,) = tmp_path.glob("*.mcap")
     assert read_run(path).complete
 
@@ -245,7 +245,7 @@ def test_a_disk_that_is_late_at_the_begin_holds_nobody_and_gets_all_that_was_tol
     stalled = held_up(monkeypatch, "start")
     recorder = Recorder(tmp_path, MACHINE)
     recorder.start("x", "{}", MACHINE_TOML)
-    assert (recorder.recording, recorder.problem) == (True, "")
+    assert (recorder.recording, recorder.why_not_recording) == (True, "")
     for number in range(3):
         recorder.sample(sample(number))
     stalled.set()
@@ -271,7 +271,7 @@ def test_a_file_that_could_not_be_made_after_all_is_told(tmp_path: Path, monkeyp
     recorder.sample(sample(0))
     stalled.set()
     recorder.finish()
-    assert "No space left on device; choose a folder that can be written" in recorder.problem
+    assert "No space left on device; choose a folder that can be written" in recorder.why_not_recording
     assert recorder.stop() is None
 
 
@@ -323,9 +323,9 @@ def test_a_defect_ends_the_recording_with_a_fault_and_nothing_else(
         recorder.report(report(0))
         recorder.result("done")
         assert recorder.stop() is None
-    assert "recording of x ended with an internal error: UnicodeEncodeError" in recorder.problem
+    assert "recording of x ended with an internal error: UnicodeEncodeError" in recorder.why_not_recording
     recorder.start("y", "{}", MACHINE_TOML)
-    assert recorder.problem == ""
+    assert recorder.why_not_recording == ""
     recorder.finish()
 
 
@@ -336,4 +336,4 @@ def test_a_file_that_is_removed_while_it_is_written_is_a_fault(tmp_path: Path) -
     (path,) = tmp_path.glob("*.mcap")
     path.unlink()
     recorder.finish()
-    assert "removed while it was written" in recorder.problem
+    assert "removed while it was written" in recorder.why_not_recording

@@ -10,7 +10,7 @@ import pytest
 import typer
 
 from longreach.cli import app
-from longreach.lazy_commands import loaded
+from longreach.lazy_commands import loaded_command
 from server.settings import ServerSettings
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -45,7 +45,7 @@ def unknown(line: str) -> str:
     while words and (children := getattr(command, "commands", None)):
         if words[0] not in children:
             return f"no command {words[0]}"
-        command = loaded(children[words.pop(0)])
+        command = loaded_command(children[words.pop(0)])
     options = {name for one in command.params for name in (*one.opts, *one.secondary_opts)}
     wrong = [word for word in words if word.startswith("--") and word.split("=")[0] not in options | {"--help"}]
     return f"no option {wrong[0]}" if wrong else ""

@@ -80,7 +80,7 @@ def running() -> Iterator[Running]:
     feed = PoseFeed.create()
     world = SmallWorld(camera, scene, machine, 3)
     context = multiprocessing.get_context("spawn")
-    process = context.Process(target=run_camera, args=(world, feed.name, "127.0.0.1", port, RATE_HZ, 95, True))
+    process = context.Process(target=run_camera, args=(world, feed.feed_name, "127.0.0.1", port, RATE_HZ, 95, True))
     process.start()
     session = Running(feed, process, port, demo_tcp_pose(machine, 0.5))
 

@@ -21,10 +21,10 @@ async def test_a_slow_client_gets_the_newest_frame_and_the_rest_is_counted() -> 
     with hub.subscribe() as slow, hub.subscribe() as quick:
         for sequence in (1, 2, 3):
             hub.publish(frame(sequence))
-            assert await quick.next() == frame(sequence)
-        assert await slow.next() == frame(3)
-        assert (slow.skipped, quick.skipped, hub.skipped, hub.n_clients) == (2, 0, 2, 2)
-    assert (hub.skipped, hub.n_clients) == (2, 0)
+            assert await quick.next_frame() == frame(sequence)
+        assert await slow.next_frame() == frame(3)
+        assert (slow.skipped, quick.skipped, hub.skipped_count, hub.n_clients) == (2, 0, 2, 2)
+    assert (hub.skipped_count, hub.n_clients) == (2, 0)
 
 
 async def test_closing_the_hub_ends_the_streams() -> None:
@@ -105,13 +105,13 @@ def test_what_the_faults_do() -> None:
 
 def test_exposures_stay_on_their_grid_and_missed_ones_are_counted() -> None:
     grid = ExposureGrid(1_000_000_000, 10.0)
-    assert grid.take(900_000_000) == 1_000_000_000
-    assert grid.take(1_150_000_000) == 1_100_000_000  # late by less than a period: still taken
+    assert grid.next_exposure(900_000_000) == 1_000_000_000
+    assert grid.next_exposure(1_150_000_000) == 1_100_000_000  # late by less than a period: still taken
     assert grid.skipped == 0
-    assert grid.take(1_530_000_000) == 1_500_000_000
+    assert grid.next_exposure(1_530_000_000) == 1_500_000_000
     assert grid.skipped == 3
     grid.rate_hz = 5.0
-    assert [grid.take(0), grid.take(0)] == [1_600_000_000, 1_800_000_000]
+    assert [grid.next_exposure(0), grid.next_exposure(0)] == [1_600_000_000, 1_800_000_000]
 
 
 def test_rate_falls_when_work_is_long_and_rises_again() -> None:
@@ -132,6 +132,6 @@ def test_true_clock_takes_the_least_delayed_reading() -> None:
     clock = TrueClock()
     with pytest.raises(RuntimeError, match="saw"):
         clock.mono_ns(0)
-    clock.saw(7_000, 1_000)
-    clock.saw(7_400, 1_500)  # read 100 ns late
+    clock.note_pose_time(7_000, 1_000)
+    clock.note_pose_time(7_400, 1_500)  # read 100 ns late
     assert clock.mono_ns(8_000) == 2_000

@@ -44,7 +44,7 @@ def painted(structure: OwnStructure, eye: int, T_base_tcp: Array) -> Grey:
 @pytest.mark.parametrize("share", [0.1, 0.2, 0.3, 0.4])
 def test_it_covers_the_wanted_share_of_the_picture(machine: Machine, share: float) -> None:
     structure = structure_of(*demo_world(machine, structure_frac=share, hoses_move=False), machine)
-    covered = np.mean([mask.mean() for mask in structure.masks(np.eye(4))])
+    covered = np.mean([mask.mean() for mask in structure.own_masks(np.eye(4))])
     assert abs(covered - share) < 0.01
 
 
@@ -55,7 +55,7 @@ def test_the_masks_are_exactly_what_hides_the_wall(machine: Machine) -> None:
     walls = (bare, replace(bare, texture_contrast_frac=0.5))
     renderers = [StereoRenderer(RenderSetup(camera, wall)) for wall in walls]
     pictures = [renderer.render_static(T_base_tcp) for renderer in renderers]
-    masks = renderers[0].structure.masks(T_base_tcp)
+    masks = renderers[0].structure.own_masks(T_base_tcp)
     for mask, one, other in zip(masks, *pictures, strict=True):
         inside = cv2.erode(mask.astype(np.uint8), np.ones((3, 3))) > 0
         outside = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) == 0
@@ -100,7 +100,7 @@ def hidden_markers(world: World, T_base_tcp: Array) -> list[int]:
     """Markers, white border included, of which beams, housing or hoses hide a part in an eye."""
     scene = world.scene
     views = eye_views(world.camera, ())
-    masks = OwnStructure(scene.structure, scene.texture_seed, views).masks(T_base_tcp)
+    masks = OwnStructure(scene.structure, scene.texture_seed, views).own_masks(T_base_tcp)
     hidden = []
     for view, mask in zip(views, masks, strict=True):
         T_cam_tcp = inverse_pose(view.T_tcp_cam)

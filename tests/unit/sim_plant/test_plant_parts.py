@@ -4,19 +4,26 @@ import numpy as np
 import pytest
 
 from sim_plc.plant.cylinder import LIFT_GEOMETRY, TILT_GEOMETRY, FourBarCylinder, interpolate_table, lever_table
-from sim_plc.plant.hydraulics import orifice_pressure_root, play, pump_flow, spool_opening, spool_step, valve_flows
+from sim_plc.plant.hydraulics import (
+    orifice_pressure_root,
+    play_operator,
+    pump_flow,
+    spool_opening,
+    spool_step,
+    valve_flows,
+)
 from sim_plc.plant.kernel import lugre_step
 
 
 def test_play_without_width_is_the_identity():
-    assert play(0.7, 0.3, 0.0) == 0.3
+    assert play_operator(0.7, 0.3, 0.0) == 0.3
 
 
 def test_play_follows_only_at_its_edges():
     width, output, seen = 0.2, 0.0, []
     inputs = np.concatenate([np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.0, 101)])
     for value in inputs:
-        output = play(output, value, width / 2.0)
+        output = play_operator(output, value, width / 2.0)
         seen.append(output)
     seen = np.array(seen)
     assert np.abs(seen - inputs).max() <= width / 2.0 + 1e-15

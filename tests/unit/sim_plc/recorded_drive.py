@@ -16,7 +16,7 @@ from machine.effects.entries import EffectEntry
 from machine.rotations import Array
 from sim_plc.diagnosed import CHANGES, with_effects
 from sim_plc.draw_world import draw_world
-from sim_plc.plant.hydraulics import play, spool_opening
+from sim_plc.plant.hydraulics import play_operator, spool_opening
 from sim_plc.plant.kernel import OUTPUT, Parameters, State, advance_rigid
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import frames, gravity_torques
@@ -88,7 +88,7 @@ def run_cycles(
                 angles_out[at, par.motors[j]] = state.joint[j, OUTPUT]
             at += 1
         for j in range(n):
-            held[j] = play(held[j], min(max(u[j], -side.limit[j]), side.limit[j]), side.hysteresis[j])
+            held[j] = play_operator(held[j], min(max(u[j], -side.limit[j]), side.limit[j]), side.hysteresis[j])
             slow[j] += side.lag_share[j] * (held[j] - slow[j])
             opened = spool_opening(slow[j], side.dead[j]) * side.full_flow[j]
             command[j] = opened * side.forward_gain[j] if opened > 0.0 else opened

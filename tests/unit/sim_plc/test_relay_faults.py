@@ -170,7 +170,7 @@ def test_what_is_on_its_way_can_be_forgotten():
     channel.push(b"one", 0)
     channel.push(b"two", MS)
     assert channel.pop(5 * MS) == [b"one"]
-    channel.forget()
+    channel.lose_pending()
     assert channel.next_due_ns is None
     assert channel.counts == FaultCounts(taken=2, delivered=1, cut=1)
 

@@ -42,10 +42,10 @@ def playing(seed):
     view = PlaybackView(pad_to_eight_axes(Q_START))
     for first in range(0, len(knots), 6):
         part = tuple(knots[first : first + 6])
-        ring.load(Command(1, 1, 0, traj_id=1, knot_first=first, knots=part), view)
+        ring.load_knots(Command(1, 1, 0, traj_id=1, knot_first=first, knots=part), view)
     reference = Reference(SETTINGS, ring)
-    reference.hold(np.array(Q_START))
-    reference.play()
+    reference.hold_at(np.array(Q_START))
+    reference.play_from_start()
     return reference
 
 
@@ -97,7 +97,7 @@ def test_a_straight_stop_stays_inside_the_joint_range():
     room = qd**2 / (2 * LIMITS)
     q = np.array(Q_START)
     q[1] = limits[1].q_max - 1.05 * room[1]  # braking together with the slower wrist would carry it out
-    reference.hold(q)
+    reference.hold_at(q)
     reference._out[1] = qd
     reference._stop_straight()
     run_down(reference)
@@ -119,7 +119,7 @@ def test_quick_stop_out_of_a_path_stop():
 
 def test_stop_while_holding_changes_nothing():
     reference = Reference(SETTINGS, KnotRing(TABLE))
-    reference.hold(np.array(Q_START))
+    reference.hold_at(np.array(Q_START))
     reference.stop()
     reference.quick_stop()
     assert reference.motion is Motion.HOLD

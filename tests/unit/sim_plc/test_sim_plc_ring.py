@@ -38,7 +38,7 @@ def changed(index, **fields):
 def loaded(count=6):
     ring = KnotRing(TABLE)
     for first in range(0, count, 6):
-        ring.load(command(knot_first=first, knots=KNOTS[first : min(first + 6, count)]), AT_START)
+        ring.load_knots(command(knot_first=first, knots=KNOTS[first : min(first + 6, count)]), AT_START)
     return ring
 
 
@@ -89,7 +89,7 @@ def test_a_knot_too_fast_to_stop_inside_the_range_is_refused():
     room = qd * qd / (2 * limits.qdd_max)
     for q, code in ((limits.q_max - room, RejectCode.NONE), (limits.q_max - 0.7 * room, RejectCode.LIMIT_Q)):
         ring = loaded(2)  # beyond the start, where a knot may move
-        ring.load(command(traj_id=2, knots=KNOTS[:2]), AT_START)
+        ring.load_knots(command(traj_id=2, knots=KNOTS[:2]), AT_START)
         before = Knot(0, pad_to_eight_axes((q - qd * 0.1, *Q_START[1:])), pad_to_eight_axes((qd,)))
         ring._kept[1], ring.times[1] = before, 0.0
         knot = Knot(100 * MS, pad_to_eight_axes((q, *Q_START[1:])), pad_to_eight_axes((qd,)))
@@ -102,9 +102,9 @@ def test_resent_knots_must_be_identical_and_without_a_gap():
     assert code_of(ring.check(command(knot_first=7, knots=KNOTS[7:12]), AT_START)) is RejectCode.KNOT_GAP
     other = (replace(KNOTS[4], q=with_axis(KNOTS[4].q, 0, KNOTS[4].q[0] + 1e-15)),)
     assert code_of(ring.check(command(knot_first=4, knots=other), AT_START)) is RejectCode.KNOT_CHANGED
-    ring.load(command(knot_first=3, knots=KNOTS[3:9]), AT_START)
+    ring.load_knots(command(knot_first=3, knots=KNOTS[3:9]), AT_START)
     assert ring.last == 8
-    ring.load(command(knot_first=3, knots=KNOTS[3:9]), AT_START)
+    ring.load_knots(command(knot_first=3, knots=KNOTS[3:9]), AT_START)
     assert ring.last == 8
     moving = command(knot_first=8, knots=KNOTS[8:12], cmd_flags=CommandFlag.LAST_IS_END)
     assert code_of(ring.check(moving, AT_START)) is RejectCode.END_NOT_AT_REST
@@ -112,14 +112,14 @@ def test_resent_knots_must_be_identical_and_without_a_gap():
 
 def test_the_ring_holds_64_knots_and_no_more():
     ring = KnotRing(TABLE)
-    ring.load(command(knots=FLAT[:6]), AT_START)
+    ring.load_knots(command(knots=FLAT[:6]), AT_START)
     for first in range(6, 60, 6):
-        ring.load(command(knot_first=first, knots=FLAT[first : first + 6]), AT_START)
+        ring.load_knots(command(knot_first=first, knots=FLAT[first : first + 6]), AT_START)
     assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:64]), AT_START)) is RejectCode.NONE
     assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:65]), AT_START)) is RejectCode.RING_FULL
     later = PlaybackView(pad_to_eight_axes(Q_START), playing=1, t_play_ns=60 * MS)
     assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:65]), later)) is RejectCode.NONE
-    ring.load(command(knot_first=60, knots=FLAT[60:65]), later)
+    ring.load_knots(command(knot_first=60, knots=FLAT[60:65]), later)
     assert ring.last == 64
     assert ring.knot(0) is None  # its slot is taken
     assert ring.knot(1) == FLAT[1]
@@ -134,14 +134,14 @@ def test_a_long_trajectory_passes_through_the_ring():
         )
         sent = command(knot_first=first, knots=FLAT[first : first + 6])
         assert code_of(ring.check(sent, view)) is RejectCode.NONE
-        ring.load(sent, view)
+        ring.load_knots(sent, view)
         assert ring.last == first + 5
         assert ring.times[ring.last % SIZE] == pytest.approx(FLAT[first + 5].t_ns * 1e-9)
 
 
 def test_nothing_comes_after_the_end_and_the_end_does_not_move():
     ring = KnotRing(TABLE)
-    ring.load(command(knots=FLAT[:6], cmd_flags=CommandFlag.LAST_IS_END), AT_START)
+    ring.load_knots(command(knots=FLAT[:6], cmd_flags=CommandFlag.LAST_IS_END), AT_START)
     assert ring.complete
     assert code_of(ring.check(command(knot_first=4, knots=FLAT[4:8]), AT_START)) is RejectCode.KNOT_CHANGED
     assert code_of(ring.check(command(knot_first=2, knots=FLAT[2:6]), AT_START)) is RejectCode.KNOT_CHANGED  # flag gone
@@ -161,7 +161,7 @@ def test_only_a_tail_beyond_the_frozen_horizon_is_replaced():
     assert code_of(ring.check(plain, far)) is RejectCode.KNOT_CHANGED
     assert code_of(ring.check(flagged, near)) is RejectCode.KNOT_CHANGED
     assert code_of(ring.check(flagged, far)) is RejectCode.NONE
-    ring.load(flagged, far)
+    ring.load_knots(flagged, far)
     assert ring.last == 10  # what came after the replaced knot belonged to the old tail
     assert ring.knot(9) == tail[1]
     assert ring.knot(8) == KNOTS[8]

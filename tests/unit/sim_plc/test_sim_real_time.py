@@ -30,7 +30,7 @@ class StillMachine:
 
     def cycle(self):
         t_ns = self.t_plc_ns
-        self.plc.cycle(t_ns, self._sample)
+        self.plc.run_cycle(t_ns, self._sample)
         self.t_plc_ns += MS
         link = self.plc.link
         due = t_ns % (10 * MS) == 0 and (link.peer is not None or link.refused is not None)

@@ -97,7 +97,7 @@ def test_the_plant_moves_on_with_the_plcs_clock_whatever_its_cycle(cycle_ms):
     world = draw_world(replace(MACHINE, plc_cycle_s=1e-3 * cycle_ms), "ideal", 1)
     machine = MachineLoop(world, RawFraming(), 40_000_000_000, lambda: 1)
     for _ in range(round(600.0 / cycle_ms)):
-        machine.cycle()
+        machine.run_cycle()
     assert machine.t_plc_ns == 40_600_000_000
     assert machine.plant.t_s == pytest.approx(0.6, abs=1e-6)
 

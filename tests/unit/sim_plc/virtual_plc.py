@@ -41,7 +41,9 @@ class VirtualPlc:
         for _ in range(ms):
             self.t_ns += MS
             zeros = np.zeros(len(self.q))
-            valves = self.plc.cycle(self.t_ns, PlantSample(self.q.copy(), self.qd, zeros, zeros, 19e6, self.t_oil_c))
+            valves = self.plc.run_cycle(
+                self.t_ns, PlantSample(self.q.copy(), self.qd, zeros, zeros, 19e6, self.t_oil_c)
+            )
             self.trace.append((self.t_ns, self.plc.state, self.plc.q_ref, self.plc.qd_ref, tuple(valves.tolist())))
             self.q = self.q + valves * GAINS * 1e-3
             if self.t_ns % (10 * MS) == 0 and self.plc.link.peer is not None and not self.lose("state", self.t_ns):

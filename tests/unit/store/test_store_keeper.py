@@ -64,7 +64,7 @@ def life(tmp_path, clock=time.monotonic):
     engine = JobEngine(StandIn())
     keeper.on_restored(engine.restore)
     keeper.restore()
-    engine.on_event(keeper.note)
+    engine.on_event(keeper.on_job_event)
     return engine, keeper
 
 
@@ -90,7 +90,7 @@ async def test_a_job_is_on_disk_before_it_begins_and_its_end_after(tmp_path):
     await asyncio.wait({engine._task})
     keeper.database.close()
     again, _ = life(tmp_path)
-    restored = again.find(job.job_id)
+    restored = again.find_job(job.job_id)
     assert (restored.state, restored.result, restored.fencing) == (JobState.DONE, "arrived", job.fencing)
 
 
@@ -102,7 +102,7 @@ async def test_a_job_without_an_end_was_interrupted_and_says_so(tmp_path):
     engine._task.cancel()
     await asyncio.wait({engine._task})
     again, keeper = life(tmp_path)
-    restored = again.find(job.job_id)
+    restored = again.find_job(job.job_id)
     assert (restored.state, restored.code) == (JobState.INTERRUPTED, "interrupted")
     assert "watchdog" in restored.reason
     assert again.leases.acquire("anna").fencing == job.fencing + 1
@@ -156,7 +156,7 @@ async def test_control_lost_while_it_is_written_down_begins_nothing(tmp_path):
     lease = engine.leases.acquire("truck 7")
 
     async def keep(job):
-        engine.leases.take("anna", LeaseKind.OPERATOR, "in the way")
+        engine.leases.take_control("anna", LeaseKind.OPERATOR, "in the way")
 
     job = await engine.submit_kept("park", plan(), "truck 7", lease, keep)
     assert job.state is JobState.STOPPED
@@ -210,7 +210,7 @@ async def test_a_wall_clock_that_is_set_erases_no_audit_and_forgets_no_key(tmp_p
     job = await start(engine, keeper, "k")
     await asyncio.wait({engine._task})
     for number in range(15):
-        keeper.audit(AuditEntry(first_s, "anna", "operator", "", f"line {number}"))
+        keeper.queue_audit_line(AuditEntry(first_s, "anna", "operator", "", f"line {number}"))
     keeper.database.close()
     for wall_s in (then_s, first_s):
         monkeypatch.setattr("time.time", lambda wall_s=wall_s: wall_s)

@@ -21,9 +21,9 @@ def test_the_same_place_is_found_from_another_distance(distance_m):
     """By recognition alone: the tracker has not seen the way there."""
     pair, T_ooi_cam = pair_at(distance_m, 5)
     fresh = tracker()
-    fix = fresh.find(*pair)
+    fix = fresh.find_target(*pair)
     if not fix.ok:  # the way is too long for flow, so the next one recognises
-        fix = fresh.find(*pair)
+        fix = fresh.find_target(*pair)
     assert fix.ok, fix.reason
     error = pose_deviations(fix.T_cam_target[None], true_in(T_ooi_cam))[0]
     assert np.linalg.norm(error[3:]) < 0.003
@@ -37,7 +37,7 @@ def test_a_covered_target_gives_no_pose():
     texture = np.random.default_rng(0).integers(0, 255, (61, 61)).astype(np.uint8)
     left = left.copy()
     left[v - 30 : v + 31, u - 30 : u + 31] = texture
-    fix = tracker().find(left, right)
+    fix = tracker().find_target(left, right)
     assert not fix.ok
     assert "covered" in fix.reason
     assert fix.T_cam_target is None
@@ -56,7 +56,7 @@ def test_a_target_that_moved_against_its_surroundings_gives_no_pose():
         area = image[v - half : v + half, column - half - shift : column + half - shift]
         copy[v - half : v + half, column - half : column + half] = area
         moved.append(copy)
-    fix = tracker().find(*moved)
+    fix = tracker().find_target(*moved)
     assert not fix.ok
     assert "moved" in fix.reason
 
@@ -64,14 +64,14 @@ def test_a_target_that_moved_against_its_surroundings_gives_no_pose():
 def test_light_that_changes_alike_everywhere_changes_nothing():
     pair, T_ooi_cam = pair_at(0.5, 6)
     dimmed = [np.asarray(cv2.convertScaleAbs(image, alpha=0.6, beta=5)) for image in pair]
-    fix = tracker().find(*dimmed)
+    fix = tracker().find_target(*dimmed)
     assert fix.ok, fix.reason
     assert np.linalg.norm(fix.T_cam_target[:3, 3] - true_in(T_ooi_cam)[:3, 3]) < 0.003
 
 
 def test_another_wall_is_not_taken_for_the_target():
     left, right = (np.ascontiguousarray(image[::-1, ::-1]) for image in pair_at(0.5, 6)[0])
-    fix = tracker().find(left, right)
+    fix = tracker().find_target(left, right)
     assert not fix.ok
     assert not fix.seen
 
@@ -82,7 +82,7 @@ def test_the_own_tool_over_the_patch_does_not_count_against_it():
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float) * 110.0 + np.array([u, v])
     left = left.copy()
     cv2.fillPoly(left, [np.round(square).astype(np.int32)], 30)
-    hidden = tracker().find(left, right, ([square], []))
+    hidden = tracker().find_target(left, right, ([square], []))
     assert hidden.ok, hidden.reason
     assert np.isnan(hidden.agree_frac)
 
@@ -107,7 +107,7 @@ def test_the_source_keeps_the_pose_contract_with_and_without_a_target():
     source = TargetPoseSource(_Tool(), machine().camera, _Mask(), SETTINGS)
     pair, _ = pair_at(0.7, 1)
     assert source.observe(*pair, 5).ooi.reason == "no marker"
-    source.use(anchored()[0])
+    source.use_target(anchored()[0])
     seen = source.observe(*pair, 6)
     assert (seen.t_exposure_ns, seen.tool.marker_ids) == (6, (7,))
     assert seen.ooi.status is PoseStatus.OK, seen.ooi.reason
@@ -120,5 +120,5 @@ def test_the_source_keeps_the_pose_contract_with_and_without_a_target():
         assert blind.ooi.reason
     small = source.observe(pair[0][:100], pair[1][:100], 8)
     assert small.ooi.status is PoseStatus.NOT_SEEN
-    source.use(None)
+    source.use_target(None)
     assert source.observe(*pair, 9).ooi.reason == "no marker"

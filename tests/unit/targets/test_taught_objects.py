@@ -72,7 +72,7 @@ def taught() -> TaughtObject:
 def found_in(*fixtures: FixtureTruth, light: float = 1.0):
     pair, _, T_ooi_cam = shown(False, 0.45, (0.0, 0.05), *fixtures)
     left, right = (np.clip(light * image, 0, 255).astype(np.uint8) for image in (pair.left, pair.right))
-    fix = TaughtTracker(taught(), machine().camera, SETTINGS).find(left, right, pair.masks_px)
+    fix = TaughtTracker(taught(), machine().camera, SETTINGS).find_target(left, right, pair.masks_px)
     return fix, inverse_pose(T_ooi_cam) @ PLACE
 
 
@@ -106,10 +106,10 @@ def test_two_of_them_in_view_are_refused():
 def test_the_source_serves_it_as_the_object_of_interest():
     pair, _, _ = shown(False, 0.45, (0.0, 0.05), FixtureTruth(SEED, PLACE))
     _, source = stage(False)
-    source.use(taught())
+    source.use_target(taught())
     seen = source.observe(pair.left, pair.right, 0)
     again = source.observe(pair.left, pair.right, 1)  # now by flow
-    source.use(None)
+    source.use_target(None)
     assert (seen.ooi.status, again.ooi.status) == (PoseStatus.OK, PoseStatus.OK)
     assert np.allclose(seen.ooi.T_cam_object, again.ooi.T_cam_object, atol=1e-4)
     assert source.observe(pair.left, pair.right, 2).ooi.status is PoseStatus.NOT_SEEN

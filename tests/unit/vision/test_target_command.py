@@ -299,4 +299,4 @@ def test_a_camera_that_sends_nothing_is_told_of_after_half_a_minute_not_at_the_e
 def test_pictures_of_another_size_are_refused():
     search = MarkerSearch(machine().camera, dictionary_by_name("DICT_4X4_50"), (1, 2, 3))
     with pytest.raises(TargetError, match="640 x 480 px, but the machine file's camera has 1280 x 720"):
-        search.view(np.zeros((480, 640), np.uint8), np.zeros((480, 640), np.uint8))
+        search.view_of(np.zeros((480, 640), np.uint8), np.zeros((480, 640), np.uint8))

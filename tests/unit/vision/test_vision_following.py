@@ -74,7 +74,7 @@ def test_a_marker_is_followed_through_motion_with_the_corners_a_search_finds(dic
         }
         if step:
             for marker_id in sorted(WANTED):
-                followed = follower.follow(marker_id, image)
+                followed = follower.follow_marker(marker_id, image)
                 assert followed is not None
                 assert np.abs(followed.corners_px - searched[marker_id].corners_px).max() < 0.03
         follower.store_marker_positions(searched)
@@ -85,11 +85,11 @@ def test_another_marker_in_the_same_place_is_not_followed(dictionary):
     image, _ = printed(dictionary, 7)
     found = {one.marker_id: refined_marker(one, image, dictionary, None) for one in find_markers(image, dictionary)}
     follower.store_marker_positions(found)
-    assert follower.follow(7, image) is not None
+    assert follower.follow_marker(7, image) is not None
     other, _ = printed(dictionary, 8)
-    assert follower.follow(7, other) is None
+    assert follower.follow_marker(7, other) is None
     blank = np.full_like(image, 230)
-    assert follower.follow(7, blank) is None
+    assert follower.follow_marker(7, blank) is None
 
 
 def test_while_all_is_followed_a_second_one_of_the_same_id_is_found_at_half_size():

@@ -83,9 +83,9 @@ def test_what_was_recognised_as_own_stays_out():
     own = structure(0.3, np.random.default_rng(3), 400)
     left_px = project_stereo(CAMERA, own)[0]
     inside = ((left_px > 60) & (left_px < SIZE - 60)).all(axis=1)
-    assert odometry.hides(left_px[inside]).mean() > 0.9
+    assert odometry.on_own_structure(left_px[inside]).mean() > 0.9
     above = np.array([[300.0, 100.0], [900.0, 150.0], [640.0, 60.0]])
-    assert not odometry.hides(above).any()
+    assert not odometry.on_own_structure(above).any()
     assert out[-1][0].n_points > 100
 
 
@@ -95,7 +95,7 @@ def test_a_thing_that_moves_before_a_standing_camera_is_not_the_world():
     for found, true in out:
         assert off_m(found, true) < 6e-4 or found.status is not OdometryStatus.OK
     assert out[-1][0].status is OdometryStatus.OK
-    assert not odometry.hides(np.array([[300.0, 100.0], [900.0, 150.0]])).any()
+    assert not odometry.on_own_structure(np.array([[300.0, 100.0], [900.0, 150.0]])).any()
 
 
 def test_half_a_picture_that_stands_still_is_doubtful():

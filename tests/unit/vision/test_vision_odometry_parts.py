@@ -119,11 +119,11 @@ def test_an_error_taken_over_from_a_keyframe_is_told_once():
     known.add(np.diag([0, 0, 0, 4.0, 4.0, 4.0]), None, np.zeros(6))
     follow = np.concatenate([np.eye(6), np.zeros((6, 6))], axis=1)
     one = Sensitivity((0,), follow[None], np.zeros((6, 6)), np.zeros(6), 0.0, 0.0)
-    known.add(known.carried(one), one, np.zeros(6))
+    known.add(known.pose_covariance(one), one, np.zeros(6))
     both = Sensitivity((0, 1), 0.5 * np.stack([follow, follow]), np.zeros((6, 6)), np.zeros(6), 0.0, 0.0)
-    assert known.carried(both)[3, 3] == pytest.approx(4.0), "the same error twice: no averaging"
+    assert known.pose_covariance(both)[3, 3] == pytest.approx(4.0), "the same error twice: no averaging"
     known.remove(0)
-    assert known.carried(one)[3, 3] == pytest.approx(4.0)
+    assert known.pose_covariance(one)[3, 3] == pytest.approx(4.0)
 
 
 def test_simulated_points_are_inside_their_ellipsoids():

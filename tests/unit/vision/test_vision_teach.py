@@ -303,7 +303,7 @@ def test_the_keeper_takes_what_rests_and_is_new():
     first, second = looking_at((0.0, 0.0, 0.9)), looking_at((0.2, 0.0, 0.9))
 
     def offer(T, hidden=()):
-        return keeper.offer(seen_view(markers, T, rng, 0.05, hidden=hidden))
+        return keeper.keep_if_new(seen_view(markers, T, rng, 0.05, hidden=hidden))
 
     assert [offer(first) for _ in range(3)] == [OfferedView.MOVING, OfferedView.MOVING, OfferedView.TAKEN]
     assert offer(first) is OfferedView.ALIKE

@@ -39,8 +39,8 @@ def test_a_machine_file_carries_its_baseline() -> None:
     machine, nominal = parse_machine_toml(text), nominal_of(text)
     assert machine.effects == nominal.baseline == (lag,)
     assert machine.remainders == nominal.remainders == (REMAINDER, OF_POINTS)
-    assert nominal.remainder("actuator", 2) == REMAINDER
-    assert nominal.remainder("actuator", 1) is None
+    assert nominal.baseline_remainder("actuator", 2) == REMAINDER
+    assert nominal.baseline_remainder("actuator", 1) is None
     assert parse_machine_toml(MACHINE_TOML).effects == ()
 
 
@@ -116,13 +116,15 @@ def test_joined_cells_ask_for_an_effect_once() -> None:
     truth = (0.15, 0.0, 0.0)
     parts = [made_up(truth), made_up(truth)]
     both = join_cells(parts)
-    assert both.rows.count == 2 * parts[0].rows.count
+    assert both.rows.row_count == 2 * parts[0].rows.row_count
     assert len(both.candidates) == len(parts[0].candidates)
     assert len(np.unique(both.rows.block)) == 2 * len(np.unique(parts[0].rows.block))
-    np.testing.assert_array_equal(both.whitened(both.base)[0, : parts[0].rows.count], parts[0].whitened(both.base)[0])
+    np.testing.assert_array_equal(
+        both.whitened(both.base)[0, : parts[0].rows.row_count], parts[0].whitened(both.base)[0]
+    )
     one, two = (fit_and_prune(cell, library_of(cell)) for cell in (parts[0], both))
-    assert [term.effect.key for term in two.best.terms if term.present] == [
-        term.effect.key for term in one.best.terms if term.present
+    assert [term.effect.effect_and_joint for term in two.best.current_terms if term.present] == [
+        term.effect.effect_and_joint for term in one.best.current_terms if term.present
     ]
     assert two.best.score < 1.5 * one.best.score < 0.0  # twice the cost of what is left
 

@@ -47,7 +47,7 @@ def test_a_log_of_which_nothing_is_replayed_is_said_beside_what_is_judged() -> N
     assert not examined(with_log).log_unused
     elsewhere = replace(with_log, run=replace(made.run, segments=(Segment("late", "steps", 50.0, 60.0),)))
     whole = examined(elsewhere)
-    assert whole.usable
+    assert whole.has_judgeable_stage
     assert whole.log_unused
     assert "PLC's log" in {missing["signal"] for missing in answer_json(budget_of(whole))["missing"]}
 
@@ -125,7 +125,7 @@ def camera_recording(sets: ParameterSets, with_plc: bool = True) -> Recording:
 
 def camera_gaps(sets: ParameterSets, with_plc: bool = True) -> dict[tuple[str, str], float]:
     whole = examined(camera_recording(sets, with_plc))
-    assert whole.usable, [str(one) for one in whole.findings]
+    assert whole.has_judgeable_stage, [str(one) for one in whole.findings]
     return {(one.regime, one.axis or ""): one.gap for one in localise(whole).places if one.stage == "camera"}
 
 

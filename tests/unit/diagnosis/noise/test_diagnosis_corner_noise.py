@@ -21,7 +21,7 @@ def test_a_shared_shift_comes_out_white() -> None:
     pixels = made((0.2, 0.1), (0.5, 0.05))
     seen, groups = np.isfinite(pixels), groups_of(pixels)
     noise = CornerNoise(np.array([0.2, 0.1]), np.array([0.5, 0.05]))
-    white = noise.white(pixels[seen][None], groups)[0]
+    white = noise.whiten(pixels[seen][None], groups)[0]
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.03)
     sums = np.bincount(groups, weights=white) / np.sqrt(np.bincount(groups))
     assert np.var(sums) == pytest.approx(1.0, abs=0.15)  # a frame speaks with the weight of one frame
@@ -31,7 +31,7 @@ def test_a_shared_shift_comes_out_white() -> None:
 def test_without_a_shared_part_nothing_is_taken_away() -> None:
     pixels = made((0.2, 0.1), (0.5, 0.05))
     seen, groups = np.isfinite(pixels), groups_of(pixels)
-    np.testing.assert_array_equal(PLAIN.white(pixels[seen][None], groups)[0], pixels[seen])
+    np.testing.assert_array_equal(PLAIN.whiten(pixels[seen][None], groups)[0], pixels[seen])
 
 
 def test_visits_tell_both_kinds() -> None:

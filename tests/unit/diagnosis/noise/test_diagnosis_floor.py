@@ -27,7 +27,7 @@ def test_a_known_autoregression_is_found_and_whitened() -> None:
     rng = np.random.default_rng(1)
     runs = [autoregression(rng, (0.6, -0.3), 2e-4, 2000) for _ in range(4)]
     whitener = fit_whitener(runs)
-    assert whitener.order >= 2
+    assert whitener.lag_count >= 2
     assert whitener.a[:2] == pytest.approx(np.array([[0.6, 0.6], [-0.3, -0.3]]), abs=0.05)
     assert whitener.sigma == pytest.approx([2e-4, 2e-4], rel=0.03)
     fresh = whitener.whiten(autoregression(rng, (0.6, -0.3), 2e-4, 2000))
@@ -37,7 +37,7 @@ def test_a_known_autoregression_is_found_and_whitened() -> None:
 
 def test_white_increments_need_no_lags() -> None:
     rng = np.random.default_rng(2)
-    assert fit_whitener([rng.normal(size=(1500, 3)) for _ in range(4)]).order == 0
+    assert fit_whitener([rng.normal(size=(1500, 3)) for _ in range(4)]).lag_count == 0
 
 
 def test_floor_is_the_noise_and_not_what_all_repeats_share() -> None:

@@ -21,7 +21,7 @@ def drawn(swing_rad: float) -> np.ndarray:
 
 
 def test_noise_with_a_swing_comes_out_white() -> None:
-    white = PointNoise(OWN, SWING_RAD, REACH, WHICH).white(drawn(SWING_RAD).reshape(1, -1)).reshape(-1, 3)
+    white = PointNoise(OWN, SWING_RAD, REACH, WHICH).whiten(drawn(SWING_RAD).reshape(1, -1)).reshape(-1, 3)
     np.testing.assert_allclose(white.var(axis=0), 1.0, atol=0.05)
     across = white[:, ACROSS].reshape(INSTANTS, 3)
     np.testing.assert_allclose(np.cov(across.T), np.eye(3), atol=0.06)
@@ -29,7 +29,7 @@ def test_noise_with_a_swing_comes_out_white() -> None:
 
 def test_without_a_swing_each_point_counts_by_its_own_noise() -> None:
     rows = drawn(0.0)
-    white = PointNoise(OWN, 0.0, REACH, WHICH).white(rows.reshape(1, -1))
+    white = PointNoise(OWN, 0.0, REACH, WHICH).whiten(rows.reshape(1, -1))
     np.testing.assert_allclose(white.reshape(-1, 3), rows / OWN)
 
 
@@ -58,5 +58,5 @@ def test_the_scorer_weighs_a_change_as_the_tool_does() -> None:
     change = rng.normal(0.0, 1e-3, (5, 3, 3))
     theirs = _less_swing(change / OWN, at, SWING_RAD / OWN[ACROSS])
     reach = np.hypot(at[..., 0], at[..., 1]).ravel()
-    ours = PointNoise(OWN, SWING_RAD, reach, np.repeat(np.arange(5), 3)).white(change.reshape(1, -1))
+    ours = PointNoise(OWN, SWING_RAD, reach, np.repeat(np.arange(5), 3)).whiten(change.reshape(1, -1))
     np.testing.assert_allclose(theirs.ravel(), ours[0], rtol=1e-9)

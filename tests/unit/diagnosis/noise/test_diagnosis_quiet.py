@@ -37,6 +37,6 @@ def test_a_controller_that_never_left_anything_is_held_to_a_quarter(tmp_path: Pa
 def test_lags_that_nothing_uses_cost_no_part_of_a_stretch() -> None:
     a = np.array([[0.4, 0.0], [0.0, 0.0], [0.2, 0.0]])
     whitener = Whitener(a, np.array([1.0, 2.0]))
-    assert whitener.only([0]).order == 3
-    assert whitener.only([1]).order == 0
-    assert whitener.only([1]).sigma == pytest.approx([2.0])
+    assert whitener.of_channels([0]).lag_count == 3
+    assert whitener.of_channels([1]).lag_count == 0
+    assert whitener.of_channels([1]).sigma == pytest.approx([2.0])

@@ -62,7 +62,7 @@ def test_the_number_that_wanders_is_named_with_its_size_and_its_neighbours_are_n
 
 def names(whole: Read, known: tuple[Remainder, ...]) -> list[str]:
     cell = actuator(with_baseline(whole, (), known), 2)
-    return [term.effect.name for term in fit_and_prune(cell, library_of(cell)).best.terms if term.present]
+    return [term.effect.name for term in fit_and_prune(cell, library_of(cell)).best.current_terms if term.present]
 
 
 def test_a_day_within_the_wander_has_no_name_and_a_fault_beyond_it_has(known: tuple[Remainder, ...]) -> None:
@@ -77,7 +77,7 @@ def test_a_day_within_the_wander_has_no_name_and_a_fault_beyond_it_has(known: tu
 def test_what_is_beside_the_wanders_direction_is_left_as_it_was() -> None:
     rng = np.random.default_rng(1)
     column, r = rng.normal(size=(50, 1)), rng.normal(size=50)
-    white = day_noise(3.0 * column).white(r[None])[0]
+    white = day_noise(3.0 * column).whiten(r[None])[0]
     along = column[:, 0] / np.linalg.norm(column)
     np.testing.assert_allclose(white - (white @ along) * along, r - (r @ along) * along, atol=1e-12)
     size = 1.0 + 9.0 * float(column[:, 0] @ column[:, 0])
@@ -98,9 +98,9 @@ def test_a_wander_goes_through_the_machine_file() -> None:
 def test_a_set_is_made_white_alike_alone_and_among_others() -> None:
     rng = np.random.default_rng(2)
     day, sets = day_noise(rng.normal(size=(999, 4))), rng.normal(size=(7, 999))
-    together = day.white(sets)
+    together = day.whiten(sets)
     for one, white in zip(sets, together, strict=True):
-        np.testing.assert_array_equal(day.white(one[None])[0], white)
+        np.testing.assert_array_equal(day.whiten(one[None])[0], white)
 
 
 def test_an_experiment_is_foretold_with_the_wander_along(known: tuple[Remainder, ...]) -> None:

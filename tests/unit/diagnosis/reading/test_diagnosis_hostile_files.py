@@ -254,4 +254,4 @@ def test_a_column_of_somebodys_own_may_be_there_twice(tmp_path: Path) -> None:
     assert "column 'mine' is there twice; remove one" in [
         one.text for one in result.findings if one.severity == "problem"
     ]
-    assert result.usable
+    assert result.has_judgeable_stage

@@ -48,7 +48,7 @@ def test_a_key_that_nobody_reads_is_said(given: str, spoilt: str, severity: str,
     whole = examine_recording(
         replace(recording(("steps",)), machine_toml=MACHINE_TOML.replace(given, spoilt)), Path("made")
     )
-    assert whole.usable
+    assert whole.has_judgeable_stage
     assert "unknown_key" in {one.code for one in whole.findings}
 
 

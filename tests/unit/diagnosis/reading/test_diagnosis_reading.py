@@ -30,7 +30,7 @@ def codes(result: Read, *severities: str) -> set[str]:
 def test_a_sound_recording_has_no_findings_and_its_stages(tmp_path) -> None:
     result = read_for_diagnosis(folder(tmp_path, MADE))
     assert result.findings == ()
-    assert result.usable
+    assert result.has_judgeable_stage
     assert stages_present(result) == ("link", "controller", "actuator")
     assert [one.name for one in result.stretches] == ["repeat0", "repeat1", "repeat2", "repeat3", "steps4"]
     first = result.stretches[0]
@@ -39,7 +39,7 @@ def test_a_sound_recording_has_no_findings_and_its_stages(tmp_path) -> None:
     assert first.u is not None
     assert first.sent is not None
     assert first.sent.t_s[0] == pytest.approx(0.0)  # PLC's clock
-    assert first.rows == 1200
+    assert first.row_count == 1200
 
 
 def test_mcap_reads_the_same(tmp_path) -> None:
@@ -299,7 +299,7 @@ def test_what_is_wrong_is_found_and_named(name: str) -> None:
     assert found, [str(one) for one in result.findings]
     assert any(re.search(text, str(one)) for one in found), [str(one) for one in found]
     assert codes(result) <= set(CODES)
-    assert result.usable == (severity != "fatal")
+    assert result.has_judgeable_stage == (severity != "fatal")
 
 
 @pytest.mark.parametrize(
@@ -321,7 +321,7 @@ def test_spoilt_text_is_named(tmp_path, file: str, old: str, new: str, code: str
     (path / file).write_text(content.replace(old, new, 1), encoding="utf-8")
     result = read_for_diagnosis(path)
     assert any(one.code == code and text in str(one) for one in result.findings), [str(one) for one in result.findings]
-    assert not result.usable
+    assert not result.has_judgeable_stage
 
 
 @pytest.mark.parametrize(
@@ -358,7 +358,7 @@ def test_a_broken_log_is_cut_and_its_pieces_are_even() -> None:
     result = examined(drop(MADE, 500, 560))
     names = [one.name for one in result.stretches]
     assert names[:3] == ["repeat0/1", "repeat0/2", "repeat1"]
-    assert [one.rows for one in result.stretches[:2]] == [500, 640]
+    assert [one.row_count for one in result.stretches[:2]] == [500, 640]
     for one in result.stretches:
         assert np.ptp(np.diff(one.t_s)) < 1e-9
 
@@ -374,7 +374,7 @@ def test_jitter_is_resampled_and_long_runs_of_nan_cut() -> None:
     wanted = np.interp(smooth.t_s[5:-5], exact.t_s, exact.enc[:, 5])
     assert smooth.enc[5:-5, 5] == pytest.approx(wanted, abs=1e-3)  # stamps are wrong by 2 ms, at 0.4 rad/s
     holes = changed(MADE, PlcState, lambda k, row: with_q(row, lambda q: (NAN, *q[1:]) if 400 <= k < 420 else q))
-    assert [one.rows for one in examined(holes).stretches[:2]] == [400, 780]
+    assert [one.row_count for one in examined(holes).stretches[:2]] == [400, 780]
 
 
 def test_parts_of_the_chain_are_enough() -> None:
@@ -397,7 +397,7 @@ def test_parts_of_the_chain_are_enough() -> None:
     for name, (made, stages) in cases.items():
         result = examined(made)
         assert stages_present(result) == stages, name
-        assert result.usable
+        assert result.has_judgeable_stage
     lean = MACHINE_TOML.replace("kp_frac_per_rad", "# kp_frac_per_rad")
     result = examined(replace(MADE, machine_toml=lean))
     assert stages_present(result) == ("link", "actuator")
@@ -410,7 +410,7 @@ def test_nothing_to_judge_is_said_with_what_the_file_lacks() -> None:
     result = examined(replace(MADE, machine_toml=bare))
     (finding,) = [one for one in result.findings if one.code == "no_data"]
     assert "joint 1 (j0) has no a_m" in str(finding)
-    assert not result.usable
+    assert not result.has_judgeable_stage
 
 
 def test_encoders_alone_say_that_what_was_asked_is_lacking() -> None:

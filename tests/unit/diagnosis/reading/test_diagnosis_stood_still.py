@@ -64,5 +64,7 @@ def test_a_recording_that_moves_is_judged_and_the_same_one_standing_is_not() -> 
 def _frozen(one: Stretch) -> Stretch:
     """The first row for ever."""
     names = ("ref", "enc", "u")
-    first = {name: np.tile(values[:1], (one.rows, 1)) for name in names if (values := getattr(one, name)) is not None}
+    first = {
+        name: np.tile(values[:1], (one.row_count, 1)) for name in names if (values := getattr(one, name)) is not None
+    }
     return replace(one, **first, sent=None)

@@ -45,7 +45,7 @@ def test_metres_of_a_joint_that_turns_are_told_of_each_folder(tmp_path: Path) ->
     for path in paths:
         (path / "run.toml").unlink()
     whole = read_together(paths)
-    assert not whole.usable
+    assert not whole.has_judgeable_stage
     told = " ".join(str(one) for one in whole.findings)
     assert "plc.csv: of b: column 'q_1_m' is in m, but joint 1 of the machine file turns" in told
     assert "run.toml: of b: is not there" in told

@@ -35,7 +35,7 @@ def slid(place: Path, scale: float, shift: float) -> Path:
 def test_a_long_telescope_is_not_in_degrees(tmp_path: Path) -> None:
     result = read_for_diagnosis(slid(tmp_path, 1.0, 9.0))
     assert "degrees" not in codes(result)
-    assert result.usable
+    assert result.has_judgeable_stage
 
 
 def test_a_telescope_in_millimetres_is(tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_spike_of_a_command_is_no_percent(tmp_path: Path) -> None:
     assert one.severity == "note"
     assert "u_1_frac reaches 1.6, beyond full command 1, in 3 of" in one.text
     assert "percent" not in codes(result)
-    assert result.usable
+    assert result.has_judgeable_stage
 
 
 def test_percent_is_told_with_its_column(tmp_path: Path) -> None:

@@ -141,7 +141,7 @@ def test_a_urdf_beside_the_machine_file_that_is_given_is_found(tmp_path: Path) -
     write_folder(poses(), tmp_path / "run")
     (tmp_path / "mine.toml").write_text(poses().machine_toml, encoding="utf-8")
     result = read_for_diagnosis(tmp_path / "run", tmp_path / "mine.toml")
-    assert not result.usable
+    assert not result.has_judgeable_stage
     assert "not in the recording or next to the machine file; put it there" in fatal(result)
     (tmp_path / "a.urdf").write_text(URDF, encoding="utf-8")
     result = read_for_diagnosis(tmp_path / "run", tmp_path / "mine.toml")
@@ -169,6 +169,6 @@ def test_a_urdf_that_is_not_utf_8_is_refused_with_its_encoding(tmp_path, data, r
     (tmp_path / "a.urdf").write_bytes(data)
     files = UrdfFiles((Attachment("a.urdf", "application/xml", data),)) if recorded else UrdfFiles((), tmp_path)
     with pytest.raises(DiagnosisError, match=r"URDF a\.urdf cannot be read: .*save it as UTF-8"):
-        files.text("a.urdf")
+        files.urdf_text("a.urdf")
     (tmp_path / "b.urdf").write_bytes(b"\xef\xbb\xbf<robot/>")
-    assert UrdfFiles((), tmp_path).text("b.urdf") == "<robot/>"
+    assert UrdfFiles((), tmp_path).urdf_text("b.urdf") == "<robot/>"

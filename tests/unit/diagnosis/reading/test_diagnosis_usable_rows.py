@@ -41,7 +41,7 @@ def test_poses_at_rest_with_all_their_columns_are_a_structure() -> None:
 def test_a_column_without_which_no_point_counts_is_named(spoilt: list[Row], column: str) -> None:
     result = alone(spoilt)
     assert f"static.csv: {column}, or empty in every row" in texts(result, "missing_column")
-    assert not result.usable
+    assert not result.has_judgeable_stage
     assert "static.csv: 0 of 9 rows can be used, least 6" in texts(result, "no_data")
 
 
@@ -52,18 +52,18 @@ def test_a_column_that_a_folder_lacks_is_named(tmp_path: Path) -> None:
     (path / "static.csv").write_text("\n".join(line.rsplit(",", 1)[0] for line in lines), encoding="utf-8")
     result = read_for_diagnosis(path)
     assert "static.csv: z_m: missing" in texts(result, "missing_column")
-    assert not result.usable
+    assert not result.has_judgeable_stage
 
 
 def test_points_that_the_machine_file_does_not_know_are_no_structure() -> None:
     result = alone([replace(one, point="q") for one in POSES])
-    assert not result.usable
+    assert not result.has_judgeable_stage
     assert "a row needs a point of [points]" in texts(result, "no_data")
 
 
 def test_tracked_points_need_a_log_of_the_encoders() -> None:
     result = alone([TrackerPoint(0.1 * k, "p", 2.0, 0.1 * k, 1.0) for k in range(20)])
-    assert not result.usable
+    assert not result.has_judgeable_stage
     assert "tracker.csv: 0 of 20 rows can be used" in texts(result, "no_data")
 
 
@@ -81,7 +81,7 @@ def on_tool() -> int:
 def test_markers_count_where_they_are_known() -> None:
     assert stages_present(alone(looked(on_tool()))) == ("camera",)
     strange = alone(looked(977))
-    assert not strange.usable
+    assert not strange.has_judgeable_stage
     assert "markers.csv: 0 of 100 rows can be used" in texts(strange, "no_data")
     unseen = alone(looked(-1))
     assert "markers.csv: marker_id: missing" in texts(unseen, "missing_column")
@@ -97,7 +97,7 @@ def test_a_corner_that_was_not_written_is_named() -> None:
 def test_a_camera_without_its_place_is_no_camera() -> None:
     head, tail = MACHINE_TOML.split("T_tcp_cam_left = [", 1)
     result = alone(looked(on_tool()), head + tail.split("]", 1)[1])
-    assert not result.usable
+    assert not result.has_judgeable_stage
     assert "camera: [camera] has no T_tcp_cam_left" in texts(result, "no_data")
 
 
@@ -111,6 +111,6 @@ def test_segments_on_another_clock_are_said() -> None:
     made = recording(("steps",))
     later = changed(made, PlcState, lambda _, row: replace(row, t_plc_s=row.t_plc_s + 1.7e9))
     result = examine_recording(later, Path("x"))
-    assert not result.usable
+    assert not result.has_judgeable_stage
     assert "segments lie at 0 .. " in texts(result, "no_data")
     assert "the log at 1700000000 .. " in texts(result, "no_data")

@@ -47,7 +47,7 @@ FIELDS = Path(__file__).parents[4] / "docs" / "diagnosis-answer.md"
 
 def diagnosed(tmp_path: Path, fault: Fault, seed: int = 3, **options) -> tuple[Budget, dict]:
     whole = read_for_diagnosis(write(tmp_path / "run", fault, seed, **(options or SHORT)))
-    assert whole.usable, [str(one) for one in whole.findings]
+    assert whole.has_judgeable_stage, [str(one) for one in whole.findings]
     found = budget_of(whole)
     result = answer_json(found)
     assert untold(result) == set()

@@ -60,7 +60,7 @@ def test_what_turns_may_not(tmp_path: Path) -> None:
     text = (place / "machine.toml").read_text(encoding="utf-8")
     (place / "machine.toml").write_text(text.replace("prismatic", "revolute"), encoding="utf-8")
     whole = read_for_diagnosis(place)
-    assert not whole.usable
+    assert not whole.has_judgeable_stage
     assert "column 'q_1_m' is in m, but joint 1 of the machine file turns" in " ".join(map(str, whole.findings))
 
 
@@ -76,7 +76,7 @@ def test_without_a_run_file_what_is_there_is_judged(tmp_path: Path) -> None:
     place = recorded(tmp_path, Machine(kinds=UNREPEATED))
     (place / "run.toml").unlink()
     whole = read_for_diagnosis(place)
-    assert whole.usable
+    assert whole.has_judgeable_stage
     assert {"no_run_file", "no_segments", "no_repeats"} <= {one.code for one in whole.findings}
 
 

@@ -35,7 +35,7 @@ def test_rows_that_are_missing_everywhere_are_filled(tmp_path: Path) -> None:
     text = "\n".join([header, *(row for row, keep in zip(rows, kept, strict=True) if keep)])
     (place / "plc.csv").write_text(text + "\n", encoding="utf-8")
     whole = read_for_diagnosis(place)
-    assert whole.usable
+    assert whole.has_judgeable_stage
     assert "bridged" in {one.code for one in whole.findings}
     found = answer_json(budget_of(whole))
     assert ("flow_gain_error", 1) in [(one["name"], one["joint"]) for one in likely(found)]
@@ -58,7 +58,7 @@ def test_joints_without_valve_commands_are_judged_one_by_one() -> None:
     blind = changed(made, PlcState, lambda _number, row: replace(row, u_frac=()))
     found = budget_of(examine_recording(blind, Path("x")))
     assert {fit.cell.joint for fit in found.fits} >= {1, 2, 3}
-    named = [line.evidence.term.effect.key for line in found.lines if line.status != "doubtful"]
+    named = [line.evidence.term.effect.effect_and_joint for line in found.lines if line.status != "doubtful"]
     assert named in ([("flow_gain_error", 2)], [("controller_gain_error", 2)])
     assert next(one.joint for one in found.before.places if one.stage == "actuator") == 2
 

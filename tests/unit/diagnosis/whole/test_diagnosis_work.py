@@ -35,7 +35,7 @@ def test_work_is_told_from_the_first_candidate_to_the_end(tmp_path, fault) -> No
 def test_another_fit_of_a_cell_makes_more_work_and_none_less() -> None:
     heard: list[float] = []
     work = WorkProgress(lambda _text, done, _total: heard.append(done))
-    for step in (lambda: work.begin("a cell"), work.again, work.end):
+    for step in (lambda: work.begin("a cell"), work.repeat_cell, work.end_cell):
         step()
     work.report_concluding_progress("weighing", 0.0)
     work.report_concluding_progress("localising", 0.85)
@@ -60,10 +60,10 @@ def test_a_share_never_goes_back_and_is_never_all_before_the_end() -> None:
     said: list[tuple[str, float]] = []
     clock = iter([0.0, 1.0, 5.0, 6.0, 20.0, 21.0])
     shown = Outlook(lambda words, done, _total: said.append((words, done)), lambda: next(clock))
-    shown.heard("searching structure", 0.1, 10.0)
-    shown.heard("searching structure", 5.0, 10.0)
-    shown.heard("searching structure", 5.5, 30.0)  # a name was found
-    shown.heard("localising", 30.0, 30.0)
+    shown.on_progress("searching structure", 0.1, 10.0)
+    shown.on_progress("searching structure", 5.0, 10.0)
+    shown.on_progress("searching structure", 5.5, 30.0)  # a name was found
+    shown.on_progress("localising", 30.0, 30.0)
     shown.report_final_step("next experiment")
     assert [share for _, share in said] == [0.01, 0.5, 0.5, 0.99, 0.99]
     assert said[0][0] == "searching structure: 1 % done, remaining time unknown"
@@ -74,7 +74,7 @@ def test_beside_a_terminal_a_line_comes_every_few_seconds_and_none_of_a_short_on
     stream, now = io.StringIO(), iter([0.0, EVERY_S, 2.1 * EVERY_S, 2.2 * EVERY_S, 4.0 * EVERY_S])
     with console_progress(Console(file=stream), now_s=lambda: next(now)) as shown:
         for share in range(1, 5):
-            shown.heard("searching structure", share, 10.0)
+            shown.on_progress("searching structure", share, 10.0)
     assert [line[:26] for line in stream.getvalue().splitlines()] == [
         "searching structure: 20 % ",
         "searching structure: 40 % ",

@@ -37,7 +37,7 @@ def found_in(budget: Budget) -> dict[Key, float]:
 def false_in(budget: Budget, true: set[Key], above_mm: float) -> list[Key]:
     """Confirmed effects worth more than this that are not there, nor any of their equals."""
     out = []
-    for line in budget.confirmed:
+    for line in budget.confirmed_effects:
         terms = (line.evidence.term, *(term for members in line.evidence.equals for term in members))
         if line.mm > above_mm and not true & {(term.effect.name, term.effect.joint) for term in terms}:
             out.append((line.evidence.term.effect.name, line.evidence.term.effect.joint))
@@ -53,7 +53,7 @@ def test_a_machine_with_many_effects_gets_their_names_and_millimetres(tmp_path: 
     for effect in large:
         assert found[key_of(effect)] == pytest.approx(effect["tip_mm"], rel=0.35, abs=1.0), key_of(effect)
     assert false_in(budget, true, above_mm=1.0) == []
-    agreeing = {line.evidence.term.effect.variant: line.evidence.scatter for line in budget.lines}
+    agreeing = {line.evidence.term.effect.without_variant: line.evidence.scatter for line in budget.lines}
     assert max(agreeing.values()) < 0.2, agreeing  # thresholds, too: by the slope, not by the secant
     assert budget.verdict in ("effects", "partly")
     assert budget.left_mm**2 < 0.5 * budget.miss_mm**2

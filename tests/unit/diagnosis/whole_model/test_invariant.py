@@ -40,7 +40,7 @@ def imitated(usual: tuple[tuple[str, float], ...] | None) -> Cell:
 
 
 def named(fit: WholeFit) -> list[str]:
-    return [term.effect.name for term in fit.best.terms if term.present]
+    return [term.effect.name for term in fit.best.current_terms if term.present]
 
 
 def imitation(usual: tuple[tuple[str, float], ...] | None) -> WholeFit:
@@ -48,7 +48,9 @@ def imitation(usual: tuple[tuple[str, float], ...] | None) -> WholeFit:
     cell = imitated(usual)
     fit = fit_and_prune(cell, library_of(cell))
     assert named(fit) == ["flow_gain_error"]
-    gain, lag = (next(term for term in fit.best.terms if term.effect.name == name) for name in (GAIN_NAME, LAG_NAME))
+    gain, lag = (
+        next(term for term in fit.best.current_terms if term.effect.name == name) for name in (GAIN_NAME, LAG_NAME)
+    )
     return refit_with_exchanged_term(fit, gain, (lag,))
 
 
@@ -78,4 +80,4 @@ def test_what_is_just_not_seen_is_among_the_sets_that_hold_90_percent(size: floa
     assert found[0].effects == ()
     assert 0.9 <= sum(one.probability for one in found) <= 1.0
     if sets > 1:
-        assert found[1].effects[0][0].key == (GAIN_NAME, 1)
+        assert found[1].effects[0][0].effect_and_joint == (GAIN_NAME, 1)

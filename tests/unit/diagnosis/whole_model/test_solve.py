@@ -34,7 +34,7 @@ def cell_of(usual: Usual, seed: int = 3) -> Cell:
 
     def whitened(sets: ParameterSets) -> Array:
         out = []
-        for row in range(sets.sets):
+        for row in range(sets.set_count):
             breakaway, gain, leak = (sets.get(slot, row) for slot in slots)
             near = np.exp(-(((breakaway - BREAKAWAY) / WIDTH) ** 2))
             model = SIZE * own * near + SIZE * (others[0] * gain / 0.1 + others[1] * leak / 0.01)
@@ -49,7 +49,7 @@ def cell_of(usual: Usual, seed: int = 3) -> Cell:
 
 
 def names_of(fit: WholeFit) -> dict[str, float]:
-    return {term.effect.name: float(term.theta[0]) for term in fit.best.terms if term.present}
+    return {term.effect.name: float(term.theta[0]) for term in fit.best.current_terms if term.present}
 
 
 @pytest.mark.parametrize("usual", [None, (("stiction", 5.0),)], ids=["no baseline", "baseline"])
@@ -66,6 +66,6 @@ def test_a_fit_without_some_of_its_effects_is_fitted_again_and_trusted_less() ->
         EffectTerm(effect, np.array([there.get(effect.name, 0.0)]), effect.name in there) for effect in library()
     )
     whole = fit_and_prune(cell, (), start)
-    without = refit_reduced(whole, [term for term in whole.best.terms if term.effect.name == "flow_gain_error"])
+    without = refit_reduced(whole, [term for term in whole.best.current_terms if term.effect.name == "flow_gain_error"])
     assert names_of(without).keys() <= {"flow_gain_error"}
     assert np.mean(without.trust) < 0.2 * np.mean(whole.trust)

@@ -26,7 +26,7 @@ def problem_of(seed: int) -> LinearProblem:
 
 def every_set(problem: LinearProblem) -> tuple[np.ndarray, np.ndarray]:
     """All sets with their log posterior from the marginal likelihood of y, written out."""
-    sets = np.array(list(product((False, True), repeat=problem.terms)))
+    sets = np.array(list(product((False, True), repeat=problem.term_count)))
     scores = []
     for members in sets:
         cols = np.repeat(members, np.diff(problem.first))
