@@ -147,7 +147,8 @@ def _check_board_ids(boards: Sequence[BoardSection], taken: set[int]) -> None:
         if both:
             raise MachineFileError(
                 f"markers.board.{k}.first_id = {board.first_id}: its ids {board.marker_ids[0]} .. "
-                f"{board.marker_ids[-1]} repeat {sorted(both)[:4]} of another marker or board; every marker needs an id of its own"
+                f"{board.marker_ids[-1]} repeat {sorted(both)[:4]} of another marker or board; "
+                "every marker needs an id of its own"
             )
         taken = taken | set(board.marker_ids)
 

@@ -55,7 +55,7 @@ class LeaseDesk:
         return self.revoke(f"the key of {self.book.held.owner} is no longer valid, or the session has ended")
 
     def revoke(self, why: str) -> Lease | None:
-        """As LeaseBook.expel."""
+        """As LeaseBook.revoke."""
         ended = self.book.revoke(why)
         return None if ended is None else self._notify_listeners(ended)
 
@@ -68,11 +68,11 @@ class LeaseDesk:
         return self.book.keep_alive(lease_id, self.now_s)
 
     def request_control(self, owner: str) -> Lease | None:
-        """As LeaseBook.ask."""
+        """As LeaseBook.request_control."""
         return self.book.request_control(owner)
 
     def grant_to(self, lease_id: str, to: str) -> Lease:
-        """As LeaseBook.grant."""
+        """As LeaseBook.grant_to."""
         return self.book.grant_to(lease_id, to, self.now_s)
 
     def check(self, lease_id: str, fencing: int | None) -> Lease:
@@ -80,7 +80,7 @@ class LeaseDesk:
         return self.book.check(lease_id, fencing, self.now_s)
 
     def why_lost(self, fencing: int) -> str:
-        """As LeaseBook.lost."""
+        """As LeaseBook.why_lost."""
         return self.book.why_lost(fencing, self.now_s)
 
     def _announce_new_holder(self, lease: Lease) -> Lease:

@@ -94,7 +94,7 @@ class LeaseBook:
         return self._grant_lease(owner, kind, ttl_s, lease_id, now_s, f"{owner} took it: {reason}")
 
     def release(self, lease_id: str, now_s: float) -> Lease:
-        """End the lease, so that no client has control; returns the lease that ended. Raises as `known`."""
+        """End the lease, so that no client has control; returns the lease that ended. Raises as `lease_of`."""
         held = self.lease_of(lease_id, now_s)
         self._end(held, f"{held.owner} released it")
         return held
@@ -120,12 +120,12 @@ class LeaseBook:
     # --- what the holder does ---------------------------------------------------------------------------------------
 
     def keep_alive(self, lease_id: str, now_s: float) -> Lease:
-        """Heard again: live for another ttl_s, also from stale. Raises as `known`."""
+        """Heard again: live for another ttl_s, also from stale. Raises as `lease_of`."""
         self.held = replace(self.lease_of(lease_id, now_s), heard_s=now_s)
         return self.held
 
     def grant_to(self, lease_id: str, to: str, now_s: float) -> Lease:
-        """Let `to` acquire it within OFFER_S; until then the holder keeps it. Raises as `known`."""
+        """Let `to` acquire it within OFFER_S; until then the holder keeps it. Raises as `lease_of`."""
         held = self.lease_of(lease_id, now_s)
         self.held = replace(held, offered_to=to, offered_until_s=now_s + OFFER_S)
         return self.held
@@ -166,7 +166,7 @@ class LeaseBook:
     def check(self, lease_id: str, fencing: int | None, now_s: float) -> Lease:
         """The lease under which a command may move the machine.
 
-        Raises: NoLeaseError, LeaseLostError as `known`; LeaseStaleError: not kept alive.
+        Raises: NoLeaseError, LeaseLostError as `lease_of`; LeaseStaleError: not kept alive.
         """
         if not lease_id or not fencing:
             raise NoLeaseError(
