@@ -50,7 +50,7 @@ def _client_address(connection: Any) -> str:
 
 def _eviction_order_key(connection: Any) -> tuple[int, float]:
     """Idle before busy before a WebSocket, and the one that has been so longest first."""
-    idle, since_s = getattr(connection, "idle", None), getattr(connection, "since_s", 0.0)
+    idle, since_s = getattr(connection, "is_idle", None), getattr(connection, "since_s", 0.0)
     return (2, 0.0) if idle is None else (0 if idle else 1, since_s)
 
 

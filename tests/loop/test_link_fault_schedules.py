@@ -164,7 +164,7 @@ def test_valves_that_are_not_neutral_are_noticed(monkeypatch):
 
 
 def test_a_pc_that_tells_a_false_end_is_noticed(monkeypatch):
-    monkeypatch.setattr(Run, "end", lambda self, state, stop: (True, "reached") if self.started else None)
+    monkeypatch.setattr(Run, "is_over", lambda self, state, stop: (True, "reached") if self.started else None)
     assert "reached what is not the end" in first_breaches(SLICE, {"reached what is not the end"})
 
 

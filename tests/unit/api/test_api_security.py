@@ -268,7 +268,7 @@ async def test_a_key_file_that_cannot_be_read_puts_every_key_out_of_force_but_ne
 
 
 async def test_nothing_keeps_a_stop_away(keyed, monkeypatch):
-    monkeypatch.setattr(keyed.gatekeeper.sessions, "find", lambda *_: 1 / 0)
+    monkeypatch.setattr(keyed.gatekeeper.sessions, "find_session", lambda *_: 1 / 0)
     async with keyed.client(Cookie="longreach_session=anything") as client:
         assert (await client.post("/v1/stop")).status_code == 200
 

@@ -80,7 +80,7 @@ async def test_what_was_seen_planned_and_granted_before_is_not_acted_upon(tmp_pa
 
 
 async def test_a_night_makes_look_plan_and_lease_old_without_anybody_watching(tmp_path, monkeypatch, sleeper):
-    monkeypatch.setattr(SuspendWatch, "resumed", lambda _self: False)
+    monkeypatch.setattr(SuspendWatch, "was_suspended", lambda _self: False)
     made = bench(tmp_path)
     held = made.control()
     made.service.cell.knowledge.last_look, made.service.cell.knowledge.previewed = looked(), previewed(60.0)
