@@ -37,8 +37,8 @@ class GarbageMonitor:
     """Data that broke off or went astray: from some row on the picture is another one, down to its end.
 
     Such a picture shows a step between two rows that no picture before it had there; and below the step everything has
-    changed since the last good picture, above it no more than motion changes. Only `keep_as_reference` makes a picture a good
-    one: after a black or a blurred one every edge would be new.
+    changed since the last good picture, above it no more than motion changes. Only `keep_as_reference` makes a picture
+    a good one: after a black or a blurred one every edge would be new.
     """
 
     def __init__(self) -> None:
