@@ -13,7 +13,7 @@ from sim_plc.draw_plant import draw_plant, nominal_kinematics
 from sim_plc.plant import kernel
 from sim_plc.plant.aba import aba
 from sim_plc.plant.cylinder import interpolate_table
-from sim_plc.plant.hydraulics import VAPOUR_PA, play, pump_flow, spool_opening, spool_step, valve_flows
+from sim_plc.plant.hydraulics import VAPOUR_PA, play_operator, pump_flow, spool_opening, spool_step, valve_flows
 from sim_plc.plant.kernel import lugre_step
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import gravity_torques
@@ -132,7 +132,7 @@ def _run(
             demand = 0.0
             for j in range(n):
                 c, s, w = par.joint[j], state.joint[j], joint[j]
-                s[kernel.HELD_COMMAND] = play(s[kernel.HELD_COMMAND], u[j], c[kernel.HYSTERESIS] + w[f.HYSTERESIS])
+                s[kernel.HELD_COMMAND] = play_operator(s[kernel.HELD_COMMAND], u[j], c[kernel.HYSTERESIS] + w[f.HYSTERESIS])
                 share = 1.0 - np.exp(-dt / w[f.LAG]) if w[f.LAG] > 0.0 else 1.0
                 slow[j] += share * (s[kernel.HELD_COMMAND] - slow[j])
                 s[kernel.SPOOL], s[kernel.SPOOL_RATE] = spool_step(
@@ -196,7 +196,7 @@ def _run(
                 state.qd[i] += dt * state.qdd[i]
                 state.q[i] += dt * state.qd[i]
             for j in range(par.motors.shape[0]):
-                state.joint[j, kernel.OUTPUT] = play(
+                state.joint[j, kernel.OUTPUT] = play_operator(
                     state.joint[j, kernel.OUTPUT], state.q[par.motors[j]], par.joint[j, kernel.HALF_PLAY]
                 )
             pumped = pump_flow(shared[kernel.P_SUPPLY], oil[kernel.P_SET], oil[kernel.DROOP], oil[kernel.FLOW_MAX])

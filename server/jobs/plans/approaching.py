@@ -6,6 +6,7 @@ import numpy as np
 
 from machine.poses import pose
 from machine.rotations import Array
+from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.diagnosed import goal_from_look
@@ -46,10 +47,9 @@ def approach(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, L
 
 def approach_pose(ctx: PlanContext, taken: LookTaken) -> Array | None:
     """T_base_tcp (4, 4) on the straight way to the goal; None where a calibration made here holds at the goal."""
-    look = taken.look
-    if ctx.method == "paper" or look.T_cam_tool is None or look.T_cam_ooi is None:
+    if ctx.method == "paper":
         return None
-    T_goal = goal_from_look(ctx, taken.reading.q_rad, mount_rotation(ctx, taken), look.T_cam_tool, look.T_cam_ooi)
+    T_goal = goal_pose(ctx, taken)
     p_now = ctx.tcp(taken.reading.q_rad)[:3, 3]
     way = T_goal[:3, 3] - p_now
     distance_m, radius_m = float(np.linalg.norm(way)), ctx.settings.calibration.expiry().radius_m
@@ -57,3 +57,11 @@ def approach_pose(ctx: PlanContext, taken: LookTaken) -> Array | None:
     if distance_m * (1.0 + two_sigma) < radius_m:
         return None
     return pose(T_goal[:3, :3], p_now + way * (1.0 - LEFT_FRAC * radius_m / distance_m))
+
+
+def goal_pose(ctx: PlanContext, taken: LookTaken) -> Array:
+    """T_base_tcp (4, 4) of the goal, as far as this look and what is known of the mount state."""
+    look = taken.look
+    if look.T_cam_tool is None or look.T_cam_ooi is None:
+        raise JobFailedError("no poses in the look; look again", "look_rejected")
+    return goal_from_look(ctx, taken.reading.q_rad, mount_rotation(ctx, taken), look.T_cam_tool, look.T_cam_ooi)

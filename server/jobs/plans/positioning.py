@@ -6,10 +6,10 @@ from recording.clock import mono_ns
 from server.calibration.calibration_life import ValidityStatus
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.approaching import approach, approach_pose
+from server.jobs.plans.approaching import approach, approach_pose, goal_pose
 from server.jobs.plans.assurance import assured_preview
 from server.jobs.plans.calibrating import calibrate, possible_path
-from server.jobs.plans.living import calibration_validity, require_valid
+from server.jobs.plans.living import calibration_validity, require_valid, validity_at
 from server.jobs.plans.looking import good_look, ooi_in_base
 from server.jobs.plans.moving import execute
 from server.jobs.plans.orienting import GOOD_ENOUGH_DEG, orient
@@ -66,10 +66,12 @@ def _begin_run(ctx: PlanContext, taken: LookTaken, recalibrate: bool) -> None:
 
 
 def _drop_expired(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, None]:
-    """A kept calibration that has expired is made again; where something slipped, a person must look first."""
+    """A kept calibration that does not hold here or at the goal is made again; after a slip a person must look first."""
     found = calibration_validity(ctx, taken.reading)
     if found.status is ValidityStatus.SLIPPED:
         require_valid(found, "calibration")
+    if found.ok:
+        found = validity_at(ctx, taken.reading, taken.reading.q_rad, goal_pose(ctx, taken))
     if not found.ok:
         yield Progress("calibrate", 0.0, 1.0, "", f"calibrating again: {found.reason}")
         ctx.knowledge.forget_calibration()

@@ -52,6 +52,18 @@ def test_a_goal_farther_than_a_calibration_holds_is_approached_first():
     assert "approach" in dict(result.seconds_by_step)
 
 
+def test_a_kept_calibration_that_does_not_hold_at_the_goal_is_made_again_nearer():
+    world, ctx = World(), context()
+    run(position(ctx, recalibrate=True, clock_ns=lambda: world.t_ns), world)
+    made = ctx.knowledge.life
+    world.T_base_ooi = world.T_base_ooi @ pose(np.eye(3), np.array([1.2, 0.0, 0.0]))
+    result, story = run(position(ctx, recalibrate=False, clock_ns=lambda: world.t_ns), world)
+    assert result.reached
+    assert any(move.kind == "approach" for move in result.moves)
+    assert ctx.knowledge.life is not made
+    assert any("calibrating again" in getattr(item, "text", "") for item in story)
+
+
 def test_a_place_that_no_job_could_reach_is_refused_with_the_reason():
     world, ctx = World(), context()
     found = previewed(world, ctx, world.T_base_ooi @ pose(np.eye(3), np.array([0.0, 0.0, -6.0])))
