@@ -66,7 +66,7 @@ def _begin_run(ctx: PlanContext, taken: LookTaken, recalibrate: bool) -> None:
 
 
 def _drop_expired(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, None]:
-    """A kept calibration that does not hold here or at the goal is made again; after a slip a person must look first."""
+    """A kept calibration that does not hold here or at the goal is made again; after a slip a person looks first."""
     found = calibration_validity(ctx, taken.reading)
     if found.status is ValidityStatus.SLIPPED:
         require_valid(found, "calibration")
