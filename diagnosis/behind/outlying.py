@@ -73,7 +73,7 @@ def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, l
         rounds.append((left, away, off))
         left, away = left.without_rows(rows), further
         off = _static_point_outliers(nominal, left)
-    while rounds and off is not None and not rounds[-1][2].alone(off):
+    while rounds and off is not None and not rounds[-1][2].are_far_from(off):
         left, away, off = rounds.pop()
     return left, [_outlier_finding(table, away)] if rounds else []
 

@@ -113,7 +113,7 @@ def _join_residual_rows(rows: list[ResidualRows]) -> ResidualRows:
         joined_with_offsets("block"),
         joined_with_offsets("series"),
         joined_with_offsets("channel"),
-        alike=joined_with_offsets("together"),
+        alike=joined_with_offsets("dependent_rows"),
     )
 
 

@@ -53,7 +53,7 @@ def knots_of_jog(virtual, ctx, axis, direction):
 def pc_is_gone(virtual, n_ms):
     """The PLC alone: nothing comes from the PC any more."""
     for _ in range(n_ms):
-        virtual.machine.cycle()
+        virtual.machine.run_cycle()
         if virtual.machine.t_plc_ns % 10_000_000 == 0:
             virtual._note(virtual.machine.t_plc_ns)
 

@@ -39,6 +39,7 @@ def joined(folder, relative):
 
 
 def put(owner, name, value):
+    getattr(owner, name)  # one that is not there any more would be no mutant
     return lambda: setattr(owner, name, value)
 
 
@@ -88,11 +89,11 @@ def write_for_all():
 #: what is taken away: by whom it must be noticed
 MUTANTS = {
     "keys are not asked for": (
-        put(Gatekeeper, "_known", lambda *_, **__: ANYBODY),
+        put(Gatekeeper, "_identify_caller", lambda *_, **__: ANYBODY),
         "test_no_key_sees_and_moves_nothing_but_may_stop",
     ),
     "roles are not asked for": (
-        put(Gatekeeper, "_role", lambda _self, caller, *_: caller),
+        put(Gatekeeper, "_require_role", lambda _self, caller, *_: caller),
         "test_each_role_does_what_is_its_own",
     ),
     "a fleet may be anybody": (
@@ -115,7 +116,7 @@ MUTANTS = {
     "bodies of any length": (put(guard, "BODY_MAX", 1 << 40), "test_an_oversized_body_is_refused_whole_or_in_pieces"),
     "run ids are joined to the folder": (put(runs, "run_path", joined), "test_a_run_id_never_leaves_the_folder"),
     "paths are joined to the folder": (
-        put(diagnoses, "inside", lambda folder, relative: folder / relative.replace("\x00", "")),
+        put(diagnoses, "path_inside", lambda folder, relative: folder / relative.replace("\x00", "")),
         "test_a_run_id_never_leaves_the_folder",
     ),
     "bodies may take for ever": (put(guard, "_read_whole_body", endless_body), "test_a_slow_body_is_given_up"),

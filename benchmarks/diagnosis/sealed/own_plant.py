@@ -132,7 +132,9 @@ def _run(
             demand = 0.0
             for j in range(n):
                 c, s, w = par.joint[j], state.joint[j], joint[j]
-                s[kernel.HELD_COMMAND] = play_operator(s[kernel.HELD_COMMAND], u[j], c[kernel.HYSTERESIS] + w[f.HYSTERESIS])
+                s[kernel.HELD_COMMAND] = play_operator(
+                    s[kernel.HELD_COMMAND], u[j], c[kernel.HYSTERESIS] + w[f.HYSTERESIS]
+                )
                 share = 1.0 - np.exp(-dt / w[f.LAG]) if w[f.LAG] > 0.0 else 1.0
                 slow[j] += share * (s[kernel.HELD_COMMAND] - slow[j])
                 s[kernel.SPOOL], s[kernel.SPOOL_RATE] = spool_step(

@@ -88,7 +88,7 @@ class Client:
     def get_control(self):
         world, secret = self.world, f"{self.name} {self.world.rng.random()}"
         if self.kind is LeaseKind.OPERATOR and world.rng.random() < 0.5:
-            lease = self.try_to(world.book.take, self.name, self.kind, TTL_S, "drill", secret, world.now_s)
+            lease = self.try_to(world.book.take_control, self.name, self.kind, TTL_S, "drill", secret, world.now_s)
         else:
             lease = self.try_to(world.book.acquire, self.name, self.kind, TTL_S, secret, world.now_s)
         life = world.life
@@ -143,7 +143,7 @@ class Client:
         yield  # back in the event loop
         if life != world.life or world.running is not job:  # stopped while it was written down
             return
-        if world.book.lost(job.fencing, world.now_s):
+        if world.book.why_lost(job.fencing, world.now_s):
             return world.end(JobState.STOPPED)
         world.begun.append((command, job.fencing))
         if world.rng.random() < 0.7:

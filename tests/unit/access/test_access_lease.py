@@ -26,7 +26,7 @@ def test_the_fencing_number_grows_with_each_holder_also_across_a_restart():
     book, first = held_by(fencing=41)
     book.release(first.lease_id, 1.0)
     second = book.acquire("bert", PERSON, TTL_S, "b", 2.0)
-    third = book.take("cora", PERSON, TTL_S, "shift change", "c", 3.0)
+    third = book.take_control("cora", PERSON, TTL_S, "shift change", "c", 3.0)
     assert (first.fencing, second.fencing, third.fencing, book.fencing) == (42, 43, 44, 44)
 
 
@@ -46,13 +46,13 @@ def test_stale_is_not_lost_its_holder_revives_it_until_somebody_else_acquires():
 
 def test_a_person_takes_it_from_a_fleet_or_a_person_and_a_fleet_from_nobody():
     book, lease = held_by("fleet 1", FLEET)
-    taken = book.take("anna", PERSON, TTL_S, "somebody is in the way", "a", 1.0)
+    taken = book.take_control("anna", PERSON, TTL_S, "somebody is in the way", "a", 1.0)
     with pytest.raises(LeaseLostError, match="anna took it: somebody is in the way; anna"):
         book.check(lease.lease_id, lease.fencing, 1.0)
     assert book.why_lost(lease.fencing, 1.0) == "control was lost: anna took it: somebody is in the way"
     for fleet in ("fleet 1", "anna"):
         with pytest.raises(TakeRefusedError):
-            book.take(fleet, FLEET, TTL_S, "hurry", "f", 2.0)
+            book.take_control(fleet, FLEET, TTL_S, "hurry", "f", 2.0)
     assert book.held == taken
 
 

@@ -134,7 +134,7 @@ def test_a_refused_client_stops_nobody_elses_job(address):
             with pytest.raises(JobRefusedError, match="anna"):
                 client.run({"kind": "park"})
             client.stop_for_good()  # as Ctrl-C in a fleet: what another one runs goes on
-        assert not made.service.engine.current.ended
+        assert not made.service.engine.current.has_ended
 
 
 def test_a_fleet_that_is_ended_stops_every_machine_of_its_own(address):

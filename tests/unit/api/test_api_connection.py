@@ -117,7 +117,7 @@ class Open:
     def __init__(self, address, since_s=None, idle=True):
         self.client, self.transport = (address, 1), Transport()
         if since_s is not None:
-            self.since_s, self.idle = since_s, idle
+            self.since_s, self.is_idle = since_s, idle
 
 
 def test_idle_connections_of_the_busiest_address_give_way_and_no_other():

@@ -99,7 +99,7 @@ async def test_a_motion_that_a_revoked_key_holds_is_stopped(keyed):
     await until(lambda: keyed.performer.performed)
     revoke(keyed, "operator 1")
     await connection.over()
-    assert keyed.service.engine.current.ended
+    assert keyed.service.engine.current.has_ended
     assert "hold-to-run" in keyed.service.engine.current.reason
 
 
@@ -128,9 +128,9 @@ async def test_a_revoked_key_loses_its_control_and_its_job_is_stopped(guarded):
     async with guarded.client("fleet") as client:
         await leased_and_parking(guarded, client)
         await asyncio.sleep(0.3)
-        assert not guarded.service.engine.current.ended
+        assert not guarded.service.engine.current.has_ended
         revoke(guarded, "fleet 1")
-        await until(lambda: guarded.service.engine.current.ended)
+        await until(lambda: guarded.service.engine.current.has_ended)
     assert "the key of truck 7 is no longer valid" in guarded.service.engine.current.reason
     assert guarded.service.engine.leases.held is None
 
@@ -140,7 +140,7 @@ async def test_logging_out_gives_up_control(guarded):
         await client.post("/v1/session", data={"key": guarded.keys["operator"]})
         await leased_and_parking(guarded, client)
         await client.delete("/v1/session")
-        await until(lambda: guarded.service.engine.current.ended)
+        await until(lambda: guarded.service.engine.current.has_ended)
     assert "the session has ended" in guarded.service.engine.current.reason
 
 
@@ -150,9 +150,9 @@ async def test_control_kept_alive_by_another_key_outlives_the_first(guarded):
         assert (await other.put(f"/v1/lease/{lease['lease_id']}")).status_code == 200
         revoke(guarded, "fleet 1")
         await asyncio.sleep(0.3)
-        assert not guarded.service.engine.current.ended
+        assert not guarded.service.engine.current.has_ended
         revoke(guarded, "operator 1")
-        await until(lambda: guarded.service.engine.current.ended)
+        await until(lambda: guarded.service.engine.current.has_ended)
 
 
 async def test_without_keys_nothing_is_looked_at_again(open_bench, monkeypatch):

@@ -86,7 +86,7 @@ async def test_the_document_declares_every_refusal_as_a_problem(open_bench):
 async def events_of(log, last_id, count, with_state=False):
     told = []
     async with asyncio.timeout(5.0):
-        async with aclosing(log.follow(last_id, with_state)) as story:
+        async with aclosing(log.follow_events(last_id, with_state)) as story:
             async for text in story:
                 told += [line for line in text.split("\n\n") if line]
                 if len(told) >= count:

@@ -53,7 +53,7 @@ async def test_a_target_is_measured_used_and_cleared(stand):
         assert used.json()["target"]["target_id"] == 1
         assert knowledge.target.target_id == 1
         assert knowledge.last_look is None  # it saw another object
-        stand.service.engine.leases.expel("test")
+        stand.service.engine.leases.revoke("test")
         cleared = await client.request("DELETE", "/v1/target", headers=stand.control())
         assert cleared.json()["target"] is None
         assert knowledge.target is None
@@ -110,7 +110,9 @@ async def test_a_refused_patch_or_an_older_candidate_cannot_be_used(stand):
 
 
 async def test_while_a_job_runs_the_target_stays(stand):
-    job = type("Running", (), {"ended": False, "job_id": "1", "kind": "look", "owner": "x", "state": PatchStatus.OK})
+    job = type(
+        "Running", (), {"has_ended": False, "job_id": "1", "kind": "look", "owner": "x", "state": PatchStatus.OK}
+    )
     engine = type("Engine", (), {"current": job})
     choice = TargetChoice(stand.service.cell.vision, stand.service.cell.knowledge, engine)
     choice.candidate = target(1)

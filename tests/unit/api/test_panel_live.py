@@ -16,7 +16,7 @@ class Memory:
     def __init__(self):
         self.viewers, self.made, self.scrubbed = 0, 0, []
 
-    def live(self):
+    def live_message(self):
         self.made += 1
         return SimpleNamespace(model_dump_json=lambda made=self.made: json.dumps({"state": made}))
 

@@ -43,7 +43,7 @@ async def fails():
 )
 async def test_a_loop_that_ends_is_told_and_started_again(tasks, monkeypatch, caplog, loop, why):
     begun = []
-    assert tasks.problem == ""
+    assert tasks.recent_failure == ""
 
     async def twice_bad():
         begun.append(1)
@@ -54,9 +54,9 @@ async def test_a_loop_that_ends_is_told_and_started_again(tasks, monkeypatch, ca
 
     tasks.start("store-watch", twice_bad)
     await until(lambda: len(begun) == 3)
-    assert f"store-watch failed ({why})" in tasks.problem
+    assert f"store-watch failed ({why})" in tasks.recent_failure
     monkeypatch.setattr(supervised_tasks, "WELL_S", 0.0)
-    assert tasks.problem == ""
+    assert tasks.recent_failure == ""
 
 
 async def test_the_back_off_grows_and_is_bounded(tasks, monkeypatch):
@@ -80,7 +80,7 @@ async def test_a_job_does_not_outlive_its_lease_guard(open_bench, monkeypatch):
 
     async def once_bad(engine):
         calls.append(1)
-        if engine.current is not None and not engine.current.ended and not failed:
+        if engine.current is not None and not engine.current.has_ended and not failed:
             failed.append(1)
             raise RuntimeError("a defect")
         await enforce(engine)
@@ -93,7 +93,7 @@ async def test_a_job_does_not_outlive_its_lease_guard(open_bench, monkeypatch):
             started = await client.post("/v1/jobs", json={"kind": "park"}, headers=open_bench.control())
             assert started.status_code == 202
         job = open_bench.service.engine.current
-        await until(lambda: job.ended)
+        await until(lambda: job.has_ended)
         assert "lease guard failed" in job.reason
         faults = {fault.fault_id: fault for fault in fault_views(open_bench.service)}
         assert "lease-guard failed (RuntimeError)" in faults["server_part_failed"].text

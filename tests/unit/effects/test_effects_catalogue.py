@@ -113,18 +113,18 @@ def test_each_effect_is_complete(effect) -> None:
 def test_a_fit_starts_inside_the_bounds_and_off_neutral(effect) -> None:
     for parameter in effect.parameters:
         assert parameter.low < parameter.start < parameter.high or parameter.integer
-        assert parameter.contains(parameter.start)
+        assert parameter.in_bounds(parameter.start)
         assert parameter.role == "shape" or parameter.start != parameter.neutral
-        assert parameter.contains(parameter.neutral)
-        assert parameter.high <= parameter.highest <= parameter.max_admitted
-        assert not parameter.contains(parameter.max_admitted * 1.01)
+        assert parameter.in_bounds(parameter.neutral)
+        assert parameter.high <= parameter.highest_value <= parameter.max_admitted
+        assert not parameter.in_bounds(parameter.max_admitted * 1.01)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_draws_from_the_prior_stay_inside_the_bounds(effect) -> None:
     rng = np.random.default_rng(1)
     for parameter in effect.parameters:
-        values = [parameter.draw(rng) for _ in range(200)]
+        values = [parameter.draw_value(rng) for _ in range(200)]
         assert all(parameter.low <= value <= parameter.high for value in values)
         assert np.ptp(values) > 0.0
 

@@ -34,7 +34,7 @@ class Desk:
 
 def planned(ctx, world, desk, resume=False, wall_free=False):
     body = PlanIdentifyRequest(kind="plan_identify", minutes=MINUTES, resume=resume, wall_free=wall_free)
-    plan = plan_identification(ctx, MINUTES, wall_free, desk.drive_to_resume(body), desk.keep, lambda: world.t_ns)
+    plan = plan_identification(ctx, MINUTES, wall_free, desk.drive_to_resume(body), desk.keep_plan, lambda: world.t_ns)
     told, _ = run(plan, world)
     return told
 

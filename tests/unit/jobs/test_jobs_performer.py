@@ -18,7 +18,7 @@ from server.settings import read_machine
 
 STILL = np.zeros((3, 6))
 PATH = JointTrajectory(np.array([0.0, 0.05, 0.1]), STILL, STILL, STILL)
-SEEN = SimpleNamespace(usable=True, pose_source="stereo", t_exposure_mapped_ns=1, observation="a pair")
+SEEN = SimpleNamespace(fit_for_look=True, pose_source="stereo", t_exposure_mapped_ns=1, observation="a pair")
 
 
 class Vision:

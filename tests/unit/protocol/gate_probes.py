@@ -95,7 +95,7 @@ def asked(command: Command, view: dict[str, Any], table: LimitTable = TABLE) -> 
 def listed(refusals: Sequence[Any]) -> Answer:
     for refusal in refusals:
         whole = f"{refusal.subject} = {refusal.value:.6g} {refusal.unit}, limit {refusal.limit:.6g} {refusal.unit}"
-        if refusal.text != f"{whole}: {refusal.remedy}":
+        if refusal.as_line != f"{whole}: {refusal.remedy}":
             return (("text", refusal.text),)
     return tuple((r.code, r.subject, r.value, r.limit, r.unit, r.remedy) for r in refusals)
 

@@ -151,7 +151,9 @@ def test_the_performer_keeps_usable_pairs_between_start_and_stop():
 
     def report(t_s: float, usable: bool = True) -> None:
         vision.callback(
-            SimpleNamespace(usable=usable, pose_source="mono", t_exposure_mapped_ns=round(1e9 * t_s), observation=pair)
+            SimpleNamespace(
+                fit_for_look=usable, pose_source="mono", t_exposure_mapped_ns=round(1e9 * t_s), observation=pair
+            )
         )
 
     report(1.0)

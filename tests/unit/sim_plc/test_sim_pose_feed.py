@@ -83,7 +83,7 @@ def _read_all(name, seconds, result):
 def test_another_process_never_reads_a_mixture_while_the_writer_writes(feed):
     context = multiprocessing.get_context("spawn")
     result = context.Queue()
-    reader = context.Process(target=_read_all, args=(feed.name, 30.0, result))
+    reader = context.Process(target=_read_all, args=(feed.feed_name, 30.0, result))
     reader.start()
     for i in range(30_001):  # as fast as it can: several times round the ring
         feed.publish(i * MS, pose_of(i * MS))

@@ -28,7 +28,7 @@ class StillMachine:
         zeros = np.zeros(6)
         self._sample = PlantSample(np.array(Q_START), zeros, zeros, zeros, 19e6, 40.0)
 
-    def cycle(self):
+    def run_cycle(self):
         t_ns = self.t_plc_ns
         self.plc.run_cycle(t_ns, self._sample)
         self.t_plc_ns += MS

@@ -191,7 +191,7 @@ async def test_a_disk_that_hangs_is_given_up(store, monkeypatch):
     store.submit(lambda db: hold.wait(10.0))
     try:
         with pytest.raises(StoreError, match="did not take a write"):
-            await store.written(PROBE)
+            await store.write_async(PROBE)
     finally:
         hold.set()
 

@@ -76,7 +76,7 @@ def test_a_stage_is_judged_by_its_own_millimetres(
 
 def test_what_a_healthy_machine_leaves_is_read_from_its_baseline() -> None:
     remainders = {("structure", None, "tracker"): Remainder("structure", None, "tracker", 1e-4, 1e-4, level=1.3)}
-    nominal = SimpleNamespace(remainder=lambda *place: remainders.get(place))
+    nominal = SimpleNamespace(baseline_remainder=lambda *place: remainders.get(place))
     row = cast(Any, GapClosed)("structure", None, "tracker", "m", 1.0, 1.0, 1.0, (None, None, None))
     assert usual_level(cast(Any, SimpleNamespace(nominal=nominal)), row) == 1.3
     assert usual_level(cast(Any, SimpleNamespace(nominal=None)), row) == 1.0

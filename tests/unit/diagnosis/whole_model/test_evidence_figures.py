@@ -49,10 +49,10 @@ def test_a_size_that_goes_with_the_position_or_the_time_of_one_part_is_found_out
     rng = np.random.default_rng(5)
     kind, position = np.arange(ROWS) % GROUPS, rng.uniform(-1.0, 1.0, ROWS)
     parts = tuple(
-        SimpleNamespace(rows=SimpleNamespace(count=count), t_s=np.arange(count) * 0.1, regressors=regressors)
+        SimpleNamespace(rows=SimpleNamespace(row_count=count), t_s=np.arange(count) * 0.1, regressors=regressors)
         for count, regressors in ((100, ()), (ROWS - 100, (("position", position[100:]),)))
     )
-    cell = cast(Any, SimpleNamespace(rows=SimpleNamespace(fold=kind, count=ROWS), parts=parts))
+    cell = cast(Any, SimpleNamespace(rows=SimpleNamespace(fold=kind, row_count=ROWS), parts=parts))
     late = (np.arange(ROWS) - 100.0) / (ROWS - 100.0)
     found = {}
     for name, size in (
