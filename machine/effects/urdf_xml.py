@@ -99,7 +99,10 @@ def _parse_joint(joint: ElementTree.Element, rising: bool, child: ElementTree.El
     name, written = joint.get("name", ""), joint.get("type", "")
     subject = f"urdf: joint {name!r}"
     if written not in KINDS:
-        raise MachineError(f"{subject} has type {written!r}; on the chain give revolute, prismatic or fixed")
+        raise MachineError(
+            f"{subject} has type {written!r}; on the chain give revolute, prismatic or fixed, or "
+            "choose a base_link and tip_link between which it is not"
+        )
     kind, origin = KINDS[written], joint.find("origin")
     T = pose(_from_rpy(_attribute_numbers(origin, "rpy", 3, subject)), _attribute_numbers(origin, "xyz", 3, subject))
     axis = _attribute_numbers(joint.find("axis"), "xyz", 3, subject, "1 0 0")

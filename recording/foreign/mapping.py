@@ -28,9 +28,10 @@ class RosTracker(_Section):
 
 
 class RosTopics(_Section):
-    """Topics by what they are; empty: by type and name."""
+    """Topics by what they are; empty: by type and name. `encoder_joints`: of joint states that name no joints."""
 
     encoders: str = ""
+    encoder_joints: list[str] = []
     reference: str = ""
     command: str = ""
     command_kind: CommandKind | None = None

@@ -12,6 +12,7 @@ from recording.reader import RecordStream
 
 HINT = "reading ROS bags needs the library rosbags: pip install 'longreach[ros]'"
 ENCODINGS = ("cdr", "ros1")
+LFS_POINTER_MAX = 1024  # bytes
 METADATA = "metadata.yaml"
 
 _STATE = """std_msgs/Header header
@@ -194,12 +195,23 @@ class RosBag:
         except Exception as error:  # sqlite, yaml, zstd and struct have errors of their own
             why = str(error) or type(error).__name__
             if not read:
-                raise RecordingError(
-                    f"bag {path} cannot be read: {why}; record it again, or repair it by `ros2 bag reindex` or "
-                    "`sqlite3 FILE .recover`"
-                ) from error
+                raise RecordingError(f"bag {path} cannot be read: {why}; {_repair(path)}") from error
             self.cut = True
             self.notes.append(f"{path.name} is cut or damaged ({why}): used up to there, {read} messages")
+
+
+def _repair(path: Path) -> str:
+    if not path.exists():
+        return "check its path"
+    if (
+        path.is_file()
+        and path.stat().st_size < LFS_POINTER_MAX
+        and path.read_bytes().startswith(b"version https://git-lfs")
+    ):
+        return "it is a pointer of Git LFS: fetch the file itself by `git lfs pull`"
+    if path.suffix == ".bag":
+        return "record it again, or repair it by `rosbag reindex`"
+    return "record it again, or repair it by `ros2 bag reindex` or `sqlite3 FILE .recover`"
 
 
 def _store_schema_or_channel(record: McapRecord, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:

@@ -105,9 +105,16 @@ class _SignalChooser:
     def _add(self, kind: Kind, topic: str, name: str, held: bool = False) -> bool:
         found = False
         for series in series_of(self._all, topic, name):
+            names = series.names or tuple(self._mapping.ros.encoder_joints)
+            if len(names) != series.width:
+                self._all.failures[topic] = (
+                    f"its messages name no joints: give names for its {series.width} numbers as [ros] encoder_joints "
+                    "of the mapping file"
+                )
+                continue
             t, values = in_time_order(row_times(series, self._by_stamp), series.values)
             if len(t) > 1:
-                self._out.signals.append(JointSignal(kind, f"{topic} {name}", series.names, t, values, held))
+                self._out.signals.append(JointSignal(kind, f"{topic} {name}", names, t, values, held))
                 found = True
         return found
 

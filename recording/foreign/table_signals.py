@@ -13,6 +13,9 @@ from recording.foreign.mapping import ColumnMapping, Mapping
 from recording.foreign.table_files import TableColumn, read_table
 from recording.foreign.table_names import guess_column, joint_numbers, unit_factor
 
+RESTART_STEPS = 10.0  # median steps that a time falls back by where an episode begins; a late row falls back by a few
+RESTARTS_MAX_FRAC = 0.05  # an episode has 20 rows at least
+EPISODE_GAP_S = 10.0  # longer than any step: nothing is read across it
 KINDS: dict[str, Kind] = {"q": "position", "q_ref": "reference", "qd_ref": "velocity_reference", "u": "command"}
 
 
@@ -26,6 +29,9 @@ def table_found(path: Path, mapping: Mapping) -> SourceContents:
     found = SourceContents(numbered=True)
     clock = _table_time_axis(columns, wanted, mapping, path)
     found.started_s = clock[1]
+    episodes = 0 if clock[0] is None else int(np.sum(np.diff(clock[0]) >= EPISODE_GAP_S))
+    if episodes:
+        found.notes.append(f"gaps of {EPISODE_GAP_S:g} s or more: {episodes}; times that start again count as episodes")
     kinds: dict[Kind, list[tuple[int, JointSignal]]] = {}
     for column in columns:
         one, guess = wanted.get(column.name), not mapping.column
@@ -46,6 +52,7 @@ def table_found(path: Path, mapping: Mapping) -> SourceContents:
             )
     for kind, several in kinds.items():
         found.signals += _merge_joint_signals(kind, several)
+    _require_centred_commands(kinds.get("command", ()), kinds.get("position", ()))
     found.points += _tracked_point_series(columns, wanted, clock[0])
     found.command_kind = _command_kind(wanted.values())
     found.proposal = propose_mapping(wanted.values())
@@ -54,6 +61,29 @@ def table_found(path: Path, mapping: Mapping) -> SourceContents:
             f"{path}: no column is a joint's position, of {_column_names_text(columns)}: give a mapping file"
         )
     return found
+
+
+def _require_centred_commands(
+    commands: Sequence[tuple[int, JointSignal]], positions: Sequence[tuple[int, JointSignal]]
+) -> None:
+    """Raises: RecordingError: a command is never 0, and its joint moves both ways: it does not rest at 0."""
+    moved = {number: signal.values[:, 0] for number, signal in positions}
+    for number, command in commands:
+        u, q = command.values[:, 0], moved.get(number)
+        if q is None or np.nanmin(u) <= 0.0 <= np.nanmax(u) or not _moves_both_ways(q[np.isfinite(q)]):
+            continue
+        raise RecordingError(
+            f"column {command.source!r} (u of joint {number}) is never 0, {np.nanmin(u):.3g} to {np.nanmax(u):.3g}, and "
+            "the joint moves both ways: subtract what the command is at rest"
+        )
+
+
+def _moves_both_ways(q: Array) -> bool:
+    """Whether it rises and falls by more than a fifth of its range."""
+    if len(q) == 0:
+        return False
+    fallen, risen = np.max(np.maximum.accumulate(q) - q), np.max(q - np.minimum.accumulate(q))
+    return bool(min(fallen, risen) > 0.2 * np.ptp(q))
 
 
 def _why_ignored(column: TableColumn) -> str:
@@ -110,7 +140,7 @@ def _table_time_axis(
     if named:
         times = named[0].values * unit_factor(wanted[named[0].name].unit, "time")
         first = float(times[np.isfinite(times)][0])
-        return times - first, first if first > 1e8 else 0.0
+        return _continued(times - first), first if first > 1e8 else 0.0
     if all(column.t_s is not None for column in columns):
         return None, 0.0
     if mapping.rate_hz is not None:
@@ -119,6 +149,20 @@ def _table_time_axis(
         f"{path} has no column of times ({_column_names_text(columns)}); "
         "name one in a mapping file, or give its rate_hz there"
     )
+
+
+def _continued(t_s: Array) -> Array:
+    """Times that start again at each episode (m,) [s] as one course, EPISODE_GAP_S between two episodes.
+
+    A few late rows, or rows in no order at all, are no episodes: those are sorted.
+    """
+    steps = np.diff(t_s)
+    back = np.flatnonzero(steps < -RESTART_STEPS * np.median(np.abs(steps)))
+    if len(back) == 0 or len(back) > RESTARTS_MAX_FRAC * len(steps):
+        return t_s
+    shifts = np.zeros(len(t_s))
+    shifts[back + 1] = EPISODE_GAP_S - steps[back]
+    return t_s + np.cumsum(shifts)
 
 
 def _joint_signal_from_column(column: TableColumn, one: ColumnMapping, clock: Array | None) -> JointSignal:

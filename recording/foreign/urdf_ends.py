@@ -43,7 +43,7 @@ def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain) -> Chosen
         ours, theirs = ", ".join(sorted(recorded)[:8]), ", ".join(joint.name for joint in moving)
         raise RecordingError(
             f"no joint between {base} and {tip} of the URDF ({theirs}) was recorded ({ours}); give this robot's URDF, "
-            "or base_link and tip_link under [urdf] of the mapping file"
+            "or base_link and tip_link under [urdf] of the mapping file; a joint must be called the same in both"
         )
     return ChosenChain(base, tip, moving, not (wanted.base_link and wanted.tip_link))
 

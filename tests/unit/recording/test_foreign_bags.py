@@ -173,3 +173,25 @@ def test_a_message_of_an_unknown_type_is_said_and_the_rest_is_used(tmp_path: Pat
     done = convert_foreign(tmp_path / "bag", tmp_path / "out", urdf, None, yes)
     why = {entry.name: entry.why for entry in done.found.entries}
     assert "does not match its type" in why["/broken_states"]
+
+
+def test_joint_states_without_names_are_refused_or_named_by_the_mapping(tmp_path: Path, urdf: Path) -> None:
+    with BagMaker(tmp_path / "bag", "SQLITE3") as bag:
+        for k in range(ROWS):
+            bag.joint_state("/servo/state", k * STEP_S, [], encoders(k * STEP_S))
+    with pytest.raises(RecordingError, match=r"name no joints: give names for its 2 numbers as \[ros\] encoder_joints"):
+        convert_foreign(tmp_path / "bag", tmp_path / "none", urdf, None, yes)
+    mapping = tmp_path / "map.toml"
+    mapping.write_text('[ros]\nencoder_joints = ["j1", "j2"]\n', encoding="utf-8")
+    convert_foreign(tmp_path / "bag", tmp_path / "out", urdf, mapping, yes)
+    q_rad = column(read_run(tmp_path / "out").of(PlcState), "q_rad")
+    assert np.abs(q_rad - [encoders(k * STEP_S) for k in range(len(q_rad))]).max() < 1e-8
+
+
+def test_a_pointer_of_git_lfs_and_a_wrong_path_say_what_to_do(tmp_path: Path) -> None:
+    pointer = tmp_path / "a.bag"
+    pointer.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match="git lfs pull"):
+        list(RosBag(pointer))
+    with pytest.raises(RecordingError, match="check its path"):
+        list(RosBag(tmp_path / "no.bag"))

@@ -144,3 +144,33 @@ def test_tables_that_are_none_are_refused_with_a_reason(tmp_path: Path, content:
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=said):
         convert_foreign(path, tmp_path / "never", None, None, yes)
+
+
+def test_times_that_start_again_are_episodes_and_lose_no_row(tmp_path: Path) -> None:
+    table = np.column_stack([T % 1.0, REF, ENC])  # four episodes of 1 s
+    names = ["timestamp", "action_0", "action_1", "state_0", "state_1"]
+    t_s, q_ref, q = converted(write(tmp_path / "episodes.csv", names, table), tmp_path)
+    assert len(t_s) == len(T)
+    assert np.sum(np.diff(t_s) > 5.0) == 3
+    assert np.abs(q_ref - REF).max() < 1e-8
+    assert np.abs(q - ENC).max() < 1e-8
+
+
+def test_desired_currents_are_no_references(tmp_path: Path) -> None:
+    table = np.column_stack([T, ENC, 3.0 * ENC])
+    names = ["t", "q_0", "q_1", "i_des_0", "i_des_1"]
+    out = tmp_path / "out"
+    done = convert_foreign(write(tmp_path / "ur.csv", names, table), out, None, None, yes)
+    assert not done.found.signals_of("reference")
+    assert [entry.name for entry in done.found.entries if entry.use == "ignored"] == ["i_des_0", "i_des_1"]
+
+
+def test_a_command_that_does_not_rest_at_zero_is_refused(tmp_path: Path) -> None:
+    duty = 7.5 + 2.0 * np.cos(T)[:, None]  # a servo's pulse: its rest is 7.5 %
+    table = np.column_stack([T, 0.5 * np.sin(T), duty])
+    with pytest.raises(
+        RecordingError, match=r"'u_1' \(u of joint 1\) is never 0.*subtract what the command is at rest"
+    ):
+        converted(write(tmp_path / "duty.csv", ["t", "q_1", "u_1"], table), tmp_path)
+    one_way = np.column_stack([T, 0.1 * T, duty])
+    assert len(converted(write(tmp_path / "one_way.csv", ["t", "q_1", "u_1"], one_way), tmp_path)[0]) == len(T)
