@@ -73,8 +73,8 @@ def _require_centred_commands(
         if q is None or np.nanmin(u) <= 0.0 <= np.nanmax(u) or not _moves_both_ways(q[np.isfinite(q)]):
             continue
         raise RecordingError(
-            f"column {command.source!r} (u of joint {number}) is never 0, {np.nanmin(u):.3g} to {np.nanmax(u):.3g}, and "
-            "the joint moves both ways: subtract what the command is at rest"
+            f"column {command.source!r} (u of joint {number}) is never 0 ({np.nanmin(u):.3g} to {np.nanmax(u):.3g}), "
+            "and the joint moves both ways: subtract what the command is at rest"
         )
 
 

@@ -45,7 +45,13 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
     plan = plan_to(ctx, taken.reading, T_goal, q_goal=goal.q_rad)
     if plan.status is not PlanStatus.OK:
         raise JobFailedError(f"preview: {plan.reason}", f"plan_{plan.status.value}")
-    require_valid(validity_at(ctx, taken.reading, plan.q_end, T_goal), "preview, at the goal")
+    at_goal = validity_at(ctx, taken.reading, plan.q_end, T_goal)
+    if not at_goal.ok:
+        raise JobFailedError(
+            f"preview: at the goal {at_goal.reason.split(';')[0]}: use Position, which comes nearer first, or move "
+            "nearer and calibrate there",
+            f"calibration_{at_goal.status.value}",
+        )
     previewed = PreviewedPlan(
         plan=plan,
         plan_hash=plan_hash(plan),

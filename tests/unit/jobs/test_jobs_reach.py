@@ -1,9 +1,13 @@
 """The reach preview says before a job what the job's planner would say, and leaves nothing behind."""
 
 import numpy as np
+import pytest
 from test_jobs_plans import World, context, run
 
 from machine.poses import inverse_pose, pose
+from server.errors import JobFailedError
+from server.jobs.plans.looking import good_look
+from server.jobs.plans.moving import preview
 from server.jobs.plans.positioning import position
 from server.jobs.plans.reach import reach_preview
 from server.jobs.requests import Settle
@@ -62,6 +66,15 @@ def test_a_kept_calibration_that_does_not_hold_at_the_goal_is_made_again_nearer(
     assert any(move.kind == "approach" for move in result.moves)
     assert ctx.knowledge.life is not made
     assert any("calibrating again" in getattr(item, "text", "") for item in story)
+
+
+def test_a_preview_too_far_from_the_calibration_names_the_job_that_comes_nearer():
+    world, ctx = World(), context()
+    run(position(ctx, recalibrate=True, clock_ns=lambda: world.t_ns), world)
+    world.T_base_ooi = world.T_base_ooi @ pose(np.eye(3), np.array([1.2, 0.0, 0.0]))
+    taken, _ = run(good_look(ctx), world)
+    with pytest.raises(JobFailedError, match=r"limit 1\.00 m\): use Position, which comes nearer first"):
+        preview(ctx, taken, 0)
 
 
 def test_a_place_that_no_job_could_reach_is_refused_with_the_reason():
