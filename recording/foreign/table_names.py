@@ -33,23 +33,8 @@ POSITION = {
 }
 # fmt: on
 COMMAND = {"u", "valve", "spool", "control", "pwm", "duty", "opening"}
-OTHER = {
-    "tau",
-    "torque",
-    "torques",
-    "effort",
-    "i",
-    "current",
-    "currents",
-    "amps",
-    "acc",
-    "accel",
-    "acceleration",
-    "qdd",
-    "ddq",
-    "temp",
-    "temperature",
-}
+OTHER = {"tau", "torque", "torques", "effort", "i", "current", "currents", "amps", "acc", "accel", "acceleration"}
+OTHER |= {"qdd", "ddq", "temp", "temperature"}
 OTHER |= {"moment", "force", "pressure", "p", "pa", "pb", "xt", "mode", "voltage", "error", "err", "index", "frame"}
 OTHER |= {"status", "episode", "task", "tcp", "speed_scaling", "robot", "safety", "digital", "reward", "done"}
 WHOLE_TURN = 2.0 * math.pi * 1.05

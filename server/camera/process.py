@@ -159,9 +159,7 @@ class VisionLoop:
         frame = None if self._quit else self._source.read(timeout_s)
         if self._source.ended and frame is None and not self._quit:
             self._quit = self._pipe.poll(timeout_s) and self._execute_command(self._pipe.recv())
-        if (
-            self._suspend.was_suspended()
-        ):  # what is buffered is old, and the camera's clock went on or did not: begun again
+        if self._suspend.was_suspended():  # what is buffered is old, and the camera's clock may have stood: begun again
             self._pipe.send(StreamNotice(mono_ns(), SUSPENDED))
             self._quit = True
             return

@@ -6,13 +6,19 @@ the next look (docs/decisions/0001-trim-on-encoders.md).
 
 from collections.abc import Generator
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
+from machine.rotations import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
-from server.jobs.plans.planning import trim_settings
-from server.jobs.requests import Arm, MachineReading, Move, Progress, Request, Settle, expect_reply
+from server.jobs.knowledge import LookTaken
+from server.jobs.plans.looking import good_look
+from server.jobs.plans.planning import plan_to, trim_settings
+from server.jobs.plans.tolerance import error_of
+from server.jobs.records import MoveRecord
+from server.jobs.requests import Arm, MachineReading, Move, Progress, Record, Request, Settle, expect_reply
 from server.motion.approach import play_of
 from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
 from server.motion.lost_motion import last_direction, off_the_wall, plan_trim, updated_stall, worth_trimming
@@ -90,3 +96,32 @@ def execute_plan(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Re
     yield Progress("move", 0.0, plan.duration_s, "s", text)
     yield Move(plan.trajectory, purpose)
     return plan.trajectory
+
+
+def drive_and_look(
+    ctx: PlanContext,
+    before: LookTaken,
+    T_base_tcp: Array,
+    kind: Literal["orientation", "approach"],
+    number: int,
+    purpose: str,
+    trims_max: int,
+) -> Generator[Request, object, LookTaken]:
+    """Drive to a pose (4, 4), look again, and record the step. Returns that look."""
+    plan = plan_to(ctx, before.reading, T_base_tcp)
+    trims = yield from drive_and_correct(ctx, plan, purpose, trims_max)
+    after = yield from good_look(ctx)
+    record = MoveRecord(
+        number=number,
+        kind=kind,
+        before=error_of(before),
+        after=after.error,
+        predicted_sigma_mm=(0.0, 0.0, 0.0),
+        length_mm=plan.length_m * 1e3,
+        duration_s=plan.duration_s,
+        trims=trims,
+        t_rest_plc_ns=after.record.t_plc_ns,
+    )
+    ctx.knowledge.moves.append(record)
+    yield Record(record)
+    return after

@@ -10,11 +10,8 @@ from server.calibration.reference import orientation_reference, orientation_refe
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.driving import drive_and_correct
-from server.jobs.plans.looking import good_look
-from server.jobs.plans.planning import plan_to
-from server.jobs.records import MoveRecord
-from server.jobs.requests import Progress, Record, Request
+from server.jobs.plans.driving import drive_and_look
+from server.jobs.requests import Progress, Request
 
 GOOD_ENOUGH_DEG = 0.6  # below this a step costs time and brings nothing: the later moves correct it on the way
 
@@ -26,29 +23,11 @@ def orient(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, Loo
     for step in range(1, ctx.settings.position.orientation_steps_max + 1):
         if taken.error is None or taken.error.rotation_deg < GOOD_ENOUGH_DEG:
             break
-        before = taken
         yield Progress(
             "orient", step, ctx.settings.position.orientation_steps_max, "steps", "turning the tool to the OOI"
         )
-        T_goal = orientation_goal(ctx, taken)
-        plan = plan_to(ctx, taken.reading, T_goal)
-        trims = yield from drive_and_correct(
-            ctx, plan, f"orientation step {step}", trims_max=1
-        )  # only the angle matters
-        taken = yield from good_look(ctx)
-        record = MoveRecord(
-            number=step,
-            kind="orientation",
-            before=_require_look_error(before),
-            after=taken.error,
-            predicted_sigma_mm=(0.0, 0.0, 0.0),
-            length_mm=plan.length_m * 1e3,
-            duration_s=plan.duration_s,
-            trims=trims,
-            t_rest_plc_ns=taken.record.t_plc_ns,
-        )
-        ctx.knowledge.moves.append(record)
-        yield Record(record)
+        T_goal, purpose = orientation_goal(ctx, taken), f"orientation step {step}"
+        taken = yield from drive_and_look(ctx, taken, T_goal, "orientation", step, purpose, 1)  # only the angle matters
         if ctx.method == "paper":
             break  # the paper turns once
     return taken
@@ -70,9 +49,3 @@ def orientation_goal(ctx: PlanContext, taken: LookTaken) -> Array:
     p_tcp_tool = ctx.machine.T_tcp_tool[:3, 3]
     p_base_tool = T_base_tcp[:3, 3] + T_base_tcp[:3, :3] @ p_tcp_tool
     return pose(R_ref, np.asarray(p_base_tool - R_ref @ p_tcp_tool))
-
-
-def _require_look_error(taken: LookTaken):
-    if taken.error is None:
-        raise JobFailedError(f"look failed: {taken.record.reason}", "look_rejected")
-    return taken.error

@@ -43,9 +43,10 @@ def position(
     taken = yield from orient(ctx, taken)
     watch.record_lap_time("orient")
     if ctx.knowledge.mount is None:
-        if approach_pose(ctx, taken) is not None:
-            taken = yield from approach(ctx, taken)
+        near = yield from approach(ctx, taken)
+        if near is not taken:
             watch.record_lap_time("approach")
+        taken = near
         yield from calibrate(ctx, taken)
         watch.record_lap_time("calibrate")
         taken = yield from good_look(ctx)

@@ -5,15 +5,14 @@ from typing import Literal
 
 import numpy as np
 
-from machine.poses import inverse_pose, pose
+from machine.poses import inverse_pose
 from machine.rotations import Array, geodesic_angle
 from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.approaching import approach_pose
+from server.jobs.plans.approaching import approach_pose, farther_goal, goal_pose
 from server.jobs.plans.calibrating import possible_path
-from server.jobs.plans.diagnosed import goal_from_look
 from server.jobs.plans.living import keep_calibration, validity_at
 from server.jobs.plans.looking import mount_rotation, ooi_in_base
 from server.jobs.plans.orienting import GOOD_ENOUGH_DEG, orientation_goal
@@ -126,26 +125,15 @@ def _look_after(ctx: PlanContext, taken: LookTaken, T_base_tcp: Array, purpose: 
 
 
 def _to_goal(ctx: PlanContext, taken: LookTaken) -> PathPlan:
-    look = taken.look
-    if look.T_cam_tool is None or look.T_cam_ooi is None:
-        raise ValueError("a look without poses")
-    T_goal = goal_from_look(ctx, taken.reading.q_rad, mount_rotation(ctx, taken), look.T_cam_tool, look.T_cam_ooi)
+    T_goal = goal_pose(ctx, taken)
     plan = _require_plan(plan_to(ctx, taken.reading, T_goal), "move to the target")
-    found = validity_at(ctx, taken.reading, plan.q_end, _farther_goal(ctx, taken, T_goal))
+    found = validity_at(ctx, taken.reading, plan.q_end, farther_goal(ctx, taken, T_goal))
     if not found.ok:
         raise JobFailedError(
             f"too far from here: at the goal {found.reason}. Move the tool nearer first, or choose a nearer place",
             f"calibration_{found.status.value}",
         )
     return plan
-
-
-def _farther_goal(ctx: PlanContext, taken: LookTaken, T_goal: Array) -> Array:
-    """The goal a little farther away: the calibration will correct the mount, which moves the end of a long way."""
-    T_now = ctx.tcp(taken.reading.q_rad)
-    away = T_goal[:3, 3] - T_now[:3, 3]
-    share = 2.0 * float(np.deg2rad(ctx.settings.position.sigma_tool_mount_deg))  # two sigma of the mount, over the way
-    return pose(T_goal[:3, :3], T_goal[:3, 3] + share * away)
 
 
 def _as_if_calibrated(ctx: PlanContext, taken: LookTaken) -> None:

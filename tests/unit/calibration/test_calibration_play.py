@@ -30,8 +30,8 @@ def test_the_true_side_is_never_outside_of_what_is_told(true_start):
     for i, q in enumerate(qs):
         true = float(np.clip(true + (q - qs[i - 1] if i else 0.0) / 0.002, -1.0, 1.0))
         follower.take_encoders(0.01 * i, np.array([q, q]))
-        told = follower.side_in_play[0]
-        assert abs(true - told) <= 1.0 - abs(told) + 1e-9
+        side = follower.side_in_play[0]
+        assert abs(true - side) <= 1.0 - abs(side) + 1e-9
 
 
 def test_what_happens_in_a_gap_or_before_a_restart_is_not_guessed():

@@ -91,7 +91,7 @@ def test_every_effect_written_is_read_back_the_same() -> None:
     rng = np.random.default_rng(2)
     entries = []
     for effect in EFFECTS:
-        parameters: dict[str, object] = {one.name: one.draw_value(rng) for one in effect.parameters}
+        parameters: dict[str, object] = {entry.name: entry.draw_value(rng) for entry in effect.parameters}
         if effect.choice:
             parameters[effect.choice.name] = effect.choice.options[1]
         if effect.direction:

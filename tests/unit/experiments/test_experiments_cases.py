@@ -55,7 +55,7 @@ def test_without_reference_and_command_link_controller_and_actuator_are_one_cell
     assert replayer is not None
     (cell,), coupled = merged_cells(replayer, whole.stretches, neutral_sets(2))
     assert coupled is None  # the one cell holds all joints already
-    assert {("transport_delay", None), ("valve_lag", 2)} <= {one.effect_and_joint for one in cell.candidates}
+    assert {("transport_delay", None), ("valve_lag", 2)} <= {term.effect_and_joint for term in cell.candidates}
     assert cell.floor_known
 
 

@@ -72,7 +72,7 @@ def test_a_bag_gives_its_numbers_back_whatever_its_storage_and_distribution(
 def test_the_diagnosis_can_judge_a_converted_bag(tmp_path: Path, urdf: Path) -> None:
     convert_foreign(full_bag(tmp_path / "bag", "MCAP"), tmp_path / "out", urdf, None, yes)
     whole = read_for_diagnosis(tmp_path / "out")
-    assert whole.has_judgeable_stage, [str(one) for one in whole.findings]
+    assert whole.has_judgeable_stage, [str(finding) for finding in whole.findings]
     assert whole.nominal is not None
     assert whole.nominal.joint_names == ("j1", "j2")  # the fingers are no part of the arm
     assert whole.nominal.actuators is not None

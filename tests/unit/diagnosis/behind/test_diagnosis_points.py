@@ -76,7 +76,7 @@ def test_unknown_places_and_frame_are_found_and_the_true_effect_leaves_the_noise
 
 def test_points_without_geometry_or_names_are_named() -> None:
     whole = examined(static_recording(neutral_sets(6), MACHINE_TOML))
-    assert any("points ['elbow', 'tip'] are not in [points]" in str(one) for one in whole.findings)
+    assert any("points ['elbow', 'tip'] are not in [points]" in str(finding) for finding in whole.findings)
     with pytest.raises(DiagnosisError, match="joint = 0"):
         nominal_of(MACHINE_TOML + "\n[points]\ntip = { joint = 9, xyz_m = [0, 0, 0] }\n")
 
@@ -125,7 +125,7 @@ def camera_recording(sets: ParameterSets, with_plc: bool = True) -> Recording:
 
 def camera_gaps(sets: ParameterSets, with_plc: bool = True) -> dict[tuple[str, str], float]:
     whole = examined(camera_recording(sets, with_plc))
-    assert whole.has_judgeable_stage, [str(one) for one in whole.findings]
+    assert whole.has_judgeable_stage, [str(finding) for finding in whole.findings]
     return {(one.regime, one.axis or ""): one.gap for one in localise(whole).places if one.stage == "camera"}
 
 

@@ -358,7 +358,7 @@ def test_a_broken_log_is_cut_and_its_pieces_are_even() -> None:
     result = examined(drop(MADE, 500, 560))
     names = [one.name for one in result.stretches]
     assert names[:3] == ["repeat0/1", "repeat0/2", "repeat1"]
-    assert [one.row_count for one in result.stretches[:2]] == [500, 640]
+    assert [stretch.row_count for stretch in result.stretches[:2]] == [500, 640]
     for one in result.stretches:
         assert np.ptp(np.diff(one.t_s)) < 1e-9
 
@@ -374,7 +374,7 @@ def test_jitter_is_resampled_and_long_runs_of_nan_cut() -> None:
     wanted = np.interp(smooth.t_s[5:-5], exact.t_s, exact.enc[:, 5])
     assert smooth.enc[5:-5, 5] == pytest.approx(wanted, abs=1e-3)  # stamps are wrong by 2 ms, at 0.4 rad/s
     holes = changed(MADE, PlcState, lambda k, row: with_q(row, lambda q: (NAN, *q[1:]) if 400 <= k < 420 else q))
-    assert [one.row_count for one in examined(holes).stretches[:2]] == [400, 780]
+    assert [stretch.row_count for stretch in examined(holes).stretches[:2]] == [400, 780]
 
 
 def test_parts_of_the_chain_are_enough() -> None:

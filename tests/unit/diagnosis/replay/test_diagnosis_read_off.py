@@ -38,7 +38,7 @@ def stretch(ref: np.ndarray, lost: np.ndarray | None = None) -> Stretch:
 
 def sizes(ref: np.ndarray, lost: np.ndarray | None, name: str) -> dict[int | None, list[float]]:
     found = read_off(candidates_of("link", (1, 2), True), (stretch(ref, lost),))
-    return {one.joint: one.scan_points().ravel().tolist() for one in found if one.name == name}
+    return {term.joint: term.scan_points().ravel().tolist() for term in found if term.name == name}
 
 
 def test_only_the_rounded_joints_candidate_is_narrowed() -> None:

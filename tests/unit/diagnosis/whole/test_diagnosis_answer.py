@@ -47,7 +47,7 @@ FIELDS = Path(__file__).parents[4] / "docs" / "diagnosis-answer.md"
 
 def diagnosed(tmp_path: Path, fault: Fault, seed: int = 3, **options) -> tuple[Budget, dict]:
     whole = read_for_diagnosis(write(tmp_path / "run", fault, seed, **(options or SHORT)))
-    assert whole.has_judgeable_stage, [str(one) for one in whole.findings]
+    assert whole.has_judgeable_stage, [str(finding) for finding in whole.findings]
     found = budget_of(whole)
     result = answer_json(found)
     assert untold(result) == set()
@@ -62,8 +62,8 @@ def untold(result: dict[str, Any]) -> set[str]:
 def _fields(stated: Any) -> Iterator[str]:
     """Every key but those that are names themselves: of a parameter, of an experiment."""
     if isinstance(stated, list):
-        for one in stated:
-            yield from _fields(one)
+        for item in stated:
+            yield from _fields(item)
     if isinstance(stated, dict):
         yield from stated
         for key, value in stated.items():
