@@ -215,7 +215,7 @@ def teach_object(
             "overlap more, or of a side with more texture"
         )
     shift, covariance = _frame_shift(views, placed)
-    covariance[3:, 3:] += _lever_covariance(box, settings)
+    covariance += _turn_covariance(box, settings)
     final = tuple(_view_in_new_frame(view, shift) for view in some)
     depth = float(np.mean([view.T_cam_object[2, 3] for view in final]))
     scale = depth * settings.sigma_disparity_px / (camera.fx_px * camera.baseline_m)
@@ -294,10 +294,10 @@ def _frame_shift(views: Sequence[TaughtView], placed: Sequence[TaughtView]) -> t
     return pose(rotation_from_rotvec(mean[:3]), mean[3:]), np.asarray(covariance, dtype=np.float64)
 
 
-def _lever_covariance(box: ObjectBox, settings: TargetSettings) -> Array:
-    """Of the object's place (3, 3) [m^2]: the markers' frame is turned by print and mounting, in all views alike."""
-    lever = -skew(box.centre_m)
-    return settings.sigma_frame_rad**2 * (lever @ lever.T)
+def _turn_covariance(box: ObjectBox, settings: TargetSettings) -> Array:
+    """Of the object's frame (6, 6): print and mounting turn the markers' frame, in all views alike."""
+    J = np.vstack([np.eye(3), -skew(box.centre_m)])
+    return settings.sigma_frame_rad**2 * (J @ J.T)
 
 
 def _view_in_new_frame(view: TaughtView, T_frame_mean: Array) -> TaughtView:
