@@ -46,8 +46,6 @@ COMMANDS = (
         "Diagnose every recording below a folder, and write what the machines share and how it drifts."),
     Lazy("reproduce", "benchmarks.reproduce.command:reproduce",
         "Tables 2, 3, 4 and Figures 5 to 9: fast over n machines, rendered over a few. Resumes where it was stopped."),
-    Lazy("docs", "longreach.reference.command:docs",
-        "Write the reference of REST, commands, settings, alarms and codes."),
     Lazy("bench", "benchmarks.cli:app", "Measure; every figure in the README comes from here."),
     Lazy("machine", "longreach.machine_command:app", "A new machine file; a machine as URDF."),
     Lazy("settings", "longreach.settings_command:app", "A new settings file."),

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from longreach.machine_command import write_new
-from longreach.reference.fields import bounds_text, models_of, type_text
+from longreach.setting_fields import bounds_text, models_of, type_text
 from server.settings import ServerSettings
 
 app = typer.Typer(no_args_is_help=True)

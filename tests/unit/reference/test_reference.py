@@ -6,11 +6,11 @@ import pytest
 from typer.testing import CliRunner
 
 from longreach.cli import app
-from longreach.reference.command import document, reference
-from longreach.reference.fields import table, type_text
+from longreach.setting_fields import table, type_text
 from protocol.codes import FaultBit, RejectCode
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.settings import ServerSettings
+from tools.reference import document, reference
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference.md"
 
@@ -21,7 +21,7 @@ def text() -> str:
 
 
 def test_the_page_is_current(text):
-    assert PAGE.read_text(encoding="utf-8") == text, "run `longreach docs`"
+    assert PAGE.read_text(encoding="utf-8") == text, "run `python -m tools.reference`"
 
 
 def test_everything_is_in_it(text):

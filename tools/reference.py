@@ -1,4 +1,4 @@
-"""`longreach docs`: write docs/reference.md, or say that it is out of date."""
+"""`python -m tools.reference`: writes docs/reference.md, the reference of REST, commands, settings, alarms and codes."""
 
 import ast
 import inspect
@@ -6,14 +6,13 @@ import tempfile
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
-from rich.console import Console
 
 import server.api
 from longreach.lazy_commands import LazyCommand, loaded_command
-from longreach.reference.fields import code, settings, table
+from longreach.setting_fields import code, settings, table
 from protocol.codes import FaultBit, RejectCode, reject_text
 from server.access.roles import ANYBODY, Role, roles_needed
 from server.api.panel_alarm_catalogue import CATALOGUE
@@ -90,7 +89,7 @@ def _in_routes() -> Iterator[tuple[str, tuple[int, str]]]:
 OUT = Path("docs/reference.md")
 ABOUT = """# Reference
 
-Made from the code by `longreach docs`; a test keeps it current. For explanations see
+Made from the code by `python -m tools.reference`; a test keeps it current. For explanations see
 [rest.md](rest.md), [security.md](security.md), [plc-link.md](plc-link.md), [tutorial.md](tutorial.md).
 """
 
@@ -156,21 +155,6 @@ def _default_text(one: Any) -> str:
     return "" if value is None or value is False or value == () else code(str(value))
 
 
-def docs(
-    out: Annotated[Path, typer.Option(help="output file")] = OUT,
-    check: Annotated[bool, typer.Option("--check", help="write nothing; exit 1 when the file is out of date")] = False,
-) -> None:
-    """Write the reference of REST, commands, settings, alarms and codes."""
-    text = reference()
-    if check:
-        if not out.is_file() or out.read_text(encoding="utf-8") != text:
-            Console(stderr=True).print(f"{out} is out of date: run `longreach docs`")
-            raise typer.Exit(1)
-        return
-    out.write_text(text, encoding="utf-8")
-    Console().print(f"written: {out}")
-
-
 def reference() -> str:
     """The whole page."""
     parts = (
@@ -183,3 +167,8 @@ def reference() -> str:
         ("Commands", commands()),
     )
     return ABOUT + "".join(f"\n## {title}\n\n{text}\n" for title, text in parts)
+
+
+if __name__ == "__main__":
+    OUT.write_text(reference(), encoding="utf-8")
+    print(f"written: {OUT}")

@@ -1,1 +1,0 @@
-"""Generate docs/reference.md from the code."""
