@@ -1,4 +1,4 @@
-"""`python -m tools.reference`: writes docs/reference.md, the reference of REST, commands, settings, alarms and codes."""
+"""`python -m tools.reference`: writes docs/reference.md: REST, commands, settings, alarms and codes."""
 
 import ast
 import inspect

@@ -3,9 +3,7 @@
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from longreach.cli import app
 from longreach.setting_fields import table, type_text
 from protocol.codes import FaultBit, RejectCode
 from server.api.panel_alarm_catalogue import CATALOGUE
@@ -33,18 +31,6 @@ def test_everything_is_in_it(text):
     assert [name for name in names if name not in text] == []
 
 
-def test_a_page_that_is_out_of_date_is_found(text, tmp_path):
-    page = tmp_path / "reference.md"
-    page.write_text(text.replace("`busy`", "`bussy`"), encoding="utf-8")
-    assert CliRunner().invoke(app, ["docs", "--check", "--out", str(page)]).exit_code == 1
-    assert CliRunner().invoke(app, ["docs", "--out", str(page)]).exit_code == 0
-    assert CliRunner().invoke(app, ["docs", "--check", "--out", str(page)]).exit_code == 0
-
-
-@pytest.mark.parametrize(
-    ("annotation", "told"),
-    [(int, "whole number"), (str | None, "text"), (list[str], "list of text"), (float | str, "number or text")],
-)
 def test_types_are_told_in_words(annotation, told):
     assert type_text(annotation) == told
 
