@@ -31,6 +31,10 @@ def test_everything_is_in_it(text):
     assert [name for name in names if name not in text] == []
 
 
+@pytest.mark.parametrize(
+    ("annotation", "told"),
+    [(int, "whole number"), (str | None, "text"), (list[str], "list of text"), (float | str, "number or text")],
+)
 def test_types_are_told_in_words(annotation, told):
     assert type_text(annotation) == told
 
