@@ -59,7 +59,7 @@ def answer_json(found: Budget) -> dict[str, Any]:
         "credible_set_90": [
             {"effects": _effect_keys(row["effects"]), "probability": row["probability"]} for row in hypotheses
         ],
-        "localisation": _localisation_json(found.before.places),
+        "localisation": _localisation_json(found.localisation.places),
         "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in merged_stages(found.whole)],
         "shrink": _shrink_json(found),
         "unexplained": [
@@ -294,7 +294,7 @@ def _missing_signals(found: Budget) -> list[dict[str, str]]:
     if whole.log_unused:
         text = "no segment of run.toml lies in the PLC's log: nothing of it was replayed; correct the segments' times"
         out.append({"signal": "PLC's log", "costs": text})
-    out += [{"signal": why.split(":")[0], "costs": why} for _, why in found.before.merged]
+    out += [{"signal": why.split(":")[0], "costs": why} for _, why in found.localisation.merged]
     out += [{"signal": part, "costs": text} for part, text in whole.missing_parts]
     if nominal is not None and whole.tables is not None:
         out += [{"signal": "points", "costs": text} for text in left_out(nominal, whole.tables)]

@@ -7,13 +7,17 @@ import numpy as np
 
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.link_angles import without_encoders
-from diagnosis.localise import Localisation, localise
+from diagnosis.behind.point_residual import PointResidual
+from diagnosis.cells.behind import measurement_of
+from diagnosis.localise import Localisation, beyond_noise, localise
 from diagnosis.reading.read import Read
 from diagnosis.replay.repeats import align_repeats
 from diagnosis.replay.stretches import repeat_groups
+from diagnosis.search.candidates import parameter_sets_with
+from diagnosis.search.cell import Cell
 from diagnosis.search.fit import entries_of as entries_of_fit
 from diagnosis.search.work import Progress, WorkProgress, no_progress
-from diagnosis.shrink import gaps_closed
+from diagnosis.shrink import excess_squares, gaps_closed
 from diagnosis.verdict import (
     BudgetColumn,
     Closing,
@@ -53,8 +57,7 @@ class Budget:
     machine: tuple[EffectTerm, ...]
     columns: tuple[BudgetColumn, ...]
     stages: tuple[StageLine, ...]
-    before: Localisation
-    after: Localisation
+    localisation: Localisation
     held_out: tuple[HeldOut, ...]
     shrinks: Closing
     verdict: Verdict
@@ -104,7 +107,7 @@ def budget_of(whole: Read, progress: Progress = no_progress, left_out: tuple[str
     work.report_concluding_progress("held-out data", 0.8)
     predicted = tuple(held_out(fit.cell, fit_of(fit.best.current_terms, fit.best.lin)) for fit in fits)
     closing = tuple(tuple(gaps_closed(prediction)) for prediction in predicted)
-    columns = tuple(_budget_column(whole, error, chance, after, fits, closing) for error in errors)
+    columns = tuple(_budget_column(whole, error, chance, fits, sure) for error in errors)
     total = sum(column.before_mm**2 for column in columns)
     lines = tuple(
         line for error in errors for line in _effect_lines(error, evidence, chance, total)
@@ -112,7 +115,8 @@ def budget_of(whole: Read, progress: Progress = no_progress, left_out: tuple[str
     lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
     stages = stages_of(whole, lines, columns, (before, after), fits, closing)
     verdict, why = verdict_of(whole, lines, columns, stages, fits, closing)
-    return Budget(whole, fits, lines, machine, columns, stages, before, after, predicted, closing, verdict, why)
+    where = beyond_noise(before, {(line.stage, line.joint): line.before_mm or 0.0 for line in stages})
+    return Budget(whole, fits, lines, machine, columns, stages, where, predicted, closing, verdict, why)
 
 
 def _evidence_with_probability(fit: WholeFit) -> list[tuple[Evidence, float]]:
@@ -183,71 +187,62 @@ def _lines_without_tool_error(
 
 
 def _budget_column(
-    whole: Read,
-    error: ToolError,
-    chance: dict[int, float],
-    after: Localisation,
-    fits: tuple[WholeFit, ...],
-    closing: Closing,
+    whole: Read, error: ToolError, chance: dict[int, float], fits: tuple[WholeFit, ...], sure: Sequence[EffectTerm]
 ) -> BudgetColumn:
     """One column's miss before and after; measured where the recording measured it."""
     chosen = [k for k, term in enumerate(error.terms) if chance[id(term)] >= CONFIRMED]
-    explained = _rms_mm(error.by_effect[chosen].sum(axis=0)) if chosen else 0.0
-    floor = _tracking_floor_mm(whole) if error.column == "gets_there" else 0.0
+    explained = error.by_effect[chosen].sum(axis=0) if chosen else np.zeros_like(error.total_error)
     if error.measured is not None and error.left is not None:
+        floor = _tracking_floor_mm(whole)
         return BudgetColumn(error.column, _rms_mm(error.measured, floor), _rms_mm(error.left, floor), floor, True)
-    unconfirmed = _rms_mm(error.total_error - error.by_effect[chosen].sum(axis=0))
-    if error.column == "sees":
-        left_mm = float(np.hypot(unconfirmed, _corners_left_mm(fits)))
-        return BudgetColumn(
-            error.column, float(np.hypot(_rms_mm(error.total_error), _corners_left_mm(fits))), left_mm, 0.0, True
-        )
-    left = _measured_mm(after, "structure")
-    if left is None:  # nothing measured it: all that is known is what the confirmed effects do
-        return BudgetColumn(error.column, explained, 0.0, 0.0, False)
-    beyond = left * _beyond_noise(whole, closing, "structure") if has_baseline(whole) else left
-    return BudgetColumn(
-        error.column, float(np.hypot(explained, beyond)), beyond, float(np.sqrt(left**2 - beyond**2)), True
-    )
+    seen = error.column == "sees"
+    left = [
+        _left_and_noise_mm(whole, part, residual)
+        for fit in fits
+        for part, residual in fit.cell.by_part(fit.best.lin.residual if seen else _residual_with(fit.cell, sure))
+        if isinstance(part.whitened, CornerResidual if seen else PointResidual)
+    ]
+    if not left:  # nothing measured it: all that is known is what the confirmed effects do
+        return BudgetColumn(error.column, _rms_mm(explained), 0.0, 0.0, False)
+    after, floor = max(left)
+    before = together_mm((_rms_mm(explained), after))
+    if seen:  # a mean error of corners says little of the distance: what the effects that are not confirmed do is added
+        before = together_mm((_rms_mm(error.total_error), after))
+        after = together_mm((_rms_mm(error.total_error - explained), after))
+    return BudgetColumn(error.column, before, after, floor, True)
 
 
-def _beyond_noise(whole: Read, closing: Closing, stage: str) -> float:
-    """Which part of what a stage leaves (RMS, 0 to 1) is more than a healthy machine leaves at most."""
-    own = [(row, sums) for parts in closing for row, sums in parts if row.stage == stage]
-    left = sum(float(sums.after.sum()) for _, sums in own)
-    usual = sum(sums.rows * usual_level(whole, row) for row, sums in own)
-    return float(np.sqrt(max(0.0, 1.0 - usual / left))) if left > 0.0 else 1.0
+def _residual_with(cell: Cell, terms: Sequence[EffectTerm]) -> Array:
+    """What a part of the machine leaves (N,), whitened, with these effects and no other."""
+    own = {candidate.effect_and_joint for candidate in cell.candidates}
+    sets = cell.base
+    for term in terms:
+        if term.effect.effect_and_joint in own:
+            sets = parameter_sets_with(sets, (term.effect,), term.theta)
+    return cell.whitened(sets)[0]
 
 
-def _corners_left_mm(fits: tuple[WholeFit, ...]) -> float:
-    """What the fitted machine leaves of the marker corners beyond their noise, as a distance across the view [mm]."""
-    worst = 0.0
-    for fit in fits:
-        for part, residual in fit.cell.by_part(fit.best.lin.residual):
-            corners = part.whitened
-            if not isinstance(corners, CornerResidual) or corners.nominal.camera is None:
-                continue
-            excess = max(0.0, float(np.mean(residual**2)) - 1.0)
-            places = corners.poses(part.base, without_encoders(part.base), 0, 0.0) @ corners.T_base_ooi
-            depth_m = float(np.median(np.abs(places[:, 2, 3])))
-            px = float(np.sqrt(np.mean(part.scale**2) * excess))
-            worst = max(worst, MM * px * depth_m / corners.nominal.camera.fx_px)
-    return worst
+def _left_and_noise_mm(whole: Read, part: Cell, residual: Array) -> tuple[float, float]:
+    """What is left of a part beyond its noise, and the noise, as a distance at the tool (RMS) [mm].
+
+    Where nothing measured the noise, all that is left counts. With a baseline, what a healthy machine leaves is noise.
+    """
+    squares, rows = float((residual**2).sum()), part.rows.row_count
+    level = usual_level(whole, part.stage, part.joint, measurement_of(part))
+    noise = min(squares, rows * (level if has_baseline(whole) else part.quiet)) if part.floor_known else 0.0
+    left = excess_squares(squares, noise, rows)
+    unit_mm = MM * float(np.sqrt(np.mean(part.scale**2) / rows))
+    if not isinstance(part.whitened, CornerResidual):
+        unit_mm *= np.sqrt(3.0)  # three numbers a point
+    elif part.whitened.nominal.camera is not None:
+        places = part.whitened.poses(part.base, without_encoders(part.base), 0, 0.0) @ part.whitened.T_base_ooi
+        unit_mm *= float(np.median(np.abs(places[:, 2, 3]))) / part.whitened.nominal.camera.fx_px
+    return unit_mm * float(np.sqrt(left)), unit_mm * float(np.sqrt(noise))
 
 
 def _rms_mm(displacement: Array, floor_mm: float = 0.0) -> float:
     mean_square = float((displacement**2).sum(axis=1).mean()) * MM**2 if len(displacement) else 0.0
     return float(np.sqrt(max(0.0, mean_square - floor_mm**2)))
-
-
-def _measured_mm(places: Localisation, stage: str) -> float | None:
-    """A stage's gap at the tool [mm]: axes together, the largest of what measured it; None where nothing did."""
-    own = [place for place in places.places if place.stage == stage and place.unit == "m"]
-    by_regime: dict[str, float] = {}
-    for place in own:
-        by_regime[place.regime] = by_regime.get(place.regime, 0.0) + place.tcp_mm**2
-    by_regime.pop("tool marker", None)
-    return float(np.sqrt(max(by_regime.values()))) if by_regime else None
 
 
 def _tracking_floor_mm(whole: Read) -> float:

@@ -36,8 +36,7 @@ PARTS = ("still", "forward", "backward", "reversal", "first half", "second half"
 class Place:
     """Gap of one stage, joint (1-based) or axis, and regime: sqrt(max(0, MSE - floor^2)) in `unit`.
 
-    `tcp_mm`: the gap carried to the tcp [mm, RMS]; `share_frac`: of the whole gap, by what was found wrong there where
-    something was, else by `tcp_mm` over the sum of all stages.
+    `tcp_mm`: the gap carried to the tcp [mm, RMS]; `share_frac`: of the sum of what all stages miss the tool by.
     """
 
     stage: str
@@ -255,13 +254,32 @@ def _places_by_axis(stage: str, regime: str, error: Array, floor: Array) -> list
     return places
 
 
-def _assign_shares(places: list[Place]) -> tuple[Place, ...]:
+def beyond_noise(found: Localisation, stages_mm: Mapping[tuple[str, int | None], float]) -> Localisation:
+    """The same places by what each stage, or each of its joints, misses beyond its noise [mm at the tcp].
+
+    Why: repeats show how much a healthy machine scatters in one recording, not what it leaves from day to day, nor the
+    noise of points and markers. The budget knows both: what it does not see as a gap is the place's floor.
+    """
+    places = []
+    for place in found.places:
+        of_joint = (place.stage, place.joint) in stages_mm
+        mm = stages_mm.get((place.stage, place.joint if of_joint else None), 0.0)
+        alike = [p for p in found.places if p.stage == place.stage and (not of_joint or p.joint == place.joint)]
+        moved = math.hypot(*(p.tcp_mm for p in alike if p.regime not in PARTS))
+        part = min(1.0, mm / moved) if moved > 0.0 else 0.0
+        floor = math.sqrt(place.floor**2 + (1.0 - part**2) * place.gap**2)
+        places.append(replace(place, gap=part * place.gap, tcp_mm=part * place.tcp_mm, floor=floor))
+    totals = {stage: math.hypot(*(mm for at, mm in stages_mm.items() if at[0] == stage)) for stage, _ in stages_mm}
+    return replace(found, places=_assign_shares(places, totals))
+
+
+def _assign_shares(places: list[Place], stages_mm: Mapping[str, float] | None = None) -> tuple[Place, ...]:
     """Shares of the sum over stages of their tcp motion (root sum of squares within a stage), largest first; those of
     all places, without the regimes inside "all", sum to one.
     """
     whole = [place for place in places if place.regime not in PARTS]
-    moved = {p.stage: math.hypot(*(q.tcp_mm for q in whole if q.stage == p.stage)) for p in whole}
-    total = sum(moved.values())
+    moved = stages_mm or {p.stage: math.hypot(*(q.tcp_mm for q in whole if q.stage == p.stage)) for p in whole}
+    total = sum(moved[stage] for stage in {place.stage for place in whole} & moved.keys())
     shared = [replace(place, share_frac=_share_of_place(place, whole, moved, total)) for place in places]
     return tuple(sorted(shared, key=lambda place: (place.regime in PARTS, -place.share_frac)))
 

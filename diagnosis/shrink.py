@@ -75,11 +75,17 @@ def rms_of(sums: BlockSquares) -> Sequence[float]:
     return [float(np.sqrt(x.sum() / sums.rows)) for x in (sums.before, sums.after, _bounded_noise_squares(sums))]
 
 
+def excess_squares(squares: float, noise: float, rows: int) -> float:
+    """What a sum of squares has beyond the noise's; 0 where chance, or how well repeats know the noise, may be why."""
+    excess = squares - noise
+    return excess if excess > 2.0 * np.sqrt(2.0 * noise) + FLOOR_SHARE * rows else 0.0
+
+
 def closed_share(sums: BlockSquares, seed: int = 0) -> Closed:
     """1 - (after - noise) / (before - noise) of the sums of squares, never clipped; None without a gap before."""
     noise = _bounded_noise_squares(sums)
-    excess = float(sums.before.sum() - noise.sum())
-    if excess <= 2.0 * np.sqrt(2.0 * noise.sum()) + FLOOR_SHARE * sums.rows:
+    excess = excess_squares(float(sums.before.sum()), float(noise.sum()), sums.rows)
+    if not excess:
         return UNKNOWN
     closed = 1.0 - float(sums.after.sum() - noise.sum()) / excess
     draws = np.random.default_rng(seed).integers(0, len(noise), (DRAWS, len(noise)))

@@ -62,7 +62,9 @@ class BudgetColumn:
 
 @dataclass(frozen=True, slots=True)
 class StageLine:
-    """One stage, or one joint of it, judged by itself. `why`: what would measure it, or what the remainder follows."""
+    """One stage, or one joint of it, judged by itself. `before_mm`, `after_mm`: its miss at the tool beyond what noise
+    and a healthy machine leave. `why`: what would measure it, or what the remainder follows.
+    """
 
     stage: str
     joint: int | None
@@ -82,9 +84,9 @@ def has_baseline(whole: Read) -> bool:
     return whole.nominal is not None and bool(whole.nominal.remainders)
 
 
-def usual_level(whole: Read, row: GapClosed) -> float:
+def usual_level(whole: Read, stage: str, joint: int | None, measurement: str) -> float:
     """Mean square, in floors, that a healthy machine's part stays below; 1 without a baseline."""
-    usual = None if whole.nominal is None else whole.nominal.baseline_remainder(row.stage, row.joint, row.measurement)
+    usual = None if whole.nominal is None else whole.nominal.baseline_remainder(stage, joint, measurement)
     return 1.0 if usual is None else usual.level
 
 
@@ -112,7 +114,8 @@ def stages_of(
         for parts in closing
         for row, sums in parts
         # more than the least noise that is believed, and than one more recording of the healthy machine leaves
-        if row.closed != UNKNOWN and sums.before.sum() > sums.rows * usual_level(whole, row)
+        if row.closed != UNKNOWN
+        and sums.before.sum() > sums.rows * usual_level(whole, row.stage, row.joint, row.measurement)
     }
     before, after = places
     present = stages_present(whole)
@@ -136,7 +139,9 @@ def stages_of(
                 or any(shows_a_gap(line) for line in here)
                 or (joint is None and not has_baseline(whole))
             )
-            verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)
+            if not seen and was is not None:
+                was = left = 0.0
+            verdict = stage_verdict(was, left, confirmed, small)
             if verdict == "none" and confirmed and has_baseline(whole):
                 verdict = "explained"  # what is sure to have changed is reported, however little it does at the tool
             own = [fit for fit in fits if fit.cell.stage == stage and fit.cell.joint in (None, joint)]

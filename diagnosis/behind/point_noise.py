@@ -20,6 +20,7 @@ from diagnosis.search.candidates import Candidate
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
+NOISE_MAX_M = 0.02  # no instrument that measures an arm scatters more: two points of one name, say
 LARGER = 2.0  # than what no mixture of effects explains: what differs so from repeat to repeat is not scatter
 DRIFT_TIMES = 2.0  # of the noise: trackers drift by as much as they scatter
 TENTHS, ALIKE_LEAST = 10, 1.8  # of independent instants one recording in a thousand shows more
@@ -62,6 +63,8 @@ def _at_rest(
     rough: PointResidual, base: ParameterSets, candidates: tuple[Candidate, ...], has_baseline: bool
 ) -> PointScatter:
     again = measured_again(rough, base)
+    if again is not None and float(again.sigma.max()) > NOISE_MAX_M:
+        again = None
     if again is not None and has_baseline:
         return PointScatter(again.sigma, 0.0, True, again.points, again.loose)
     if again is not None:

@@ -112,10 +112,10 @@ def run(kind: str, fault: Fault, rng: np.random.Generator, seconds: float, t0: f
 
 @njit(cache=True)
 def _stepped(cycles, per, sent, delay, quantum, faults, warming, t0, shock, log_s, counts):
-    """Rows time, ref (2,), encoder (2,), command (2,), number of the reference."""
+    """Rows time, ref (2,), encoder (2,), command (2,), number of the reference, true angle (2,)."""
     dead, lag, hyst, rate, up, limit, kp, gain, gear = faults
     every, step = round(log_s / CYCLE_S), 2.0 * np.pi / counts
-    rows = np.zeros(((cycles - 1) // every + 1, 8))
+    rows = np.zeros(((cycles - 1) // every + 1, 10))
     q, x, xd, slow, play, wind, u = np.concatenate((START, np.zeros(12))).reshape(7, 2)
     for k in range(cycles):
         t = k * CYCLE_S
@@ -127,6 +127,7 @@ def _stepped(cycles, per, sent, delay, quantum, faults, warming, t0, shock, log_
             if k % every == 0:
                 rows[k // every, 0], rows[k // every, 7] = t0 + t, number
                 rows[k // every, 1 + j], rows[k // every, 3 + j], rows[k // every, 5 + j] = ref, enc, u[j]
+                rows[k // every, 8 + j] = q[j]
             wind[j] = 0.995 * wind[j] + shock[k, j]
             share = 1.0 - np.exp(-STEP_S / lag[j]) if lag[j] > 0.0 else 1.0
             now = gain[j] * (1.0 + warming * (t0 + t))
@@ -156,7 +157,7 @@ def tip(q: np.ndarray, fault: Fault) -> np.ndarray:
 
 def tracked(rows: list, fault: Fault, rng: np.random.Generator, noise_m: float) -> list:
     """Tip at 20 Hz, of joints behind their backlash."""
-    q = np.array([row[3:5] for row in rows])
+    q = np.array([row[8:10] for row in rows])
     link, half = q.copy(), 0.5 * np.array(fault.backlash)
     for k in range(1, len(q)):
         link[k] = np.minimum(np.maximum(link[k - 1], q[k] - half), q[k] + half)
@@ -182,7 +183,7 @@ def seen(rows: list, fault: Fault, rng: np.random.Generator, noise_px: float) ->
     T_object = np.eye(4)
     T_object[:3, :3], T_object[:3, 3] = R_TCP_CAM @ np.diag([1.0, -1.0, -1.0]), [3.5, 0.0, 0.0]
     T_base_object = tcp(START) @ T_object
-    t, q = np.array([row[0] for row in rows]), np.array([row[3:5] for row in rows])
+    t, q = np.array([row[0] for row in rows]), np.array([row[8:10] for row in rows])
     square = 0.5 * SIDE * np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
     out = []
     for when in np.arange(t[0] + 0.1, t[-1] - 0.1, 0.1):
@@ -230,7 +231,7 @@ def write(
     for number, kind in enumerate(kinds):
         t0 = number * (seconds + 1.0)
         made = run(kind, fault, rng, seconds, t0, noise, (log_s, counts))
-        plc += [(*row[:-1], first + int(row[-1])) for row in made["plc"]]
+        plc += [(*row[:7], first + int(row[7])) for row in made["plc"]]
         sent += [(row[0], first + k, *row[1:]) for k, row in enumerate(made["sent"])]
         first += len(made["sent"])
         corners += seen(made["plc"], fault, rng, camera_px) if camera_px > 0.0 else []

@@ -5,7 +5,6 @@ from typing import Any, cast
 
 import pytest
 
-from diagnosis.shrink import GapClosed
 from diagnosis.verdict import BudgetColumn, EffectLine, StageLine, shows_a_gap, stage_verdict, usual_level, verdict_of
 from machine.remainder import Remainder
 
@@ -77,9 +76,8 @@ def test_a_stage_is_judged_by_its_own_millimetres(
 def test_what_a_healthy_machine_leaves_is_read_from_its_baseline() -> None:
     remainders = {("structure", None, "tracker"): Remainder("structure", None, "tracker", 1e-4, 1e-4, level=1.3)}
     nominal = SimpleNamespace(baseline_remainder=lambda *place: remainders.get(place))
-    row = cast(Any, GapClosed)("structure", None, "tracker", "m", 1.0, 1.0, 1.0, (None, None, None))
-    assert usual_level(cast(Any, SimpleNamespace(nominal=nominal)), row) == 1.3
-    assert usual_level(cast(Any, SimpleNamespace(nominal=None)), row) == 1.0
+    for known, level in ((nominal, 1.3), (None, 1.0)):
+        assert usual_level(cast(Any, SimpleNamespace(nominal=known)), "structure", None, "tracker") == level
 
 
 @pytest.mark.parametrize(
