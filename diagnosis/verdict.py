@@ -1,6 +1,6 @@
 """What is said of the budget: every stage and joint judged by itself, and the overall verdict by one table."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -120,6 +120,8 @@ def stages_of(
     before, after = places
     present = stages_present(whole)
     small = small_mm(columns)
+    part_of = {id(term): fit.cell.stage for fit in fits for term in fit.best.current_terms}
+    stage_of = {id(line): _stage_of_effect(line, present, part_of) for line in lines}
     out = []
     for stage in WOULD_MEASURE:
         if stage not in present:
@@ -129,7 +131,8 @@ def stages_of(
         if stage in STAGES_OF_JOINTS:
             joints = sorted({place.joint for place in before.places if place.stage == stage and place.joint}) or [None]
         for joint in joints:
-            here = [line for line in lines if _is_effect_of_stage(line, stage, joint)]
+            of_stage = [line for line in lines if stage_of[id(line)] == stage]
+            here = [line for line in of_stage if joint is None or line.evidence.term.effect.joint in (None, joint)]
             confirmed = any(_is_sure(line) for line in here)
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
             matters = any(line.mm > SMALL_MM for line in here if _is_sure(line))
@@ -159,10 +162,11 @@ def _is_sure(line: EffectLine) -> bool:
     return line.status == "confirmed"
 
 
-def _is_effect_of_stage(line: EffectLine, stage: str, joint: int | None) -> bool:
-    effect = line.evidence.term.effect
-    own = {"joint": "structure", "time": "camera"}.get(effect.stage, effect.stage)
-    return own == stage and (joint is None or effect.joint in (None, joint))
+def _stage_of_effect(line: EffectLine, present: Collection[str], part_of: dict[int, str]) -> str:
+    """The stage that an effect counts in: its own, or the part that showed it where its own was not recorded."""
+    term = line.evidence.term
+    own = {"joint": "structure", "time": "camera"}.get(term.effect.stage, term.effect.stage)
+    return own if own in present else part_of.get(id(term), own)
 
 
 def _stage_mm(
