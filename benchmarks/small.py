@@ -61,9 +61,11 @@ def kinematics(
     tcp_jacobian(chain, qs[0])
     nearest = [inverse_nearest(chain, T, q) for T, q in zip(poses, qs, strict=True)]
     recovered = sum(
-        found.q is not None and np.allclose(found.q, q, atol=1e-7) for found, q in zip(nearest, qs, strict=True)
+        found.q_rad is not None and np.allclose(found.q_rad, q, atol=1e-7) for found, q in zip(nearest, qs, strict=True)
     )
-    worst = max(float(np.abs(tcp_pose(chain, branch.q) - T).max()) for T in poses for branch in inverse_all(chain, T))
+    worst = max(
+        float(np.abs(tcp_pose(chain, branch.q_rad) - T).max()) for T in poses for branch in inverse_all(chain, T)
+    )
     console.print(f"inverse recovered {recovered} of {n}; worst branch reproduces its pose to {worst:.1e}")
     for name, call in (
         ("forward", lambda i: tcp_pose(chain, qs[i])),

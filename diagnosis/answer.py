@@ -17,26 +17,28 @@ from diagnosis.search.fit import Fit
 from diagnosis.shrink import closed_share, gap_closed_of_parts, rms_of
 from diagnosis.sliding import in_metres
 from diagnosis.verdict import EffectLine
-from diagnosis.whole_model.evidence import EQUAL_T, smallest_detectable
+from diagnosis.whole_model.evidence import DISTINCT_SQUARED_DISTANCE_MIN, smallest_detectable
 from diagnosis.whole_model.linear import EffectTerm
-from diagnosis.whole_model.probability import FEATURES, evidence_features
+from diagnosis.whole_model.probability import EVIDENCE_FEATURE_NAMES, evidence_features
 from diagnosis.whole_model.solve import Fitted, WholeFit, fit_of
 from machine.effects.registry import effect_of
 from machine.effects.spec import Direction
 from machine.rotations import Array
 
-FORMAT = 2
-OPEN_NATS = 0.5 * EQUAL_T  # two sets closer than this are a doubt that an experiment may settle
-DIGITS = 4
+FORMAT_VERSION = 2
+AMBIGUITY_LIMIT_NATS = (
+    0.5 * DISTINCT_SQUARED_DISTANCE_MIN
+)  # two sets closer than this are a doubt that an experiment may settle
+MM_DECIMALS = 4
 
 
 def answer_json(found: Budget) -> dict[str, Any]:
     """Everything the contract asks for."""
     hypotheses = _hypotheses_json(found)
     result: dict[str, Any] = {
-        "format_version": FORMAT,
+        "format_version": FORMAT_VERSION,
         "verdict": found.verdict,
-        "why": found.why,
+        "why": found.verdict_reason,
         "budget": _budget_json(found),
         "stages": [
             {
@@ -45,22 +47,22 @@ def answer_json(found: Budget) -> dict[str, Any]:
                 "verdict": line.verdict,
                 "before_mm": _rounded_mm(line.before_mm),
                 "after_mm": _rounded_mm(line.after_mm),
-                "would_measure": line.why if line.verdict == "not_measured" else "",
+                "would_measure": line.verdict_reason if line.verdict == "not_measured" else "",
             }
-            for line in found.stages
+            for line in found.stage_verdicts
         ],
         "hypotheses": hypotheses,
         "outside_probability": 1.0 if found.verdict == "outside" else 0.0,
         "indistinguishable": [
-            [_effect_key(line.evidence.term), *map(_effect_key, members)]
-            for line in found.lines
-            for members in line.evidence.equals
+            [_effect_key(line.evidence.effect_term), *map(_effect_key, members)]
+            for line in found.effect_lines
+            for members in line.evidence.equivalent_effect_sets
         ],
         "credible_set_90": [
             {"effects": _effect_keys(row["effects"]), "probability": row["probability"]} for row in hypotheses
         ],
-        "localisation": _localisation_json(found.localisation.places),
-        "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in merged_stages(found.whole)],
+        "localisation": _localisation_json(found.localisation.gap_places),
+        "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in merged_stages(found.recording)],
         "shrink": _shrink_json(found),
         "unexplained": [
             {
@@ -69,20 +71,20 @@ def answer_json(found: Budget) -> dict[str, Any]:
                 "joint": line.joint,
                 "size": _rounded_mm(line.after_mm),
                 "p_value": None,
-                "lead": line.why,
+                "lead": line.verdict_reason,
             }
-            for line in found.stages
+            for line in found.stage_verdicts
             if line.verdict in ("partly", "unexplained")
         ],
         "detection_limits": list(_detection_limits(found)),
         "missing": _missing_signals(found),
-        "findings": [{"code": f.code, "severity": f.severity, "text": str(f)} for f in found.whole.findings],
-        "searched": [_search_summary(fit) for fit in found.fits],
-        "next_experiment": experiment_for(found.whole, _open_pairs(found), found.verdict in ("none", "effects")),
+        "findings": [{"code": f.code, "severity": f.severity, "text": str(f)} for f in found.recording.findings],
+        "searched": [_search_summary(fit) for fit in found.part_fits],
+        "next_experiment": experiment_for(found.recording, _open_pairs(found), found.verdict in ("none", "effects")),
     }
-    nominal = found.whole.nominal
+    nominal = found.recording.nominal_machine
     result["budget"]["sentence"] = summary_sentence(result["budget"])
-    return in_metres(result, nominal.sliding) if nominal is not None and any(nominal.sliding) else result
+    return in_metres(result, nominal.joint_slides) if nominal is not None and any(nominal.joint_slides) else result
 
 
 def summary_sentence(budget: dict[str, Any]) -> str:
@@ -110,14 +112,14 @@ def _budget_json(found: Budget) -> dict[str, Any]:
                 "before_mm": _rounded_mm(column.before_mm),
                 "after_mm": _rounded_mm(column.after_mm),
                 "floor_mm": _rounded_mm(column.floor_mm),
-                "measured": column.measured,
+                "measured": column.is_measured,
             }
-            for column in found.columns
+            for column in found.budget_columns
         ],
-        "effects": [_effect_line_json(line, found.machine) for line in found.lines],
+        "effects": [_effect_line_json(line, found.machine_file_terms) for line in found.effect_lines],
         "unexplained_mm": [
             {"stage": stage.stage, "joint": stage.joint, "mm": _rounded_mm(stage.after_mm)}
-            for stage in found.stages
+            for stage in found.stage_verdicts
             if stage.verdict in ("partly", "unexplained")
         ],
     }
@@ -125,11 +127,11 @@ def _budget_json(found: Budget) -> dict[str, Any]:
 
 def _effect_line_json(line: EffectLine, machine: tuple[EffectTerm, ...]) -> dict[str, Any]:
     evidence = line.evidence
-    used = next((term for term in machine if term.effect == evidence.term.effect), None)
+    used = next((term for term in machine if term.effect == evidence.effect_term.effect), None)
     return {
         **_effect_table(*sized_effect_of_line(line)),
-        "column": line.column,
-        "tool_mm": _rounded_mm(line.mm),
+        "column": line.budget_column,
+        "tool_mm": _rounded_mm(line.tool_rms_mm),
         "tool_low_mm": _rounded_mm(line.low_mm),
         "tool_high_mm": _rounded_mm(line.high_mm),
         "squares_mm2": round_numbers(line.squares_mm2),
@@ -137,14 +139,16 @@ def _effect_line_json(line: EffectLine, machine: tuple[EffectTerm, ...]) -> dict
         "probability": round_numbers(line.probability),
         "status": line.status,
         "used": None if used is None else _machine_file_parameters(used),
-        "equals": [[_effect_key(member) for member in members] for members in evidence.equals],
+        "equals": [[_effect_key(member) for member in members] for members in evidence.equivalent_effect_sets],
         "evidence": {
             "gain_nats": round_numbers(evidence.gain_nats),
-            "size_over_sd": round_numbers(evidence.z),
-            "scatter_frac": round_numbers(evidence.scatter),
-            "left_floors": round_numbers(evidence.left),
+            "size_over_sd": round_numbers(evidence.size_z_score),
+            "scatter_frac": round_numbers(evidence.size_scatter_frac),
+            "left_floors": round_numbers(evidence.residual_mean_square),
             "noise_known": evidence.noise_known,
-            "figures": dict(zip(FEATURES, [round_numbers(float(x)) for x in evidence_features(evidence)], strict=True)),
+            "figures": dict(
+                zip(EVIDENCE_FEATURE_NAMES, [round_numbers(float(x)) for x in evidence_features(evidence)], strict=True)
+            ),
         },
     }
 
@@ -162,16 +166,23 @@ def _effect_table(candidate: Candidate, numbers: Array) -> dict[str, Any]:
     """An effect with its numbers (slots, 3): value and 90 % limits."""
     effect = effect_of(candidate.name)
     parameters: dict[str, Any] = {}
-    vector = len({slot.parameter for slot in candidate.slots}) < len(candidate.slots)
+    vector = len({slot.parameter for slot in candidate.parameter_slots}) < len(candidate.parameter_slots)
     if vector and effect.direction is not None:
-        parameters = _size_and_direction(candidate.slots[0].parameter, effect.size.unit, effect.direction, numbers)
+        parameters = _size_and_direction(
+            candidate.parameter_slots[0].parameter, effect.size.unit, effect.direction, numbers
+        )
     else:
-        for slot, number in zip(candidate.slots, numbers, strict=True):
+        for slot, number in zip(candidate.parameter_slots, numbers, strict=True):
             parameters[slot.parameter] = _value_with_limits(number, slot.spec.unit)
-    for slot, value in candidate.fixed:
+    for slot, value in candidate.fixed_parameters:
         parameters[slot.parameter] = {"value": value, "unit": "1", "low": value, "high": value}
-    if candidate.option and effect.choice is not None:
-        parameters[effect.choice.name] = {"value": candidate.option, "unit": "", "low": None, "high": None}
+    if candidate.variant_option and effect.quantity_choice is not None:
+        parameters[effect.quantity_choice.name] = {
+            "value": candidate.variant_option,
+            "unit": "",
+            "low": None,
+            "high": None,
+        }
     return {"name": candidate.name, "joint": candidate.joint, "stage": candidate.stage, "parameters": parameters}
 
 
@@ -181,7 +192,7 @@ def _value_with_limits(number: Array, unit: str) -> dict[str, Any]:
 
 
 def _size_and_direction(name: str, unit: str, direction: Direction, numbers: Array) -> dict[str, Any]:
-    vector = np.zeros(len(direction.default))
+    vector = np.zeros(len(direction.default_vector))
     vector[: len(numbers)] = numbers[:, 0]
     half = float(np.max(0.5 * (numbers[:, 2] - numbers[:, 1])))
     size = float(np.linalg.norm(vector))
@@ -195,14 +206,14 @@ def _size_and_direction(name: str, unit: str, direction: Direction, numbers: Arr
 
 def _hypotheses_json(found: Budget) -> list[dict[str, Any]]:
     """What is more likely there than not, then what the recording leaves open, until the sets hold 90 %."""
-    if not found.fits:
+    if not found.part_fits:
         return []
     return [
         {
             "effects": [_effect_table(*effect) for effect in held.effects],
             "probability": round_numbers(held.probability),
         }
-        for held in hypotheses_of(found.lines, found.fits)
+        for held in hypotheses_of(found.effect_lines, found.part_fits)
     ]
 
 
@@ -215,11 +226,11 @@ def _effect_keys(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _rounded_mm(value: float | None) -> float | None:
-    return None if value is None or not np.isfinite(value) else round(float(value), DIGITS)
+    return None if value is None or not np.isfinite(value) else round(float(value), MM_DECIMALS)
 
 
-METRIC_DRIVEN = "RMS of 20 Hz increments on held-out motions"
-METRICS = {  # by stage and unit
+DYNAMIC_STAGE_METRIC = "RMS of 20 Hz increments on held-out motions"
+METRIC_BY_STAGE_AND_UNIT = {  # by stage and unit
     ("structure", "m"): "RMS of measured points on held-out poses or pieces of a motion",
     ("camera", "px"): "RMS of marker corners on held-out frames",
     ("camera", "m"): "RMS of path lengths of a second on held-out pieces of a motion",
@@ -228,16 +239,18 @@ METRICS = {  # by stage and unit
 
 def _shrink_json(found: Budget) -> dict[str, Any]:
     """How far the gap shrinks on motions that nothing was fitted to: each part, and overall the parts with effects."""
-    closing = zip(found.held_out, found.shrinks, strict=True)
+    closing = zip(found.held_out, found.gap_closures, strict=True)
     parts = [(prediction, *part) for prediction, own in closing for part in own]
     stages = [
         {
             "stage": row.stage,
             "joint": row.joint,
             "measurement": row.measurement,
-            "metric": METRICS.get((row.stage, row.unit), METRIC_DRIVEN),
+            "metric": METRIC_BY_STAGE_AND_UNIT.get((row.stage, row.unit), DYNAMIC_STAGE_METRIC),
             "unit": row.unit,
-            **_gap_closed_json((row.before, row.after, row.floor), row.closed),
+            **_gap_closed_json(
+                (row.rms_without_effects, row.rms_with_effects, row.noise_floor), row.closed_frac_with_limits
+            ),
         }
         for _, row, _ in parts
     ]
@@ -261,9 +274,9 @@ def _localisation_json(places: tuple[Place, ...]) -> list[dict[str, Any]]:
             "stage": place.stage,
             "joint": place.joint,
             "axis": place.axis,
-            "regime": place.regime,
-            "gap": round_numbers(place.gap),
-            "floor": round_numbers(place.floor),
+            "regime": place.motion_regime,
+            "gap": round_numbers(place.model_gap),
+            "floor": round_numbers(place.noise_floor),
             "unit": place.unit,
             "gap_tcp_mm": round_numbers(place.tcp_mm),
             "share_frac": round_numbers(place.share_frac),
@@ -273,11 +286,11 @@ def _localisation_json(places: tuple[Place, ...]) -> list[dict[str, Any]]:
 
 
 def _detection_limits(found: Budget) -> Iterator[dict[str, Any]]:
-    for fit in found.fits:
+    for fit in found.part_fits:
         for k, size in smallest_detectable(fit).items():
-            slot = fit.best.current_terms[k].effect.slots[0]
+            slot = fit.best_fit.current_terms[k].effect.parameter_slots[0]
             yield {
-                **_effect_key(fit.best.current_terms[k]),
+                **_effect_key(fit.best_fit.current_terms[k]),
                 "parameter": slot.parameter,
                 "size": round_numbers(float(size)),
                 "unit": slot.spec.unit,
@@ -285,20 +298,20 @@ def _detection_limits(found: Budget) -> Iterator[dict[str, Any]]:
 
 
 def _missing_signals(found: Budget) -> list[dict[str, str]]:
-    whole, nominal = found.whole, found.whole.nominal
+    whole, nominal = found.recording, found.recording.nominal_machine
     out = [
-        {"signal": stage.stage, "costs": f"{stage.stage} is not measured: {stage.why}"}
-        for stage in found.stages
+        {"signal": stage.stage, "costs": f"{stage.stage} is not measured: {stage.verdict_reason}"}
+        for stage in found.stage_verdicts
         if stage.verdict == "not_measured"
     ]
     if whole.log_unused:
         text = "no segment of run.toml lies in the PLC's log: nothing of it was replayed; correct the segments' times"
         out.append({"signal": "PLC's log", "costs": text})
-    out += [{"signal": why.split(":")[0], "costs": why} for _, why in found.localisation.merged]
+    out += [{"signal": why.split(":")[0], "costs": why} for _, why in found.localisation.merged_stage_reasons]
     out += [{"signal": part, "costs": text} for part, text in whole.missing_parts]
     if nominal is not None and whole.tables is not None:
         out += [{"signal": "points", "costs": text} for text in left_out(nominal, whole.tables)]
-    guessed = [fit.cell.label for fit in found.fits if not fit.cell.floor_known]
+    guessed = [fit.cell.label for fit in found.part_fits if not fit.cell.floor_known]
     if guessed:
         text = f"no usable repeats of {', '.join(guessed)}: the noise was estimated; repeat one command four times"
         out.append({"signal": "repeats", "costs": text})
@@ -310,31 +323,38 @@ def _search_summary(fit: WholeFit) -> dict[str, Any]:
         "stage": fit.cell.stage,
         "joint": fit.cell.joint,
         "rows": fit.cell.rows.row_count,
-        "rivals": sum(rival is not None for rival in fit.rivals.values()),
-        "candidates": len(fit.best.current_terms),
-        "spread": round_numbers(float(np.mean(fit.best.lin.residual**2))),
-        "trust": round_numbers(float(np.mean(fit.trust))),
+        "rivals": sum(rival is not None for rival in fit.rival_fit_by_term.values()),
+        "candidates": len(fit.best_fit.current_terms),
+        "spread": round_numbers(float(np.mean(fit.best_fit.linear_model.residual**2))),
+        "trust": round_numbers(float(np.mean(fit.correlation_weight))),
         "floor_known": fit.cell.floor_known,
-        "settled": fit.settled,
+        "settled": fit.converged,
     }
 
 
 def _open_pairs(found: Budget) -> list[list[Pair]]:
     """Doubts by part: the best set against each rival that the recording does not exclude, heaviest first."""
     out = []
-    for fit in found.fits:
-        mine = hypothesis_at_fit(fit_of(fit.best.current_terms, fit.best.lin), _variance_inflation(fit))
+    for fit in found.part_fits:
+        mine = hypothesis_at_fit(
+            fit_of(fit.best_fit.current_terms, fit.best_fit.linear_model), _variance_inflation(fit)
+        )
         pairs = []
         for number, rival in _open_rivals(fit):
-            other = hypothesis_at_fit(fit_of(rival.current_terms, rival.lin), _variance_inflation(fit))
+            other = hypothesis_at_fit(fit_of(rival.current_terms, rival.linear_model), _variance_inflation(fit))
             weight = next(
-                (line.mm for line in found.lines if line.evidence.term is fit.best.current_terms[number]), 0.0
+                (
+                    line.tool_rms_mm
+                    for line in found.effect_lines
+                    if line.evidence.effect_term is fit.best_fit.current_terms[number]
+                ),
+                0.0,
             )
             names = _first_apart(mine.fit, other.fit), _first_apart(other.fit, mine.fit)
             pairs.append(Pair(fit.cell, _variance_inflation(fit), mine, other, weight + 1e-6, names))
         if pairs:
             out.append(sorted(pairs, key=lambda pair: -pair.weight)[:3])
-    return sorted(out, key=lambda pairs: -pairs[0].weight)
+    return sorted(out, key=lambda pairs: -pairs[0].importance_weight)
 
 
 def _first_apart(first: Fit, other: Fit) -> Key | None:
@@ -350,31 +370,31 @@ def _first_apart(first: Fit, other: Fit) -> Key | None:
 
 
 def _variance_inflation(fit: WholeFit) -> float:
-    return 1.0 / float(np.mean(fit.trust))
+    return 1.0 / float(np.mean(fit.correlation_weight))
 
 
 def _open_rivals(fit: WholeFit) -> Iterator[tuple[int, Fitted]]:
-    for number, rival in fit.rivals.items():
-        if rival is not None and fit.best.score - rival.score < OPEN_NATS:
+    for number, rival in fit.rival_fit_by_term.items():
+        if rival is not None and fit.best_fit.log_posterior_nats - rival.log_posterior_nats < AMBIGUITY_LIMIT_NATS:
             yield number, rival
-    for kept, out in fit.twins:
-        if fit.best.present_terms[kept]:
+    for kept, out in fit.collinear_term_pairs:
+        if fit.best_fit.present_terms[kept]:
             yield kept, _fit_with_twin_effect(fit, kept, out)
 
 
 def _fit_with_twin_effect(fit: WholeFit, kept: int, out: int) -> Fitted:
     """The best set with an effect's twin in its place: their columns differ by a factor."""
-    lin = fit.best.lin
-    mine, other = (lin.J[:, lin.first[k]] for k in (kept, out))
+    lin = fit.best_fit.linear_model
+    mine, other = (lin.J[:, lin.term_first_column[k]] for k in (kept, out))
     ratio = float(mine @ other) / max(float(other @ other), 1e-300)
-    terms = list(lin.terms)
-    terms[out] = replace(terms[out], theta=ratio * terms[kept].theta, present=True)
-    terms[kept] = replace(terms[kept], theta=np.zeros_like(terms[kept].theta), present=False)
+    terms = list(lin.effect_terms)
+    terms[out] = replace(terms[out], theta=ratio * terms[kept].theta, is_present=True)
+    terms[kept] = replace(terms[kept], theta=np.zeros_like(terms[kept].theta), is_present=False)
     J: Array = lin.J.copy()
-    x = lin.x.copy()
-    x[lin.first[out]], x[lin.first[kept]] = ratio * x[lin.first[kept]], 0.0
-    moved = replace(lin, terms=tuple(terms), J=J, x=x)
-    return replace(fit.best, lin=moved)
+    x = lin.parameter_offsets.copy()
+    x[lin.term_first_column[out]], x[lin.term_first_column[kept]] = ratio * x[lin.term_first_column[kept]], 0.0
+    moved = replace(lin, effect_terms=tuple(terms), J=J, parameter_offsets=x)
+    return replace(fit.best_fit, linear_model=moved)
 
 
 def round_numbers(value: float | None) -> float | None:

@@ -30,11 +30,11 @@ from diagnosis.verdict import (
     usual_level,
     verdict_of,
 )
-from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
+from diagnosis.whole_model.evidence import NORMAL_QUANTILE_95, Evidence, evidence_of
 from diagnosis.whole_model.held_out import HeldOut, held_out
 from diagnosis.whole_model.linear import EffectTerm
 from diagnosis.whole_model.parts import fit_machine
-from diagnosis.whole_model.probability import CONFIRMED, LIKELY, probability
+from diagnosis.whole_model.probability import CONFIRMED_PROBABILITY, LIKELY_PROBABILITY, probability
 from diagnosis.whole_model.solve import WholeFit, fit_of, refit_reduced, refit_terms
 from diagnosis.whole_model.tool_error import ToolError, tool_errors
 from machine.effects.entries import EffectEntry
@@ -51,32 +51,32 @@ class Budget:
     if there were no other. `shrinks`: by part of `held_out`, how far its gap closes on motions that were left out.
     """
 
-    whole: Read
-    fits: tuple[WholeFit, ...]
-    lines: tuple[EffectLine, ...]
-    machine: tuple[EffectTerm, ...]
-    columns: tuple[BudgetColumn, ...]
-    stages: tuple[StageLine, ...]
+    recording: Read
+    part_fits: tuple[WholeFit, ...]
+    effect_lines: tuple[EffectLine, ...]
+    machine_file_terms: tuple[EffectTerm, ...]
+    budget_columns: tuple[BudgetColumn, ...]
+    stage_verdicts: tuple[StageLine, ...]
     localisation: Localisation
     held_out: tuple[HeldOut, ...]
-    shrinks: Closing
+    gap_closures: Closing
     verdict: Verdict
-    why: str
+    verdict_reason: str
 
     @property
     def miss_mm(self) -> float:
         """How far the nominal model misses the tool: where it stands and how it gets there, together."""
-        return together_mm(column.before_mm for column in self.columns if column.name != "sees")
+        return together_mm(column.before_mm for column in self.budget_columns if column.name != "sees")
 
     @property
     def left_mm(self) -> float:
         """The same with the confirmed effects added."""
-        return together_mm(column.after_mm for column in self.columns if column.name != "sees")
+        return together_mm(column.after_mm for column in self.budget_columns if column.name != "sees")
 
     @property
     def confirmed_effects(self) -> tuple[EffectLine, ...]:
         """Effects that are confirmed."""
-        return tuple(line for line in self.lines if line.status == "confirmed")
+        return tuple(line for line in self.effect_lines if line.status == "confirmed")
 
     def effect_entries(self) -> tuple[EffectEntry, ...]:
         """The effects of a machine file that predicts as well as this recording allows.
@@ -84,7 +84,7 @@ class Budget:
         Why not the confirmed ones alone: the model of all effects with a probability of at least a half predicts best.
         Source: median probability model, Barbieri, Berger 2004.
         """
-        return entries_of(self.machine)
+        return entries_of(self.machine_file_terms)
 
 
 def entries_of(terms: Sequence[EffectTerm]) -> tuple[EffectEntry, ...]:
@@ -99,20 +99,20 @@ def budget_of(whole: Read, progress: Progress = no_progress, left_out: tuple[str
     work.report_concluding_progress("weighing", 0.0)
     weighed = [found for fit in fits for found in _evidence_with_probability(fit)]
     evidence = [found for found, _ in weighed]
-    chance = {id(found.term): likely for found, likely in weighed}
-    sure, machine = (_machine_of(fits, chance, least) for least in (CONFIRMED, LIKELY))
-    errors = tool_errors(whole, [found.term for found in evidence], [fit.cell for fit in fits], sure)
+    chance = {id(found.effect_term): likely for found, likely in weighed}
+    sure, machine = (_machine_of(fits, chance, least) for least in (CONFIRMED_PROBABILITY, LIKELY_PROBABILITY))
+    errors = tool_errors(whole, [found.effect_term for found in evidence], [fit.cell for fit in fits], sure)
     work.report_concluding_progress("localising", 0.6)
     before, after = localise(whole), localise(_with_effects(whole, entries_of(sure)))
     work.report_concluding_progress("held-out data", 0.8)
-    predicted = tuple(held_out(fit.cell, fit_of(fit.best.current_terms, fit.best.lin)) for fit in fits)
+    predicted = tuple(held_out(fit.cell, fit_of(fit.best_fit.current_terms, fit.best_fit.linear_model)) for fit in fits)
     closing = tuple(tuple(gaps_closed(prediction)) for prediction in predicted)
     columns = tuple(_budget_column(whole, error, chance, fits, sure) for error in errors)
     total = sum(column.before_mm**2 for column in columns)
     lines = tuple(
         line for error in errors for line in _effect_lines(error, evidence, chance, total)
     ) + _lines_without_tool_error(evidence, errors, chance)
-    lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
+    lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.tool_rms_mm)))
     stages = stages_of(whole, lines, columns, (before, after), fits, closing)
     verdict, why = verdict_of(whole, lines, columns, stages, fits, closing)
     where = beyond_noise(before, {(line.stage, line.joint): line.before_mm or 0.0 for line in stages})
@@ -126,43 +126,48 @@ def _evidence_with_probability(fit: WholeFit) -> list[tuple[Evidence, float]]:
     something that the catalogue does not have. Without one, many small effects are truly there and yet doubtful.
     """
     found = [(evidence, probability(evidence)) for evidence in evidence_of(fit)]
-    held = [evidence.term for evidence, likely in found if likely >= LIKELY]
-    if fit.cell.usual is None or len(held) in (0, len(found)):
+    held = [evidence.effect_term for evidence, likely in found if likely >= LIKELY_PROBABILITY]
+    if fit.cell.baseline_gain_nats is None or len(held) in (0, len(found)):
         return found
-    again = {alone.term.effect.without_variant: probability(alone) for alone in evidence_of(refit_reduced(fit, held))}
+    again = {
+        alone.effect_term.effect.without_variant: probability(alone) for alone in evidence_of(refit_reduced(fit, held))
+    }
     return [
-        (evidence, min(likely, again.get(evidence.term.effect.without_variant, likely))) for evidence, likely in found
+        (evidence, min(likely, again.get(evidence.effect_term.effect.without_variant, likely)))
+        for evidence, likely in found
     ]
 
 
 def _machine_of(fits: Iterable[WholeFit], chance: dict[int, float], least: float) -> tuple[EffectTerm, ...]:
     """The effects of at least this probability, each part's fitted as if it had no other."""
-    some = [term for fit in fits for term in fit.best.current_terms if chance.get(id(term), 0.0) >= least]
+    some = [term for fit in fits for term in fit.best_fit.current_terms if chance.get(id(term), 0.0) >= least]
     return tuple(term for fit in fits for term in refit_terms(fit, some))
 
 
 def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:
-    nominal = whole.nominal
+    nominal = whole.nominal_machine
     return (
-        whole if nominal is None else replace(whole, nominal=replace(nominal, baseline=(*nominal.baseline, *entries)))
+        whole
+        if nominal is None
+        else replace(whole, nominal_machine=replace(nominal, baseline_effects=(*nominal.baseline_effects, *entries)))
     )
 
 
 def _effect_lines(
     error: ToolError, evidence: list[Evidence], chance: dict[int, float], total_mm2: float
 ) -> list[EffectLine]:
-    by_term = {id(found.term): found for found in evidence}
+    by_term = {id(found.effect_term): found for found in evidence}
     out = []
-    for term, rms, squares in zip(error.terms, error.rms_m * MM, error.squares_m2 * MM**2, strict=True):
+    for term, rms, squares in zip(error.effect_terms, error.rms_m * MM, error.squares_m2 * MM**2, strict=True):
         one = by_term[id(term)]
         sizes = term.theta[: term.size_count]
         size = float(np.linalg.norm(sizes)) if not term.limits else 1.0
         sd = float(np.linalg.norm(one.size_sd * sizes) / size) if not term.limits and size > 0.0 else 0.0
-        spread = QUANTILE_95 * sd / size if size > 0.0 else 0.0
+        spread = NORMAL_QUANTILE_95 * sd / size if size > 0.0 else 0.0
         out.append(
             EffectLine(
                 one,
-                error.column,
+                error.budget_column,
                 float(rms),
                 float(rms) * max(0.0, 1.0 - spread),
                 float(rms) * (1.0 + spread),
@@ -178,11 +183,11 @@ def _lines_without_tool_error(
     evidence: list[Evidence], errors: tuple[ToolError, ...], chance: dict[int, float]
 ) -> tuple[EffectLine, ...]:
     """Effects of which nothing says what they do at the tool (no arm in the machine file, no controller)."""
-    placed = {id(term) for error in errors for term in error.terms}
+    placed = {id(term) for error in errors for term in error.effect_terms}
     return tuple(
-        EffectLine(found, "", 0.0, 0.0, 0.0, 0.0, 0.0, chance[id(found.term)])
+        EffectLine(found, "", 0.0, 0.0, 0.0, 0.0, 0.0, chance[id(found.effect_term)])
         for found in evidence
-        if id(found.term) not in placed
+        if id(found.effect_term) not in placed
     )
 
 
@@ -190,32 +195,40 @@ def _budget_column(
     whole: Read, error: ToolError, chance: dict[int, float], fits: tuple[WholeFit, ...], sure: Sequence[EffectTerm]
 ) -> BudgetColumn:
     """One column's miss before and after; measured where the recording measured it."""
-    chosen = [k for k, term in enumerate(error.terms) if chance[id(term)] >= CONFIRMED]
+    chosen = [k for k, term in enumerate(error.effect_terms) if chance[id(term)] >= CONFIRMED_PROBABILITY]
     explained = error.by_effect[chosen].sum(axis=0) if chosen else np.zeros_like(error.total_error)
-    if error.measured is not None and error.left is not None:
+    if error.measured_error_m is not None and error.remaining_error_m is not None:
         floor = _tracking_floor_mm(whole)
-        return BudgetColumn(error.column, _rms_mm(error.measured, floor), _rms_mm(error.left, floor), floor, True)
-    seen = error.column == "sees"
+        return BudgetColumn(
+            error.budget_column,
+            _rms_mm(error.measured_error_m, floor),
+            _rms_mm(error.remaining_error_m, floor),
+            floor,
+            True,
+        )
+    seen = error.budget_column == "sees"
     left = [
         _left_and_noise_mm(whole, part, residual)
         for fit in fits
-        for part, residual in fit.cell.by_part(fit.best.lin.residual if seen else _residual_with(fit.cell, sure))
+        for part, residual in fit.cell.by_part(
+            fit.best_fit.linear_model.residual if seen else _residual_with(fit.cell, sure)
+        )
         if isinstance(part.whitened, CornerResidual if seen else PointResidual)
     ]
     if not left:  # nothing measured it: all that is known is what the confirmed effects do
-        return BudgetColumn(error.column, _rms_mm(explained), 0.0, 0.0, False)
+        return BudgetColumn(error.budget_column, _rms_mm(explained), 0.0, 0.0, False)
     after, floor = max(left)
     before = together_mm((_rms_mm(explained), after))
     if seen:  # a mean error of corners says little of the distance: what the effects that are not confirmed do is added
         before = together_mm((_rms_mm(error.total_error), after))
         after = together_mm((_rms_mm(error.total_error - explained), after))
-    return BudgetColumn(error.column, before, after, floor, True)
+    return BudgetColumn(error.budget_column, before, after, floor, True)
 
 
 def _residual_with(cell: Cell, terms: Sequence[EffectTerm]) -> Array:
     """What a part of the machine leaves (N,), whitened, with these effects and no other."""
     own = {candidate.effect_and_joint for candidate in cell.candidates}
-    sets = cell.base
+    sets = cell.baseline_parameters
     for term in terms:
         if term.effect.effect_and_joint in own:
             sets = parameter_sets_with(sets, (term.effect,), term.theta)
@@ -234,9 +247,12 @@ def _left_and_noise_mm(whole: Read, part: Cell, residual: Array) -> tuple[float,
     unit_mm = MM * float(np.sqrt(np.mean(part.scale**2) / rows))
     if not isinstance(part.whitened, CornerResidual):
         unit_mm *= np.sqrt(3.0)  # three numbers a point
-    elif part.whitened.nominal.camera is not None:
-        places = part.whitened.poses(part.base, without_encoders(part.base), 0, 0.0) @ part.whitened.T_base_ooi
-        unit_mm *= float(np.median(np.abs(places[:, 2, 3]))) / part.whitened.nominal.camera.fx_px
+    elif part.whitened.nominal_machine.camera is not None:
+        places = (
+            part.whitened.poses(part.baseline_parameters, without_encoders(part.baseline_parameters), 0, 0.0)
+            @ part.whitened.T_base_ooi
+        )
+        unit_mm *= float(np.median(np.abs(places[:, 2, 3]))) / part.whitened.nominal_machine.camera.fx_px
     return unit_mm * float(np.sqrt(left)), unit_mm * float(np.sqrt(noise))
 
 
@@ -247,7 +263,7 @@ def _rms_mm(displacement: Array, floor_mm: float = 0.0) -> float:
 
 def _tracking_floor_mm(whole: Read) -> float:
     """By how much repeats of one command differ at the tool (RMS) [mm]; 0 without repeats."""
-    nominal = whole.nominal
+    nominal = whole.nominal_machine
     squares = []
     for members in repeat_groups(whole.stretches).values():
         if nominal is None or nominal.arm is None or any(stretch.enc is None for stretch in members):

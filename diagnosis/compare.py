@@ -25,7 +25,7 @@ from machine.effects.structure import tcp_poses
 from machine.rotations import Array
 from machine.targets import Marker
 
-SKIPPED_S = 1.0  # at a stretch's start: what the valves were doing there is not known
+START_SKIPPED_S = 1.0  # at a stretch's start: what the valves were doing there is not known
 MM = 1e3
 
 
@@ -37,15 +37,15 @@ class ToolMiss:
     tool follows what was sent).
     """
 
-    name: str
-    by: str
+    machine_file_name: str
+    measured_by: str
     t_s: Array
-    mm: Array
+    miss_mm: Array
 
     @property
     def rms_mm(self) -> float:
         """Over the whole recording."""
-        return float(np.sqrt(np.mean(self.mm**2))) if len(self.mm) else float("nan")
+        return float(np.sqrt(np.mean(self.miss_mm**2))) if len(self.miss_mm) else float("nan")
 
 
 def tool_misses(whole: Read, machines: Sequence[tuple[str, str]]) -> tuple[ToolMiss, ...]:
@@ -73,7 +73,7 @@ def _recorded_and_simulated_runs(whole: Read, nominal: Nominal) -> list[tuple[St
     replayer = replayer_of(nominal, whole.stretches)
     if replayer is None or nominal.arm is None or not nominal.has_controller:
         return []
-    base, out = pack_under(nominal.baseline, nominal.n), []
+    base, out = pack_under(nominal.baseline_effects, nominal.n), []
     for stretch in whole.stretches:
         run = closed_loop(replayer, stretch)
         if run is not None:
@@ -88,7 +88,7 @@ def _by_encoders(name: str, nominal: Nominal, runs: list[tuple[Stretch, Stretch]
     for recorded, simulated in runs:
         if nominal.arm is None or recorded.enc is None or simulated.enc is None:
             continue
-        rows = slice(round(SKIPPED_S / recorded.dt_s), None, max(1, round(0.05 / recorded.dt_s)))
+        rows = slice(round(START_SKIPPED_S / recorded.dt_s), None, max(1, round(0.05 / recorded.dt_s)))
         plain = neutral_sets(nominal.n)
         at = [tcp_poses(nominal.arm, plain, enc[rows])[:, :3, 3] for enc in (recorded.enc, simulated.enc)]
         times.append(recorded.t_s[rows])
@@ -102,13 +102,13 @@ def _by_camera(name: str, tables: Tables | None, nominal: Nominal, simulated: li
         return None
     if nominal.T_tcp_cam_left is None or not simulated:
         return None
-    base = pack_under(nominal.baseline, nominal.n)
+    base = pack_under(nominal.baseline_effects, nominal.n)
     eyes = _nominal_with_camera_effects(nominal, base)
     paths = paths_of(tuple(simulated))
     stamps = tables.markers.t_s + camera_to_plc_s(tables)
     starts = np.array([path.t_s[0] for path in paths])
     exposed = true_times(base, stamps, float(starts.min()))
-    there = path_index(paths, exposed, SKIPPED_S) >= 0
+    there = path_index(paths, exposed, START_SKIPPED_S) >= 0
     seen = views_of(eyes, _select_marker_rows(tables.markers, np.nonzero(there)[0]), "ooi")
     if len(seen.t_s) < 2:
         return None
@@ -123,10 +123,10 @@ def _nominal_with_camera_effects(nominal: Nominal, base: ParameterSets) -> Nomin
     """The nominal machine with the camera and the markers as the file's effects have them."""
     if nominal.camera is None:
         return nominal
-    size = 1.0 + float(base.machine[0, MARKER_SIZE])
+    size = 1.0 + float(base.machine_parameters[0, MARKER_SIZE])
     markers: tuple[Marker, ...] = tuple(replace(marker, side_m=marker.side_m * size) for marker in nominal.markers)
     return replace(nominal, camera=true_camera(base, nominal.camera), markers=markers)
 
 
 def _select_marker_rows(table: MarkerTable, rows: NDArray[np.int64]) -> MarkerTable:
-    return MarkerTable(table.t_s[rows], table.eye[rows], table.ids[rows], table.corners[rows])
+    return MarkerTable(table.t_s[rows], table.eye[rows], table.marker_ids[rows], table.corners_px[rows])

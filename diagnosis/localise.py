@@ -11,7 +11,7 @@ from diagnosis.behind.points import fit_points, static_data, tracked_data
 from diagnosis.behind.views import ooi_residual, tool_residual, views_of
 from diagnosis.datagrams.clocks import camera_to_plc_s
 from diagnosis.log.nominal import Nominal
-from diagnosis.noise.floor import BLOCK_S, block_increments, block_means
+from diagnosis.noise.floor import BLOCK_DURATION_S, block_increments, block_means
 from diagnosis.reading.read import Read
 from diagnosis.regimes import regimes_of
 from diagnosis.replay.merge import merged_drives
@@ -24,12 +24,12 @@ from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array
 
-MERGED_UNDER = "actuator"  # the last of the stages that no valve command separates
+MERGED_STAGE_NAME = "actuator"  # the last of the stages that no valve command separates
 STAGE_UNITS = {"link": "rad", "controller": "1", "actuator": "rad/s"}
-AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-POSTURES = 25
-MOVE_RAD = 1e-4
-PARTS = ("still", "forward", "backward", "reversal", "first half", "second half")  # regimes inside "all"
+POSE_AXIS_NAMES = ("x", "y", "z", "roll", "pitch", "yaw")
+LEVER_ARM_POSTURES = 25
+FINITE_DIFFERENCE_STEP_RAD = 1e-4
+SUB_REGIMES = ("still", "forward", "backward", "reversal", "first half", "second half")  # regimes inside "all"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +42,9 @@ class Place:
     stage: str
     joint: int | None
     axis: str | None
-    regime: str
-    gap: float
-    floor: float
+    motion_regime: str
+    model_gap: float
+    noise_floor: float
     unit: str
     tcp_mm: float
     share_frac: float = 0.0
@@ -54,17 +54,17 @@ class Place:
 class Localisation:
     """All places, largest share first within regime "all"; `floor_known`: from repeats. `merged`: (stages, why)."""
 
-    places: tuple[Place, ...]
-    merged: tuple[tuple[tuple[str, ...], str], ...]
+    gap_places: tuple[Place, ...]
+    merged_stage_reasons: tuple[tuple[tuple[str, ...], str], ...]
     floor_known: bool
 
 
 def localise(whole: Read) -> Localisation:
     """The gap of the nominal machine (with its baseline, if its file has one) on every stage that can be judged."""
-    nominal, tables = whole.nominal, whole.tables
+    nominal, tables = whole.nominal_machine, whole.tables
     if nominal is None or tables is None or not whole.has_judgeable_stage:
         return Localisation((), (), False)
-    sets = pack_effects(nominal.baseline, nominal.n)
+    sets = pack_effects(nominal.baseline_effects, nominal.n)
     groups = repeat_groups(whole.stretches)
     replayer, places = replayer_of(nominal, whole.stretches), []
     lever = levers_mm(nominal, whole.stretches)
@@ -73,7 +73,7 @@ def localise(whole: Read) -> Localisation:
         for stage in STAGE_UNITS:
             places += _dynamic_stage_places(replayer, stage, prepared, groups, sets, lever)
         places += _dynamic_stage_places(
-            replayer, MERGED_UNDER, merged_drives(replayer, whole.stretches), groups, sets, lever
+            replayer, MERGED_STAGE_NAME, merged_drives(replayer, whole.stretches), groups, sets, lever
         )
     places += _structure_places(whole, nominal, sets) + _camera_places(whole, nominal, sets)
     return Localisation(_assign_shares(places), merged_stages(whole), bool(groups))
@@ -95,10 +95,10 @@ def _dynamic_stage_places(
     judged = [entry.stretch for entry in prepared if entry.stretch.name in errors]
     if not judged:
         return []
-    floor = np.hypot(_repeat_noise_floor(stage, groups, errors), _baseline_remainder(replayer.nominal, stage))
+    floor = np.hypot(_repeat_noise_floor(stage, groups, errors), _baseline_remainder(replayer.nominal_machine, stage))
     carried = _to_radians(replayer, stage) * lever
     places: list[Place] = []
-    for j in range(replayer.nominal.n):
+    for j in range(replayer.nominal_machine.n):
         values = [_regime_values(stretch, errors[stretch.name][:, j], j) for stretch in judged]
         for regime in dict.fromkeys(name for by_name in values for name in by_name):
             pooled = np.concatenate([by_name[regime] for by_name in values if regime in by_name])
@@ -106,7 +106,7 @@ def _dynamic_stage_places(
                 continue  # a column that was not recorded
             gap = error_above_floor(pooled, float(floor[j]))
             tcp_mm = gap * float(carried[j])
-            unit = unit_of(STAGE_UNITS[stage], replayer.nominal.sliding, j)
+            unit = unit_of(STAGE_UNITS[stage], replayer.nominal_machine.joint_slides, j)
             places.append(Place(stage, j + 1, None, regime, gap, float(floor[j]), unit, tcp_mm))
     return places
 
@@ -114,7 +114,7 @@ def _dynamic_stage_places(
 def _baseline_remainder(nominal: Nominal, stage: str) -> Array:
     """What the baseline leaves of a stage, in the unit of its error (n,)."""
     records = [nominal.baseline_remainder(stage, j + 1) for j in range(nominal.n)]
-    per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
+    per_second = 1.0 / BLOCK_DURATION_S if stage == "actuator" else 1.0
     return per_second * np.array([record.rms if record is not None else 0.0 for record in records])
 
 
@@ -125,7 +125,7 @@ def stage_error(replayer: Replayer, stage: str, prepared: PreparedStretch, sets:
         return None
     dt_s = prepared.stretch.dt_s
     if stage == "actuator":  # open loop: its error of position is a random walk, its error of speed is not
-        return block_increments(residual[0], dt_s) / max(BLOCK_S, dt_s)
+        return block_increments(residual[0], dt_s) / max(BLOCK_DURATION_S, dt_s)
     return block_means(residual[0], dt_s)[1:]
 
 
@@ -148,7 +148,7 @@ def _repeat_noise_floor(stage: str, groups: dict[str, tuple[Stretch, ...]], erro
 
 
 def _at_20_hz(stretch: Stretch) -> Stretch:
-    return replace(stretch, dt_s=max(BLOCK_S, stretch.dt_s))
+    return replace(stretch, dt_s=max(BLOCK_DURATION_S, stretch.dt_s))
 
 
 def _regime_values(stretch: Stretch, error: Array, j: int) -> dict[str, Array]:
@@ -156,7 +156,7 @@ def _regime_values(stretch: Stretch, error: Array, j: int) -> dict[str, Array]:
     if position is None:
         return {"all": error}
     blocks = block_means(position[:, [j]], stretch.dt_s)[1 : len(error) + 1, 0]
-    return {name: error[mask] for name, mask in regimes_of(blocks, max(BLOCK_S, stretch.dt_s)).items()}
+    return {name: error[mask] for name, mask in regimes_of(blocks, max(BLOCK_DURATION_S, stretch.dt_s)).items()}
 
 
 def error_above_floor(error: Array, floor: float) -> float:
@@ -171,7 +171,7 @@ def _to_radians(replayer: Replayer, stage: str) -> Array:
            speed / (kp velocity gain), or, without a controller, over one second.
     """
     gain, kp = replayer.plant.joints[:, 0], replayer.plant.joints[:, 3]
-    closed = replayer.nominal.has_controller
+    closed = replayer.nominal_machine.has_controller
     ones = np.ones(len(gain))
     return {
         "link": ones,
@@ -188,11 +188,13 @@ def levers_mm(nominal: Nominal, stretches: tuple[Stretch, ...]) -> Array:
     stack = np.concatenate([q[np.isfinite(q).all(axis=1)] for q in found if q is not None])
     if len(stack) == 0:
         return np.full(nominal.n, 1e3)
-    qs = stack[np.linspace(0, len(stack) - 1, POSTURES).astype(int)]
+    qs = stack[np.linspace(0, len(stack) - 1, LEVER_ARM_POSTURES).astype(int)]
     sets = neutral_sets(nominal.n)
     at = tcp_poses(nominal.arm, sets, qs)[:, :3, 3]
-    moved = [tcp_poses(nominal.arm, sets, qs + MOVE_RAD * row)[:, :3, 3] for row in np.eye(nominal.n)]
-    return np.array([1e3 * np.sqrt(np.mean(np.sum((shifted - at) ** 2, axis=1))) / MOVE_RAD for shifted in moved])
+    moved = [tcp_poses(nominal.arm, sets, qs + FINITE_DIFFERENCE_STEP_RAD * row)[:, :3, 3] for row in np.eye(nominal.n)]
+    return np.array(
+        [1e3 * np.sqrt(np.mean(np.sum((shifted - at) ** 2, axis=1))) / FINITE_DIFFERENCE_STEP_RAD for shifted in moved]
+    )
 
 
 def _structure_places(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
@@ -203,7 +205,7 @@ def _structure_places(whole: Read, nominal: Nominal, sets: ParameterSets) -> lis
     tracked = tracked_data(nominal, tables.tracker, whole.stretches) if tables.tracker is not None else None
     for regime, data in (("at rest", static), ("tracked", tracked)):
         if data is not None and len(data.xyz) >= 4:
-            residual = fit_points(nominal, sets, data).residual
+            residual = fit_points(nominal, sets, data).residual_m
             places += _places_by_axis("structure", regime, residual, np.zeros(3))
     return places
 
@@ -250,7 +252,7 @@ def _places_by_axis(stage: str, regime: str, error: Array, floor: Array) -> list
     for k in range(error.shape[1]):
         gap = error_above_floor(error[:, k], float(floor[k]))
         unit, tcp_mm = ("m", 1e3 * gap) if k < 3 else ("rad", 0.0)
-        places.append(Place(stage, None, AXES[k], regime, gap, float(floor[k]), unit, tcp_mm))
+        places.append(Place(stage, None, POSE_AXIS_NAMES[k], regime, gap, float(floor[k]), unit, tcp_mm))
     return places
 
 
@@ -261,27 +263,27 @@ def beyond_noise(found: Localisation, stages_mm: Mapping[tuple[str, int | None],
     noise of points and markers. The budget knows both: what it does not see as a gap is the place's floor.
     """
     places = []
-    for place in found.places:
+    for place in found.gap_places:
         of_joint = (place.stage, place.joint) in stages_mm
         mm = stages_mm.get((place.stage, place.joint if of_joint else None), 0.0)
-        alike = [p for p in found.places if p.stage == place.stage and (not of_joint or p.joint == place.joint)]
-        moved = math.hypot(*(p.tcp_mm for p in alike if p.regime not in PARTS))
+        alike = [p for p in found.gap_places if p.stage == place.stage and (not of_joint or p.joint == place.joint)]
+        moved = math.hypot(*(p.tcp_mm for p in alike if p.motion_regime not in SUB_REGIMES))
         part = min(1.0, mm / moved) if moved > 0.0 else 0.0
-        floor = math.sqrt(place.floor**2 + (1.0 - part**2) * place.gap**2)
-        places.append(replace(place, gap=part * place.gap, tcp_mm=part * place.tcp_mm, floor=floor))
+        floor = math.sqrt(place.noise_floor**2 + (1.0 - part**2) * place.model_gap**2)
+        places.append(replace(place, model_gap=part * place.model_gap, tcp_mm=part * place.tcp_mm, noise_floor=floor))
     totals = {stage: math.hypot(*(mm for at, mm in stages_mm.items() if at[0] == stage)) for stage, _ in stages_mm}
-    return replace(found, places=_assign_shares(places, totals))
+    return replace(found, gap_places=_assign_shares(places, totals))
 
 
 def _assign_shares(places: list[Place], stages_mm: Mapping[str, float] | None = None) -> tuple[Place, ...]:
     """Shares of the sum over stages of their tcp motion (root sum of squares within a stage), largest first; those of
     all places, without the regimes inside "all", sum to one.
     """
-    whole = [place for place in places if place.regime not in PARTS]
+    whole = [place for place in places if place.motion_regime not in SUB_REGIMES]
     moved = stages_mm or {p.stage: math.hypot(*(q.tcp_mm for q in whole if q.stage == p.stage)) for p in whole}
     total = sum(moved[stage] for stage in {place.stage for place in whole} & moved.keys())
     shared = [replace(place, share_frac=_share_of_place(place, whole, moved, total)) for place in places]
-    return tuple(sorted(shared, key=lambda place: (place.regime in PARTS, -place.share_frac)))
+    return tuple(sorted(shared, key=lambda place: (place.motion_regime in SUB_REGIMES, -place.share_frac)))
 
 
 def _share_of_place(place: Place, whole: list[Place], moved: Mapping[str, float], total: float) -> float:
@@ -303,7 +305,7 @@ def totals_of(places: tuple[Place, ...]) -> tuple[Place, ...]:
     """
     out = []
     for stage in dict.fromkeys(place.stage for place in places):
-        all_of = [place for place in places if place.stage == stage and place.regime not in PARTS]
+        all_of = [place for place in places if place.stage == stage and place.motion_regime not in SUB_REGIMES]
         for unit in dict.fromkeys(_counted_under(place, all_of) for place in all_of):
             together = [place for place in all_of if _counted_under(place, all_of) == unit]
             out.append(_stage_total(stage, unit, together))
@@ -317,9 +319,9 @@ def _counted_under(place: Place, of_stage: list[Place]) -> str:
 
 def _stage_total(stage: str, unit: str, together: list[Place]) -> Place:
     same = [place for place in together if place.unit == unit]
-    count = len(same) if same[0].axis is None else len({place.regime for place in same})
-    gap = math.sqrt(sum(place.gap**2 for place in same) / count)
-    floor = math.sqrt(sum(place.floor**2 for place in same) / count)
+    count = len(same) if same[0].axis is None else len({place.motion_regime for place in same})
+    gap = math.sqrt(sum(place.model_gap**2 for place in same) / count)
+    floor = math.sqrt(sum(place.noise_floor**2 for place in same) / count)
     tcp_mm, share = math.hypot(*(place.tcp_mm for place in together)), sum(place.share_frac for place in together)
     return Place(stage, None, None, "all", gap, floor, unit, tcp_mm, share)
 
@@ -334,7 +336,7 @@ def merged_stages(whole: Read) -> tuple[tuple[tuple[str, ...], str], ...]:
     if some and not any(stretch.enc is not None for stretch in some):
         merged.append((("controller", "actuator"), "no q in plc.csv: how the joints moved is not known"))
     has_ref, has_u = any(stretch.ref is not None for stretch in some), any(stretch.u is not None for stretch in some)
-    if some and not any(stretch.sent is not None for stretch in some):
+    if some and not any(stretch.sent_reference is not None for stretch in some):
         merged.append((("time", "link"), "no sent.csv: the link is not seen"))
     if some and not has_ref:
         merged.append((("link", "controller", "actuator"), "no q_ref in plc.csv: the received reference is not known"))

@@ -10,9 +10,9 @@ from diagnosis.search.cell import Cell
 from diagnosis.whole_model.held_out import HeldOut
 from machine.rotations import Array
 
-DRAWS = 400
-LIMIT_SHARE = 0.05  # of all cases beyond each limit
-FLOOR_SHARE = 0.1  # of the noise: how well repeats determine it
+BOOTSTRAP_DRAWS = 400
+LIMIT_TAIL_PROBABILITY = 0.05  # of all cases beyond each limit
+NOISE_UNCERTAINTY_FRAC = 0.1  # of the noise: how well repeats determine it
 Closed = tuple[float | None, float | None, float | None]
 UNKNOWN: Closed = (None, None, None)
 
@@ -24,7 +24,7 @@ class BlockSquares:
     before: Array
     after: Array
     noise: Array
-    rows: int
+    row_count: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,15 +37,15 @@ class GapClosed:
     joint: int | None
     measurement: str
     unit: str
-    before: float
-    after: float
-    floor: float
-    closed: Closed
+    rms_without_effects: float
+    rms_with_effects: float
+    noise_floor: float
+    closed_frac_with_limits: Closed
 
 
 def gaps_closed(held_out: HeldOut) -> list[tuple[GapClosed, BlockSquares]]:
     """Of each part of a cell; a plain cell is its own only part."""
-    squares = np.stack([held_out.before**2, held_out.after**2], axis=1)
+    squares = np.stack([held_out.residual_without_effects**2, held_out.residual_with_effects**2], axis=1)
     out = []
     for part, own in held_out.cell.by_part(squares):
         block = part.rows.block
@@ -61,38 +61,44 @@ def gap_closed_of_parts(parts: Iterable[BlockSquares]) -> BlockSquares:
     """Parts as one."""
     some = tuple(parts)
     joined = [np.concatenate([getattr(part, name) for part in some]) for name in ("before", "after", "noise")]
-    return BlockSquares(*joined, rows=sum(part.rows for part in some))
+    return BlockSquares(*joined, row_count=sum(part.row_count for part in some))
 
 
 def _part_gap_closed(part: Cell, sums: BlockSquares) -> GapClosed:
     unit_scale = float(np.sqrt(np.mean(part.scale**2)))
     rms = [unit_scale * x for x in rms_of(sums)]
-    return GapClosed(part.stage, part.joint, measurement_of(part), part.unit, *rms, closed=closed_share(sums))
+    return GapClosed(
+        part.stage, part.joint, measurement_of(part), part.unit, *rms, closed_frac_with_limits=closed_share(sums)
+    )
 
 
 def rms_of(sums: BlockSquares) -> Sequence[float]:
     """RMS before, after and of the noise, in noise floors."""
-    return [float(np.sqrt(x.sum() / sums.rows)) for x in (sums.before, sums.after, _bounded_noise_squares(sums))]
+    return [float(np.sqrt(x.sum() / sums.row_count)) for x in (sums.before, sums.after, _bounded_noise_squares(sums))]
 
 
 def excess_squares(squares: float, noise: float, rows: int) -> float:
     """What a sum of squares has beyond the noise's; 0 where chance, or how well repeats know the noise, may be why."""
     excess = squares - noise
-    return excess if excess > 2.0 * np.sqrt(2.0 * noise) + FLOOR_SHARE * rows else 0.0
+    return excess if excess > 2.0 * np.sqrt(2.0 * noise) + NOISE_UNCERTAINTY_FRAC * rows else 0.0
 
 
 def closed_share(sums: BlockSquares, seed: int = 0) -> Closed:
     """1 - (after - noise) / (before - noise) of the sums of squares, never clipped; None without a gap before."""
     noise = _bounded_noise_squares(sums)
-    excess = excess_squares(float(sums.before.sum()), float(noise.sum()), sums.rows)
+    excess = excess_squares(float(sums.before.sum()), float(noise.sum()), sums.row_count)
     if not excess:
         return UNKNOWN
     closed = 1.0 - float(sums.after.sum() - noise.sum()) / excess
-    draws = np.random.default_rng(seed).integers(0, len(noise), (DRAWS, len(noise)))
+    draws = np.random.default_rng(seed).integers(0, len(noise), (BOOTSTRAP_DRAWS, len(noise)))
     b, a, n = sums.before[draws].sum(axis=1), sums.after[draws].sum(axis=1), noise[draws].sum(axis=1)
     good = b - n > 0.0
     shares = 1.0 - (a[good] - n[good]) / (b[good] - n[good])
-    return closed, float(np.quantile(shares, LIMIT_SHARE)), float(np.quantile(shares, 1.0 - LIMIT_SHARE))
+    return (
+        closed,
+        float(np.quantile(shares, LIMIT_TAIL_PROBABILITY)),
+        float(np.quantile(shares, 1.0 - LIMIT_TAIL_PROBABILITY)),
+    )
 
 
 def _bounded_noise_squares(sums: BlockSquares) -> Array:

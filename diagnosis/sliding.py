@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 #: Unit of a joint that turns: of one that slides. Its load is a force, so that its compliance is a length by it.
-METRES = {"rad": "m", "rad/s": "m/s", "rad/(N m)": "m/N"}
-TILTS = ("joint_axis_tilt",)  # of a sliding joint's axis, an angle all the same
-ANGLES = ("tilt_rad", "phase_rad")
+LINEAR_UNIT_BY_ANGULAR_UNIT = {"rad": "m", "rad/s": "m/s", "rad/(N m)": "m/N"}
+SLIDING_JOINT_ANGLE_EFFECTS = ("joint_axis_tilt",)  # of a sliding joint's axis, an angle all the same
+ANGLE_RESULT_KEYS = ("tilt_rad", "phase_rad")
 
 
 def is_joint_sliding(sliding: Sequence[bool], j: int) -> bool:
@@ -16,7 +16,7 @@ def is_joint_sliding(sliding: Sequence[bool], j: int) -> bool:
 
 def unit_of(unit: str, sliding: Sequence[bool], j: int) -> str:
     """The unit that a number of joint j (0-based) has, which is written in `unit` of joints that turn."""
-    return METRES.get(unit, unit) if is_joint_sliding(sliding, j) else unit
+    return LINEAR_UNIT_BY_ANGULAR_UNIT.get(unit, unit) if is_joint_sliding(sliding, j) else unit
 
 
 def column_of(pattern: str, sliding: Sequence[bool], j: int) -> str:
@@ -31,8 +31,8 @@ def in_metres(answer: Any, sliding: tuple[bool, ...], joint: int | None = None) 
         return [in_metres(item, sliding, joint) for item in answer]
     if not isinstance(answer, dict):
         return answer
-    own = None if answer.get("name") in TILTS else answer.get("joint", joint)
-    out = {key: value if key in ANGLES else in_metres(value, sliding, own) for key, value in answer.items()}
+    own = None if answer.get("name") in SLIDING_JOINT_ANGLE_EFFECTS else answer.get("joint", joint)
+    out = {key: value if key in ANGLE_RESULT_KEYS else in_metres(value, sliding, own) for key, value in answer.items()}
     if isinstance(own, int) and isinstance(unit := out.get("unit"), str):
         out["unit"] = unit_of(unit, sliding, own - 1)
     return out

@@ -11,12 +11,12 @@ from diagnosis.reading.read import Read, stages_present
 from diagnosis.replay.stretches import stood_still
 from diagnosis.shrink import UNKNOWN, BlockSquares, GapClosed
 from diagnosis.whole_model.evidence import Evidence
-from diagnosis.whole_model.probability import CONFIRMED, LIKELY, logistic
+from diagnosis.whole_model.probability import CONFIRMED_PROBABILITY, LIKELY_PROBABILITY, logistic
 from diagnosis.whole_model.remainder import lead_of
 from diagnosis.whole_model.solve import WholeFit
 
 SMALL_MM, SMALL_SHARE = 0.5, 0.05  # at the tool, of the whole miss: a remainder too small to act on
-EXPLAINED = 0.9  # of the squared miss: then the effects explain the gap
+EXPLAINED_VERDICT_MIN_FRAC = 0.9  # of the squared miss: then the effects explain the gap
 
 Closing = tuple[tuple[tuple[GapClosed, BlockSquares], ...], ...]
 Status = Literal["confirmed", "likely", "doubtful"]
@@ -31,8 +31,8 @@ class EffectLine:
     """
 
     evidence: Evidence
-    column: str
-    mm: float
+    budget_column: str
+    tool_rms_mm: float
     low_mm: float
     high_mm: float
     squares_mm2: float
@@ -42,9 +42,9 @@ class EffectLine:
     @property
     def status(self) -> Status:
         """How sure it is, in a word."""
-        if self.probability >= CONFIRMED:
+        if self.probability >= CONFIRMED_PROBABILITY:
             return "confirmed"
-        return "likely" if self.probability >= LIKELY else "doubtful"
+        return "likely" if self.probability >= LIKELY_PROBABILITY else "doubtful"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class BudgetColumn:
     before_mm: float
     after_mm: float
     floor_mm: float
-    measured: bool
+    is_measured: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class StageLine:
     verdict: StageVerdict
     before_mm: float | None
     after_mm: float | None
-    why: str
+    verdict_reason: str
 
 
 def together_mm(parts: Iterable[float]) -> float:
@@ -81,17 +81,19 @@ def together_mm(parts: Iterable[float]) -> float:
 
 def has_baseline(whole: Read) -> bool:
     """Whether the machine file knows what the machine usually leaves."""
-    return whole.nominal is not None and bool(whole.nominal.remainders)
+    return whole.nominal_machine is not None and bool(whole.nominal_machine.baseline_remainders)
 
 
 def usual_level(whole: Read, stage: str, joint: int | None, measurement: str) -> float:
     """Mean square, in floors, that a healthy machine's part stays below; 1 without a baseline."""
-    usual = None if whole.nominal is None else whole.nominal.baseline_remainder(stage, joint, measurement)
+    usual = (
+        None if whole.nominal_machine is None else whole.nominal_machine.baseline_remainder(stage, joint, measurement)
+    )
     return 1.0 if usual is None else usual.level
 
 
-STAGES_OF_JOINTS = ("link", "controller", "actuator")
-WOULD_MEASURE = {
+PER_JOINT_STAGES = ("link", "controller", "actuator")
+MEASUREMENT_ADVICE_BY_STAGE = {
     "link": "log the reference as sent and as received",
     "controller": "log the received reference, the encoders and the valve command",
     "actuator": "log the valve command and the encoders while the joint moves",
@@ -114,28 +116,32 @@ def stages_of(
         for parts in closing
         for row, sums in parts
         # more than the least noise that is believed, and than one more recording of the healthy machine leaves
-        if row.closed != UNKNOWN
-        and sums.before.sum() > sums.rows * usual_level(whole, row.stage, row.joint, row.measurement)
+        if row.closed_frac_with_limits != UNKNOWN
+        and sums.before.sum() > sums.row_count * usual_level(whole, row.stage, row.joint, row.measurement)
     }
     before, after = places
     present = stages_present(whole)
     small = small_mm(columns)
-    part_of = {id(term): fit.cell.stage for fit in fits for term in fit.best.current_terms}
+    part_of = {id(term): fit.cell.stage for fit in fits for term in fit.best_fit.current_terms}
     stage_of = {id(line): _stage_of_effect(line, present, part_of) for line in lines}
     out = []
-    for stage in WOULD_MEASURE:
+    for stage in MEASUREMENT_ADVICE_BY_STAGE:
         if stage not in present:
-            out.append(StageLine(stage, None, "not_measured", None, None, WOULD_MEASURE[stage]))
+            out.append(StageLine(stage, None, "not_measured", None, None, MEASUREMENT_ADVICE_BY_STAGE[stage]))
             continue
         joints: Sequence[int | None] = [None]
-        if stage in STAGES_OF_JOINTS:
-            joints = sorted({place.joint for place in before.places if place.stage == stage and place.joint}) or [None]
+        if stage in PER_JOINT_STAGES:
+            joints = sorted({place.joint for place in before.gap_places if place.stage == stage and place.joint}) or [
+                None
+            ]
         for joint in joints:
             of_stage = [line for line in lines if stage_of[id(line)] == stage]
-            here = [line for line in of_stage if joint is None or line.evidence.term.effect.joint in (None, joint)]
+            here = [
+                line for line in of_stage if joint is None or line.evidence.effect_term.effect.joint in (None, joint)
+            ]
             confirmed = any(_is_sure(line) for line in here)
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
-            matters = any(line.mm > SMALL_MM for line in here if _is_sure(line))
+            matters = any(line.tool_rms_mm > SMALL_MM for line in here if _is_sure(line))
             seen = (
                 bool({(stage, joint), (stage, None)} & beyond_noise)
                 or matters
@@ -155,7 +161,7 @@ def stages_of(
 
 def shows_a_gap(line: EffectLine) -> bool:
     """Given a baseline: whether an effect gains what the healthy machine does not, however doubtful a cause it is."""
-    return line.evidence.prior_nats is not None and float(logistic(line.evidence.gain_nats)) >= CONFIRMED
+    return line.evidence.prior_nats is not None and float(logistic(line.evidence.gain_nats)) >= CONFIRMED_PROBABILITY
 
 
 def _is_sure(line: EffectLine) -> bool:
@@ -164,7 +170,7 @@ def _is_sure(line: EffectLine) -> bool:
 
 def _stage_of_effect(line: EffectLine, present: Collection[str], part_of: dict[int, str]) -> str:
     """The stage that an effect counts in: its own, or the part that showed it where its own was not recorded."""
-    term = line.evidence.term
+    term = line.evidence.effect_term
     own = {"joint": "structure", "time": "camera"}.get(term.effect.stage, term.effect.stage)
     return own if own in present else part_of.get(id(term), own)
 
@@ -172,16 +178,16 @@ def _stage_of_effect(line: EffectLine, present: Collection[str], part_of: dict[i
 def _stage_mm(
     columns: tuple[BudgetColumn, ...], places: Localisation, stage: str, joint: int | None, after: bool = False
 ) -> float | None:
-    if stage not in STAGES_OF_JOINTS:
+    if stage not in PER_JOINT_STAGES:
         name = "stands" if stage == "structure" else "sees"
         own = next((column for column in columns if column.name == name), None)
         return None if own is None else (own.after_mm if after else own.before_mm)
-    there = [place for place in places.places if _is_place_of_stage(place, stage, joint)]
+    there = [place for place in places.gap_places if _is_place_of_stage(place, stage, joint)]
     return float(np.sqrt(sum(place.tcp_mm**2 for place in there))) if there else None
 
 
 def _is_place_of_stage(place: Place, stage: str, joint: int | None) -> bool:
-    return place.stage == stage and place.regime == "all" and joint in (None, place.joint)
+    return place.stage == stage and place.motion_regime == "all" and joint in (None, place.joint)
 
 
 def small_mm(columns: tuple[BudgetColumn, ...]) -> float:
@@ -199,7 +205,7 @@ def stage_verdict(was: float | None, left: float | None, confirmed: bool, small:
     if was <= small:
         return "none"
     if confirmed:
-        done = left**2 <= (1.0 - EXPLAINED) * was**2 or left <= small
+        done = left**2 <= (1.0 - EXPLAINED_VERDICT_MIN_FRAC) * was**2 or left <= small
         return "explained" if done else "partly"
     return "unexplained"
 
@@ -214,19 +220,19 @@ def verdict_of(
 ) -> tuple[Verdict, str]:
     """The overall verdict: the first row of the table that holds."""
     open_stages = {line.stage for line in stages if line.verdict == "unexplained"}
-    shares = [row.closed[0] for parts in closing for row, _ in parts if row.stage in open_stages]
+    shares = [row.closed_frac_with_limits[0] for parts in closing for row, _ in parts if row.stage in open_stages]
     # with every effect, doubtful ones too
-    unexplained = any(share is not None and share < EXPLAINED for share in shares)
+    unexplained = any(share is not None and share < EXPLAINED_VERDICT_MIN_FRAC for share in shares)
     confirmed = any(stage.verdict in ("explained", "partly") for stage in stages)
     squares = sum(column.before_mm**2 for column in columns)
     left = sum(column.after_mm**2 for column in columns)
     explained = 1.0 - left / squares if squares > 0.0 else 0.0
     share = f"confirmed effects explain {100 * explained:.0f} % of it" if squares else "effects are confirmed"
-    done = explained >= EXPLAINED or float(np.sqrt(left)) <= small_mm(columns)
+    done = explained >= EXPLAINED_VERDICT_MIN_FRAC or float(np.sqrt(left)) <= small_mm(columns)
     known = all(fit.cell.floor_known for fit in fits) and bool(fits)
     likely = any(line.status != "doubtful" for line in lines)
     gap = any(stage.verdict == "unexplained" for stage in stages)
-    unplaced = any(line.status == "confirmed" and not line.column for line in lines)
+    unplaced = any(line.status == "confirmed" and not line.budget_column for line in lines)
     static = whole.tables is not None and whole.tables.static is not None
     table: tuple[tuple[bool, Verdict, str], ...] = (
         (not fits, "undecided", "no stage could be replayed"),

@@ -14,7 +14,7 @@ from machine.effects.seen import seen_corners
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array
 
-ROWS = 8
+WARM_UP_ROWS = 8
 
 
 def warm_up(machine: Machine) -> None:
@@ -22,11 +22,15 @@ def warm_up(machine: Machine) -> None:
     best_set(_example_problem(), np.zeros(2, dtype=bool), np.ones(2, dtype=bool))
     plant = actuators_of(machine)
     for drives in (plant, Actuators(plant.joints[:1], plant.cycle_s, plant.log_cycle_s, plant.transport_delay_s)):
-        simulate(drives, neutral_sets(drives.n), drive_actuator(drives, np.zeros((ROWS, drives.n)), np.zeros(drives.n)))
+        simulate(
+            drives,
+            neutral_sets(drives.n),
+            drive_actuator(drives, np.zeros((WARM_UP_ROWS, drives.n)), np.zeros(drives.n)),
+        )
     sets = neutral_sets(plant.n)
-    sets.joint[0, 0, BACKLASH] = 1e-3
-    t_s: Array = np.linspace(0.0, 0.01 * (ROWS - 1), ROWS)
-    path = Path(t_s, np.zeros((ROWS, plant.n)), 0.01)
+    sets.joint_parameters[0, 0, BACKLASH] = 1e-3
+    t_s: Array = np.linspace(0.0, 0.01 * (WARM_UP_ROWS - 1), WARM_UP_ROWS)
+    path = Path(t_s, np.zeros((WARM_UP_ROWS, plant.n)), 0.01)
     link_angles((path,), sets, 0, np.zeros(1, dtype=np.int64), t_s[3:4])
     at_tcp = tcp_poses(arm_of(machine), sets, np.zeros((1, plant.n)))
     seen_corners(sets, machine.camera, machine.markers_on("ooi"), at_tcp)

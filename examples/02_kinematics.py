@@ -12,9 +12,9 @@ print("TCP in base axes [m]:", np.round(T_base_tcp[:3, 3], 3))
 
 T_base_tcp[2, 3] += 0.05  # 50 mm higher
 found = longreach.inverse_nearest(chain, T_base_tcp, q_rad)
-if found.q is None:
+if found.q_rad is None:
     raise SystemExit(found.reason)
-print("joints change by [deg]:", np.round(np.rad2deg(found.q - q_rad), 2))
+print("joints change by [deg]:", np.round(np.rad2deg(found.q_rad - q_rad), 2))
 
 speed = longreach.tcp_jacobian(chain, q_rad) @ np.deg2rad([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 print(f"slewing at 1 deg/s moves the TCP at {1e3 * np.linalg.norm(speed[:3]):.0f} mm/s")

@@ -32,4 +32,7 @@ with tempfile.TemporaryDirectory() as place:
     whole = longreach.read_recording(Path(place) / "run")  # an MCAP file is read by the same call
     states = whole.of(PlcState)
     lag = column(states, "q_ref_rad")[:, 0] - column(states, "q_rad")[:, 0]
-    print(f"{whole.run.name}: {len(states)} PLC states, joint 1 lags by up to {np.rad2deg(np.abs(lag).max()):.2f} deg")
+    print(
+        f"{whole.run_info.name}: {len(states)} PLC states, joint 1 lags by up to {np.rad2deg(np.abs(lag).max()):.2f} "
+        "deg"
+    )

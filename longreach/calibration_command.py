@@ -102,7 +102,7 @@ def _rows_of_file(saved: SavedCalibration) -> list[tuple[str, str]]:
         *_accuracy_rows(sigma_deg, one.from_nominal_deg, one.residual_rms_mm, one.n_used),
         ("observability", observability_text(one)),
         ("clock offset", f"{1e3 * one.time_offset_s:.0f} ms"),
-        ("paths", str(len(saved.runs))),
+        ("paths", str(len(saved.odometry_runs))),
     ]
 
 
@@ -118,5 +118,5 @@ def _accuracy_rows(sigma_deg: float, from_nominal_deg: float, rms_mm: float, n_u
 
 def _export_of_file(saved: SavedCalibration, form: str) -> str:
     one = saved.calibration
-    found = one.valid_at(one.made.t_unix_s, one.made.q, one.made.T_base_tcp)
+    found = one.valid_at(one.made_at.t_unix_s, one.made_at.q, one.made_at.T_base_tcp)
     return as_ros(one, found) if form == "ros" else as_yaml(one, found)

@@ -48,9 +48,9 @@ from server.shown_address import without_password
 app = typer.Typer(no_args_is_help=True, help="Check the stereo camera; calibrate its lens.")
 app.command("calibrate")(calibrate)
 
-READ_S = 0.1
-REFRESH_S = 0.5
-COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.FAIL: "red"}
+READ_TIMEOUT_S = 0.1
+DISPLAY_REFRESH_PERIOD_S = 0.5
+FINDING_LEVEL_COLOURS = {Level.OK: "green", Level.WARN: "yellow", Level.FAIL: "red"}
 
 SettingsFile = Annotated[Path | None, typer.Option("--settings", help="the server's TOML settings file")]
 Source = Annotated[
@@ -64,7 +64,9 @@ EyeSize = Annotated[str | None, typer.Option(help="one eye's size, such as 1226x
 MachineFile = Annotated[str | None, typer.Option("--machine", help="machine file, or the name of a shipped one")]
 Seconds = Annotated[float, typer.Option(min=1.0, max=600.0, help="duration of the check [s]")]
 Pairs = Annotated[int, typer.Option(min=1, max=200, help="number of pairs analysed in detail")]
-HIDDEN_DAMAGE = "accept_inter_coded: the decoder may hide damage until the next key frame, and looks then be wrong"
+INTER_CODED_WARNING_TEXT = (
+    "accept_inter_coded: the decoder may hide damage until the next key frame, and looks then be wrong"
+)
 AsJson = Annotated[bool, typer.Option("--json", help="print the findings only, as JSON")]
 
 
@@ -94,7 +96,7 @@ def check(
     chosen = settings.camera if source is None else camera_settings_of(source)
     chosen = _with_calibration(chosen, calibration, eye_size)
     opened, seen_machine = source_and_machine(chosen, read_machine(machine or settings.machine_file))
-    gathering = CheckSampler(keep=pairs, seconds=seconds)
+    gathering = CheckSampler(pairs_max=pairs, duration_s=seconds)
     stereo = open_source(opened)
     try:
         _gather_frames(stereo, gathering, seconds, console)
@@ -153,22 +155,22 @@ def _gather_frames(stereo: StereoSource, gathering: CheckSampler, seconds: float
     shown_s, measured, blur = 0.0, 0, ""
     with Live(_live_table(gathering, blur, ""), console=console, refresh_per_second=4, transient=True) as live:
         while time.monotonic() < end_s:
-            frame = stereo.read(READ_S)
+            frame = stereo.read(READ_TIMEOUT_S)
             if frame is not None:
                 if not gathering.n:
                     end_s = time.monotonic() + seconds
                 gathering.add(frame)
             elif stereo.ended:
                 return
-            if time.monotonic() - shown_s > REFRESH_S:
-                if len(gathering.pairs) > measured:  # once per kept pair: reading must not wait for it
-                    measured, blur = len(gathering.pairs), _blur_text(gathering)
+            if time.monotonic() - shown_s > DISPLAY_REFRESH_PERIOD_S:
+                if len(gathering.image_pairs) > measured:  # once per kept pair: reading must not wait for it
+                    measured, blur = len(gathering.image_pairs), _blur_text(gathering)
                 shown_s = time.monotonic()
                 live.update(_live_table(gathering, blur, stereo.state))
 
 
 def _blur_text(gathering: CheckSampler) -> str:
-    left, right, _ = gathering.pairs[-1]
+    left, right, _ = gathering.image_pairs[-1]
     return f"{edge_blur_px(left):.1f} px left, {edge_blur_px(right):.1f} px right"
 
 
@@ -177,9 +179,9 @@ def _live_table(gathering: CheckSampler, blur: str, state: str) -> Table:
     table.add_row("pairs", str(gathering.n))
     table.add_row("rate", f"{gathering.rate_hz:.1f} pairs/s")
     table.add_row("missing", str(gathering.missing_count))
-    table.add_row("kept to look into", f"{len(gathering.pairs)} of {gathering.keep}")
-    if gathering.pairs:
-        left, right, _ = gathering.pairs[-1]
+    table.add_row("kept to look into", f"{len(gathering.image_pairs)} of {gathering.pairs_max}")
+    if gathering.image_pairs:
+        left, right, _ = gathering.image_pairs[-1]
         table.add_row("mean grey", f"{left[::8, ::8].mean():.0f} left, {right[::8, ::8].mean():.0f} right")
         table.add_row("blur", blur)
     table.add_row("state", escape(state) or "pictures arrive")
@@ -216,7 +218,7 @@ def _camera_check_findings(
             masks,
         )
     if isinstance(plain, FileSource | RtspSource) and plain.accept_inter_coded:
-        findings.append(CheckFinding("coding", Level.WARN, HIDDEN_DAMAGE, "use a camera with Motion JPEG"))
+        findings.append(CheckFinding("coding", Level.WARN, INTER_CODED_WARNING_TEXT, "use a camera with Motion JPEG"))
     if stereo.state and not gathering.n:
         findings.insert(0, CheckFinding("source", Level.FAIL, stereo.state, "fix what this line states"))
     return findings
@@ -228,7 +230,7 @@ def report(findings: list[CheckFinding]) -> Table:
     for heading in ("", "what", "how it is", "to do"):
         table.add_column(heading, overflow="fold")
     for finding in findings:
-        level = f"[bold {COLOURS[finding.level]}]{finding.level.value}[/]"
+        level = f"[bold {FINDING_LEVEL_COLOURS[finding.level]}]{finding.level.value}[/]"
         table.add_row(level, finding.name, escape(finding.text), escape(finding.remedy))
     return table
 

@@ -19,7 +19,7 @@ from machine.errors import MachineError
 from server.errors import ServerError
 
 # fmt: off
-COMMANDS = (
+CLI_COMMANDS = (
     Lazy("serve", "longreach.serve_command:serve", "Start the server: panel, REST, link and vision processes."),
     Lazy("sim", "longreach.sim_command:sim", "Start the simulated machine in real time, until Ctrl-C."),
     Lazy("relay", "longreach.relay_command:relay",
@@ -61,9 +61,11 @@ COMMANDS = (
 
 # What a command's process, and all that it starts, need of their surroundings: set before anything else.
 
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-CACHE = "NUMBA_CACHE_DIR"
-COMPILED = "longreach-compiled.json"  # which sources, libraries and processor the compiled code in that folder is of
+LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "::1")
+NUMBA_CACHE_ENV_VARIABLE = "NUMBA_CACHE_DIR"
+COMPILED_CODE_MARK_FILE = (
+    "longreach-compiled.json"  # which sources, libraries and processor the compiled code in that folder is of
+)
 
 
 def prepare() -> None:
@@ -71,28 +73,31 @@ def prepare() -> None:
     os.environ["PYTHONSAFEPATH"] = "1"  # read by every Python that is started from here
     for name in ("no_proxy", "NO_PROXY"):  # urllib reads the first of them that is there
         given = os.environ.get(name, "")
-        os.environ[name] = ",".join(dict.fromkeys([*filter(None, given.split(",")), *LOOPBACK]))
+        os.environ[name] = ",".join(dict.fromkeys([*filter(None, given.split(",")), *LOOPBACK_HOSTS]))
     prepare_cache()
 
 
 def prepare_cache() -> None:
     """A place for compiled code, before anything compiles; a program that uses the Python API needs no more."""
-    given = os.environ.get(CACHE, "")
-    if given and os.path.isfile(os.path.join(given, COMPILED)) and not _is_folder_writable(Path(given)):
-        os.environ[CACHE] = str(_link_compiled_code(Path(given), _temporary_cache()))
+    given = os.environ.get(NUMBA_CACHE_ENV_VARIABLE, "")
+    if given and os.path.isfile(os.path.join(given, COMPILED_CODE_MARK_FILE)) and not _is_folder_writable(Path(given)):
+        os.environ[NUMBA_CACHE_ENV_VARIABLE] = str(_link_compiled_code(Path(given), _temporary_cache()))
     elif cache_folder() is None:
-        os.environ[CACHE] = str(_temporary_cache())
+        os.environ[NUMBA_CACHE_ENV_VARIABLE] = str(_temporary_cache())
         sys.stderr.write(
-            f"longreach: compiled code is kept in {os.environ[CACHE]}, because neither the program's folder nor a "
-            f"cache of this user can be written; {CACHE} names a lasting folder\n"
+            f"longreach: compiled code is kept in {os.environ[NUMBA_CACHE_ENV_VARIABLE]}, because neither the "
+            "program's folder nor a "
+            f"cache of this user can be written; {NUMBA_CACHE_ENV_VARIABLE} names a lasting folder\n"
         )
-    if (numba := sys.modules.get("numba")) is not None and os.environ.get(CACHE):  # it read its settings before us
-        numba.config.CACHE_DIR = os.environ[CACHE]
+    if (numba := sys.modules.get("numba")) is not None and os.environ.get(
+        NUMBA_CACHE_ENV_VARIABLE
+    ):  # it read its settings before us
+        numba.config.CACHE_DIR = os.environ[NUMBA_CACHE_ENV_VARIABLE]
 
 
 def _cache_folders() -> Iterator[Path]:
     """Where numba keeps compiled code, in its order."""
-    if given := os.environ.get(CACHE):
+    if given := os.environ.get(NUMBA_CACHE_ENV_VARIABLE):
         yield Path(given)
     yield Path(machine.__file__).parent / "__pycache__"
     user = "~/Library/Caches" if sys.platform == "darwin" else os.environ.get("XDG_CACHE_HOME") or "~/.cache"
@@ -142,7 +147,7 @@ def _temporary_cache() -> Path:
 class Commands(LazyGroup):
     """Of `longreach`."""
 
-    table = COMMANDS
+    table = CLI_COMMANDS
 
 
 app = typer.Typer(cls=Commands, no_args_is_help=True, help="Precise positioning of long-reach manipulators.")

@@ -20,7 +20,14 @@ from machine.description import Machine, parse_machine_toml
 from protocol.layout import LAYOUT_ID, VERSION_MAJOR, VERSION_MINOR
 from recording.files import read_text, write_durably
 from server.camera.client import VisionClient
-from server.commissioning.check_list import ONE_CONTROLLER, PLC_WAIT_S, STEPS, Step, StepRequirement, go_through
+from server.commissioning.check_list import (
+    CHECK_LIST_STEPS,
+    ONE_CONTROLLER_REMEDY,
+    PLC_WAIT_S,
+    Step,
+    StepRequirement,
+    go_through,
+)
 from server.commissioning.contracts import StepResult, Verdict
 from server.commissioning.report import Report, exit_code, from_json, to_json, to_markdown
 from server.commissioning.site import CommissioningOptions, Site
@@ -37,7 +44,7 @@ from server.warm_up import warmed_up
 _COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.SKIPPED: "yellow", Verdict.INCONCLUSIVE: "yellow"}
 _PERSON_ARM_S = 45.0  # time to walk to the enable key
 _NOBODY_ARM_S = 8.0
-_LIST = ", ".join(f"{step.number} {step.name}" for step in STEPS)
+_LIST = ", ".join(f"{step.number} {step.name}" for step in CHECK_LIST_STEPS)
 
 
 def commission(
@@ -80,7 +87,7 @@ def commission(
     try:
         report = asyncio.run(_run_commissioning(settings, chosen_steps(steps), operator, options, earlier, console))
     except LinkSilentError as error:
-        raise SettingsError(f"{error}; {ONE_CONTROLLER}") from error
+        raise SettingsError(f"{error}; {ONE_CONTROLLER_REMEDY}") from error
     except KeyboardInterrupt:
         console.print("[bold]stopped; the machine is ramped down and disarmed; the report holds the finished steps[/]")
         raise typer.Exit(130) from None
@@ -97,12 +104,12 @@ def chosen_steps(text: str) -> tuple[Step, ...]:
     Raises: SettingsError: a number that is not a step.
     """
     if not text.strip():
-        return STEPS
+        return CHECK_LIST_STEPS
     wanted = {part.strip() for part in text.split(",") if part.strip()}
-    unknown = sorted(wanted - {str(step.number) for step in STEPS})
+    unknown = sorted(wanted - {str(step.number) for step in CHECK_LIST_STEPS})
     if unknown:
         raise SettingsError(f"--steps: {', '.join(unknown)} is not a step; choose from {_LIST}")
-    return tuple(step for step in STEPS if str(step.number) in wanted)
+    return tuple(step for step in CHECK_LIST_STEPS if str(step.number) in wanted)
 
 
 async def _run_commissioning(
@@ -172,7 +179,7 @@ async def _start_vision(
     settings: ServerSettings, machine: Machine, steps: tuple[Step, ...], stack: contextlib.AsyncExitStack
 ) -> tuple[VisionClient | None, Machine]:
     """The vision process, only where a step looks; the machine with the camera that its pictures are of."""
-    if not any(StepRequirement.CAMERA in step.needs for step in steps):
+    if not any(StepRequirement.CAMERA in step.requirements for step in steps):
         return None, machine
     source, seen_by = source_and_machine(settings.camera, machine)
     vision = VisionClient(vision_settings(source, settings.camera, seen_by.camera), seen_by)
@@ -245,7 +252,7 @@ def _with_options(
 
 def _require_free_port(settings: ServerSettings) -> None:
     """Raises SettingsError when our port is taken: most likely by the server."""
-    plc, taken_by = settings.plc, f"another program: {ONE_CONTROLLER}; stop it first, or give another port"
+    plc, taken_by = settings.plc, f"another program: {ONE_CONTROLLER_REMEDY}; stop it first, or give another port"
     require_bindable((Address.of_plc_link(plc.local_host, plc.local_port, taken_by),))
 
 

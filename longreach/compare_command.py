@@ -18,7 +18,7 @@ from longreach.shipped_machine import file_of_machine, text_of_machine
 from machine.errors import MachineError, MachineFileError
 from recording.files import write_durably
 
-COLOURS = ("before", "after", "measured", "floor")
+CURVE_CSS_CLASSES = ("before", "after", "measured", "floor")
 BY = {"camera": "by the camera, all effects together", "encoders": "how the tool follows what was sent"}
 
 
@@ -50,11 +50,15 @@ def shown(found: tuple[ToolMiss, ...]) -> Table:
     for heading in ("machine file", "measured", "RMS mm", "95 % below mm", "of the first"):
         out.add_column(heading, justify="left" if heading in ("machine file", "measured") else "right")
     for by in BY:
-        own = [curve for curve in found if curve.by == by]
+        own = [curve for curve in found if curve.measured_by == by]
         for curve in own:
             share = curve.rms_mm / own[0].rms_mm
             out.add_row(
-                curve.name, BY[by], f"{curve.rms_mm:.2f}", f"{_miss_quantile_95(curve):.2f}", f"{100.0 * share:.0f} %"
+                curve.machine_file_name,
+                BY[by],
+                f"{curve.rms_mm:.2f}",
+                f"{_miss_quantile_95(curve):.2f}",
+                f"{100.0 * share:.0f} %",
             )
     return out
 
@@ -63,15 +67,15 @@ def page(name: str, found: tuple[ToolMiss, ...]) -> str:
     """The curves as a page without scripts."""
     parts = []
     for by, what in BY.items():
-        own = [curve for curve in found if curve.by == by]
+        own = [curve for curve in found if curve.measured_by == by]
         if not own:
             continue
         start_s = min(float(curve.t_s.min()) for curve in own)
         lines = [
-            CurveLine(curve.name, css, curve.t_s - start_s, curve.mm)
-            for curve, css in zip(own, cycle(COLOURS), strict=False)
+            CurveLine(curve.machine_file_name, css, curve.t_s - start_s, curve.miss_mm)
+            for curve, css in zip(own, cycle(CURVE_CSS_CLASSES), strict=False)
         ]
-        rows = [(curve.name, f"{curve.rms_mm:.2f}", f"{_miss_quantile_95(curve):.2f}") for curve in own]
+        rows = [(curve.machine_file_name, f"{curve.rms_mm:.2f}", f"{_miss_quantile_95(curve):.2f}") for curve in own]
         drawn = chart(lines, "time [s]", "tool error [mm]", f"Tool error, {what}")
         parts.append(
             html_section(f"Tool error, {what}", drawn + html_table(("machine file", "RMS mm", "95 % below"), rows))
@@ -80,4 +84,4 @@ def page(name: str, found: tuple[ToolMiss, ...]) -> str:
 
 
 def _miss_quantile_95(one: ToolMiss) -> float:
-    return sorted(one.mm.tolist())[int(0.95 * (len(one.mm) - 1))]
+    return sorted(one.miss_mm.tolist())[int(0.95 * (len(one.miss_mm) - 1))]

@@ -19,10 +19,10 @@ from typing import Annotated
 
 import typer
 
-from longreach.cli import CACHE, COMPILED, cache_folder
+from longreach.cli import COMPILED_CODE_MARK_FILE, NUMBA_CACHE_ENV_VARIABLE, cache_folder
 
 _ROOT = Path(__file__).resolve().parent.parent
-PACKAGES = ("machine", "server", "sim_plc", "diagnosis")  # those of the product that hold compiled code
+COMPILED_PACKAGES = ("machine", "server", "sim_plc", "diagnosis")  # those of the product that hold compiled code
 
 
 def compile_numerics(
@@ -74,12 +74,12 @@ def source_key() -> str:
 
 def kernel_files() -> list[Path]:
     """Every source file of the product with a compiled function."""
-    files = (file for package in PACKAGES for file in sorted((_ROOT / package).rglob("*.py")))
+    files = (file for package in COMPILED_PACKAGES for file in sorted((_ROOT / package).rglob("*.py")))
     return [file for file in files if b"from numba import" in file.read_bytes()]
 
 
 def _mark_file() -> Path:
-    return (cache_folder() or Path()) / COMPILED  # prepare() has seen to it that there is one
+    return (cache_folder() or Path()) / COMPILED_CODE_MARK_FILE  # prepare() has seen to it that there is one
 
 
 # The stages: what each of the system's processes compiles, in a process of its own, by what that process itself runs.
@@ -91,7 +91,7 @@ def clear(_machine: str) -> None:
     Why by file names: an index holds the names of types, and one that names a type which is gone cannot be loaded.
     """
     stems = {file.stem for file in kernel_files()}
-    given = os.environ.get(CACHE)
+    given = os.environ.get(NUMBA_CACHE_ENV_VARIABLE)
     own = {file.parent / "__pycache__" for file in kernel_files()}
     folders = {Path(given)} if given else own | {folder for folder in (cache_folder(),) if folder is not None}
     for compiled in (file for folder in folders for file in folder.rglob("*.nb[ic]")):
@@ -142,12 +142,12 @@ class Stage:
     """What one process compiles; stages of the same turn run in parallel."""
 
     name: str
-    turn: int
+    parallel_group: int
     run: Callable[[str], None]
 
 
 # First what the others call, so that no two compile the same.
-STAGES = (
+COMPILE_STAGES = (
     Stage("clearing", 0, clear),
     Stage("kinematics and planning", 1, planning),
     Stage("vision", 2, vision),
@@ -159,12 +159,14 @@ STAGES = (
 def _run_stages(machine: str, report: Callable[[str], None]) -> None:
     done = 0
     with ProcessPoolExecutor(2, get_context("spawn"), max_tasks_per_child=1) as pool:
-        for turn in sorted({stage.turn for stage in STAGES}):
-            waiting = {pool.submit(stage.run, machine): stage.name for stage in STAGES if stage.turn == turn}
-            report(f"{done} of {len(STAGES)} done, now: {', '.join(waiting.values())}")
+        for turn in sorted({stage.parallel_group for stage in COMPILE_STAGES}):
+            waiting = {
+                pool.submit(stage.run, machine): stage.name for stage in COMPILE_STAGES if stage.parallel_group == turn
+            }
+            report(f"{done} of {len(COMPILE_STAGES)} done, now: {', '.join(waiting.values())}")
             for future in as_completed(waiting):
                 future.result()
                 done += 1
                 del waiting[future]
                 if waiting:
-                    report(f"{done} of {len(STAGES)} done, now: {', '.join(waiting.values())}")
+                    report(f"{done} of {len(COMPILE_STAGES)} done, now: {', '.join(waiting.values())}")

@@ -25,7 +25,9 @@ _PARTS = {  # what /readyz says while it is missing -> when it is there
     "numerics": "the numerics are loaded",
     "camera": "pictures arrive",
 }
-START_S = 1800.0  # a busy computer of two cores takes minutes to compile; a process that ends is reported immediately
+STARTUP_TIMEOUT_S = (
+    1800.0  # a busy computer of two cores takes minutes to compile; a process that ends is reported immediately
+)
 
 
 def demo(
@@ -56,12 +58,12 @@ def demo(
         console.print(
             f"the numerics are not compiled yet: one to three minutes, once; `{_longreach_command()} compile` does it"
         )
-    with Stack(ports, preset=preset, seed=seed, log_folder=logs, runs=runs) as stack:
+    with Stack(ports, preset=preset, seed=seed, log_folder=logs, runs_folder=runs) as stack:
         try:
             with console.status("starting") as status, JobClient(stack.url) as client:
                 stages = Stages(console, stack.url)
                 client.wait_ready(
-                    START_S,
+                    STARTUP_TIMEOUT_S,
                     lambda waited_s, why: _show_startup_status(
                         stack.processes, status, waited_s, stages.report_progress(waited_s, why)
                     ),

@@ -31,22 +31,22 @@ from recording.files import write_durably
 
 # Progress of a diagnosis with the remaining time: a bar on a terminal, a line every few seconds elsewhere.
 
-USUAL_S = 2.0  # of work that is taken to have gone as fast as usual before this computer's own speed counts
+SPEED_PRIOR_WORK_S = 2.0  # of work that is taken to have gone as fast as usual before this computer's own speed counts
 SOONER, LATER = 0.6, 2.0  # of what the speed so far predicts
-KNOWN_FROM = 0.1  # of the work: before that the speed is a guess
-EVERY_S = 2.0  # between two lines where there is no terminal
-STEPS_S = (5, 10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 300, 420, 600, 900, 1200, 1800, 3600)
+ETA_MIN_PROGRESS_FRAC = 0.1  # of the work: before that the speed is a guess
+PROGRESS_LINE_PERIOD_S = 2.0  # between two lines where there is no terminal
+ETA_ROUNDING_STEPS_S = (5, 10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 300, 420, 600, 900, 1200, 1800, 3600)
 
 
 def left_s(done: float, total: float, elapsed_s: float) -> float:
     """Seconds that are left, by the speed so far; `done` and `total` in seconds of a usual computer."""
-    return max(total - done, 0.0) * (elapsed_s + USUAL_S) / (max(done, 0.0) + USUAL_S)
+    return max(total - done, 0.0) * (elapsed_s + SPEED_PRIOR_WORK_S) / (max(done, 0.0) + SPEED_PRIOR_WORK_S)
 
 
 def in_words(seconds: float) -> str:
     """Remaining time as a range: how many effects will be found, and so searched, is not known in advance."""
     low, high = (_nearest_step_s(factor * seconds) for factor in (SOONER, LATER))
-    if high <= STEPS_S[0]:
+    if high <= ETA_ROUNDING_STEPS_S[0]:
         return "a few seconds left"
     if high < 120:
         return f"{low} to {high} s left"
@@ -54,7 +54,7 @@ def in_words(seconds: float) -> str:
 
 
 def _nearest_step_s(seconds: float) -> int:
-    return min(STEPS_S, key=lambda step: abs(step - seconds) / step)
+    return min(ETA_ROUNDING_STEPS_S, key=lambda step: abs(step - seconds) / step)
 
 
 Say = Callable[[str, float, float], None]  # words, share that is done, seconds since the begin
@@ -64,7 +64,7 @@ Say = Callable[[str, float, float], None]  # words, share that is done, seconds 
 class Outlook:
     """Shows the progress of a diagnosis with the estimated remaining time."""
 
-    say: Say
+    show_progress: Say
     now_s: Callable[[], float] = time.monotonic
     _begun_s: float = field(init=False)
     _furthest: float = 0.0
@@ -76,12 +76,12 @@ class Outlook:
         """Progress callback of the diagnosis. The share never decreases, although found effects slow the rest down."""
         elapsed_s = self.now_s() - self._begun_s
         share = self._furthest = min(max(self._furthest, done / max(total, 1e-9)), 0.99)
-        rest = in_words(left_s(done, total, elapsed_s)) if share >= KNOWN_FROM else "remaining time unknown"
-        self.say(f"{text}: {100.0 * share:.0f} % done, {rest}", share, elapsed_s)
+        rest = in_words(left_s(done, total, elapsed_s)) if share >= ETA_MIN_PROGRESS_FRAC else "remaining time unknown"
+        self.show_progress(f"{text}: {100.0 * share:.0f} % done, {rest}", share, elapsed_s)
 
     def report_final_step(self, text: str) -> None:
         """What comes when all searches are done."""
-        self.say(f"{text}: {100.0 * self._furthest:.0f} % done", self._furthest, self.now_s() - self._begun_s)
+        self.show_progress(f"{text}: {100.0 * self._furthest:.0f} % done", self._furthest, self.now_s() - self._begun_s)
 
 
 @contextmanager
@@ -98,18 +98,18 @@ def console_progress(screen: Console, now_s: Callable[[], float] = time.monotoni
 
 def _rate_limited_printer(screen: Console) -> Say:
     """For a log, or for the server that follows: at most one line in EVERY_S, and none at the start."""
-    last_s = EVERY_S
+    last_s = PROGRESS_LINE_PERIOD_S
 
     def say(words: str, _share: float, elapsed_s: float) -> None:
         nonlocal last_s
-        if elapsed_s - last_s >= EVERY_S:
+        if elapsed_s - last_s >= PROGRESS_LINE_PERIOD_S:
             last_s = elapsed_s
             screen.print(words, soft_wrap=True, highlight=False)
 
     return say
 
 
-BAD_INPUT = 2
+BAD_INPUT_EXIT_CODE = 2
 
 
 def diagnose(
@@ -158,7 +158,7 @@ def diagnose(
         for finding in whole.findings:
             screen.print(f"[yellow]{finding.severity}[/] {escape(str(finding))}", soft_wrap=True)
         if not whole.has_judgeable_stage:
-            raise typer.Exit(BAD_INPUT)
+            raise typer.Exit(BAD_INPUT_EXIT_CODE)
         text = machine_text(recording, machine_file) if machine_out is not None else ""
         if machine_out is not None:
             require_room(text)
@@ -203,7 +203,7 @@ def _set_aside(places: Sequence[Path | None], screen: Console) -> None:
 def _bad_input_exit(error: Exception, screen: Console) -> typer.Exit:
     """Say why, and the exit that says that the input is to blame."""
     screen.print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
-    return typer.Exit(BAD_INPUT)
+    return typer.Exit(BAD_INPUT_EXIT_CODE)
 
 
 def _machine_out(text: str, found: Budget, out: Path, screen: Console) -> None:
@@ -230,7 +230,7 @@ def _run_diagnosis(
     with console_progress(screen) as shown:
         found = budget_of(whole, shown.on_progress, left_out)
         shown.report_final_step("next experiment")
-        sliding = () if whole.nominal is None else whole.nominal.sliding
+        sliding = () if whole.nominal_machine is None else whole.nominal_machine.joint_slides
         return found, answer_json(found), curves_of(found.held_out, sliding)
 
 
@@ -253,4 +253,4 @@ def _write(path: Path | None, text: str, screen: Console) -> None:
         write_durably(path, text)
     except OSError as error:
         screen.print(f"[bold red]longreach:[/] {escape(str(path))} cannot be written: {error.strerror}", soft_wrap=True)
-        raise typer.Exit(BAD_INPUT) from error
+        raise typer.Exit(BAD_INPUT_EXIT_CODE) from error

@@ -21,27 +21,31 @@ from diagnosis.fleet.summary import summary_of
 from longreach.shipped_machine import file_of_machine, text_of_machine
 from machine.errors import MachineFileError
 from recording.files import write_durably
-from recording.spawn import ONE_THREAD
+from recording.spawn import SINGLE_THREAD_ENVIRONMENT
 from server.version import __version__
 
 # Fingerprint of the code that produced stored results, so that results of two versions are never mixed.
 
-ENDINGS = (".py", ".json")
+SOURCE_FILE_SUFFIXES = (".py", ".json")
 
 
 def code_mark(root: Path, sources: tuple[str, ...]) -> str:
     """Fingerprint of the code below these folders of `root`."""
     digest = hashlib.sha256()
-    files = (file for folder in sources for file in (root / folder).rglob("*") if file.suffix in ENDINGS)
+    files = (file for folder in sources for file in (root / folder).rglob("*") if file.suffix in SOURCE_FILE_SUFFIXES)
     for file in sorted(files):
         digest.update(str(file.relative_to(root)).encode())
         digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
 
 
-BAD_INPUT = 2
-ROOT = Path(__file__).parents[1]
-ANSWERING = ("diagnosis", "machine", "recording")  # code that answers depend on: saved ones are of this code, or none
+BAD_INPUT_EXIT_CODE = 2
+REPOSITORY_ROOT = Path(__file__).parents[1]
+DIAGNOSIS_CODE_PACKAGES = (
+    "diagnosis",
+    "machine",
+    "recording",
+)  # code that answers depend on: saved ones are of this code, or none
 
 
 def diagnose_fleet(
@@ -75,7 +79,7 @@ def diagnose_fleet(
             paths,
             out / "answers",
             executor(),
-            f"{__version__} {code_mark(ROOT, ANSWERING)}",
+            f"{__version__} {code_mark(REPOSITORY_ROOT, DIAGNOSIS_CODE_PACKAGES)}",
             machine_file,
             lambda _name, done, _total: shown.update(task, completed=done),
             renewed=executor,
@@ -84,24 +88,24 @@ def diagnose_fleet(
     fleet = summary_of(results)
     write_durably(out / "fleet.json", json.dumps(results, indent=1) + "\n")
     write_durably(out / "fleet.html", fleet_page(fleet, folder.name))
-    for effect in fleet.shared:
+    for effect in fleet.shared_effects:
         joint = "" if effect.joint is None else f" on joint {effect.joint}"
-        typer.echo(f"{effect.name}{joint}: {len(effect.machines)} of {len(fleet.machines)} machines")
-    for drift in fleet.drifts:
+        typer.echo(f"{effect.name}{joint}: {len(effect.machines_with)} of {len(fleet.machines)} machines")
+    for drift in fleet.effect_drifts:
         if drift.is_drifting:
             typer.echo(f"{drift.machine}: {drift.name} drifts by {drift.per_day:.3g} {drift.unit} a day")
-    typer.echo(f"{len(paths)} recordings, {len(fleet.unusable)} not usable; report: {out / 'fleet.html'}")
+    typer.echo(f"{len(paths)} recordings, {len(fleet.unusable_recordings)} not usable; report: {out / 'fleet.html'}")
 
 
 def _bad_input_exit(text: str, screen: Console) -> typer.Exit:
     screen.print(f"[bold red]longreach:[/] {escape(text)}", soft_wrap=True)
-    return typer.Exit(BAD_INPUT)
+    return typer.Exit(BAD_INPUT_EXIT_CODE)
 
 
 @contextmanager
 def _executor_factory(workers: int, dask: str) -> Iterator[Callable[[], Executor]]:
     """A new pool of processes at each call by default; Dask's client gives an executor of the same kind."""
-    os.environ.update({**ONE_THREAD, **os.environ})
+    os.environ.update({**SINGLE_THREAD_ENVIRONMENT, **os.environ})
     if not dask:
         with ExitStack() as pools:
             yield lambda: pools.enter_context(ProcessPoolExecutor(workers, mp_context=get_context("spawn")))

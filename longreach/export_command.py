@@ -29,10 +29,10 @@ def plc_parameters(
     """The parameters of one machine file; an address that is not given is the NetId's first four numbers."""
     own = settings.plc_settings(machine)
     return PlcParameters(
-        machine=machine.name,
-        table=own.table,
+        machine_name=machine.name,
+        limit_table=own.limit_table,
         cycle_ns=own.cycle_ns,
-        kp=tuple(own.kp.tolist()),
+        kp_frac_per_rad=tuple(own.kp_frac_per_rad.tolist()),
         pt1_tau_s=tuple(joint.pt1_tau_s for joint in machine.joints),
         pt1_share=tuple(own.pt1_share.tolist()),
         lag_warn=tuple(own.lag_warn.tolist()),
@@ -40,7 +40,7 @@ def plc_parameters(
         range_margin_rad=settings.RANGE_MARGIN_RAD,
         encoder_jump_rad=settings.ENCODER_JUMP_RAD,
         encoder_jump_factor=settings.ENCODER_JUMP_FACTOR,
-        rest_speed_rad_s=settings.REST_SPEED_RAD_S,
+        rest_speed_rad_s=settings.ARMING_SPEED_MAX_RAD_S,
         supply_warn_pa=settings.SUPPLY_WARN_PA,
         supply_fault_pa=settings.SUPPLY_FAULT_PA,
         oil_warn_c=settings.OIL_WARN_C,

@@ -7,7 +7,7 @@ from rich.markup import escape
 
 from diagnosis.baseline.baseline import Baseline, fit_baseline
 from diagnosis.errors import DiagnosisError
-from diagnosis.known.days import FITTED_MOST, JUDGED_ENOUGH, RECORDINGS_ENOUGH
+from diagnosis.known.days import BASELINE_RECORDINGS_TARGET, FITTED_RECORDINGS_MAX, JUDGING_RECORDINGS_TARGET
 from diagnosis.reading.read import Read, read_for_diagnosis
 from longreach.machine_out import MachineOutError, machine_text
 from machine.effects.entries import entries_to_toml
@@ -17,8 +17,8 @@ from machine.file_tables import with_tables, without_lists
 from machine.remainder import remainders_to_toml
 from recording.files import write_durably
 
-NOTHING = Baseline((), (), ())
-FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
+EMPTY_BASELINE = Baseline((), (), ())
+FITTED_RECORDINGS_FRAC = 1.0 / 3.0  # of the recordings; the others judge
 
 
 class BaselineError(Exception):
@@ -31,9 +31,9 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
     Raises: BaselineError: an unusable recording, too few of them, or a file that cannot be written.
     """
     nominal = _nominal_machine_text(recordings[0], machine_file)
-    with_baseline(nominal, NOTHING)  # whether it can be written, before minutes of fitting
+    with_baseline(nominal, EMPTY_BASELINE)  # whether it can be written, before minutes of fitting
     wholes = _read_usable_recordings(recordings, machine_file)
-    count = min(FITTED_MOST, max(1, round(len(wholes) * FITTED_SHARE)))
+    count = min(FITTED_RECORDINGS_MAX, max(1, round(len(wholes) * FITTED_RECORDINGS_FRAC)))
     try:
         found = fit_baseline(wholes[:count], wholes[count:], lambda text: screen.print(f"[dim]{escape(text)}[/]"))
     except DiagnosisError as error:
@@ -49,7 +49,7 @@ def _read_usable_recordings(recordings: list[Path], machine_file: Path | None) -
     """All of them read, or one error that names every one that cannot be used."""
     wholes = [read_for_diagnosis(path, machine_file) for path in recordings]
     bad = [
-        f"{recording.path}: {'; '.join(map(str, recording.findings))}"
+        f"{recording.recording_path}: {'; '.join(map(str, recording.findings))}"
         for recording in wholes
         if not recording.has_judgeable_stage
     ]
@@ -84,9 +84,12 @@ def report_of(found: Baseline, fitted: int, count: int) -> str:
     """What was fitted and what is left, one line a cell."""
     counts = f"names from {fitted} recordings, sizes from {count}, judged on {count - fitted}"
     rows = [f"{counts}; RMS in noise floors before and after:"]
-    if count - fitted < JUDGED_ENOUGH:
-        rows.insert(0, f"few: {RECORDINGS_ENOUGH} recordings also say what each joint leaves from day to day")
-    rows += [f"  {cell.label}: {cell.before:.3g} -> {cell.after:.3g}" for cell in found.cells]
+    if count - fitted < JUDGING_RECORDINGS_TARGET:
+        rows.insert(0, f"few: {BASELINE_RECORDINGS_TARGET} recordings also say what each joint leaves from day to day")
+    rows += [
+        f"  {cell.cell_label}: {cell.rms_without_effects:.3g} -> {cell.rms_with_effects:.3g}"
+        for cell in found.cell_baselines
+    ]
     rows += [f"  {effect.name} {effect.joint or ''} {dict(effect.values)}" for effect in found.effects]
     rows += [
         f"  {remainder.stage} {remainder.joint}: {name} wanders by {size:.2g}{_unit_suffix(name)} from day to day"

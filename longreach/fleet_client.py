@@ -20,9 +20,15 @@ from server.errors import SettingsError
 
 # HTTP connection of our clients: classification of connection failures, and retries.
 
-IDLE_S = 3.0  # below every server's own limit (uvicorn's default: 5 s), so that no request meets a closing connection
-IDEMPOTENT = frozenset({"GET", "HEAD", "OPTIONS", "PUT", "DELETE"})
-DROPPED = (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError)  # not: connection refused, timeout
+KEEPALIVE_EXPIRY_S = (
+    3.0  # below every server's own limit (uvicorn's default: 5 s), so that no request meets a closing connection
+)
+IDEMPOTENT_HTTP_METHODS = frozenset({"GET", "HEAD", "OPTIONS", "PUT", "DELETE"})
+DROPPED_CONNECTION_ERRORS = (
+    httpx.RemoteProtocolError,
+    httpx.ReadError,
+    httpx.WriteError,
+)  # not: connection refused, timeout
 
 
 class SteadyClient(httpx.Client):
@@ -37,15 +43,15 @@ class SteadyClient(httpx.Client):
         direct = (
             {f"all://[{host}]" if ":" in host else f"all://{host}": None} if is_loopback(host) else None
         )  # this computer itself is not behind a proxy
-        limits = httpx.Limits(keepalive_expiry=IDLE_S)
+        limits = httpx.Limits(keepalive_expiry=KEEPALIVE_EXPIRY_S)
         super().__init__(base_url=url, timeout=timeout_s, headers=headers, limits=limits, mounts=direct)
 
     def send(self, request: httpx.Request, **options: Any) -> httpx.Response:
         """As httpx.Client.send."""
         try:
             return super().send(request, **options)
-        except DROPPED:
-            if request.method not in IDEMPOTENT:
+        except DROPPED_CONNECTION_ERRORS:
+            if request.method not in IDEMPOTENT_HTTP_METHODS:
                 raise
         return super().send(request, **options)
 
@@ -80,12 +86,12 @@ def _host_of_url(url: str) -> str:
 
 
 RETRIES = 3
-RETRY_S = 0.5
+RETRY_DELAY_S = 0.5
 
 
 # Holding control of one server: acquire, keep alive from a thread, give back.
 
-TTL_S = 15.0  # a client that dies without a word (SIGKILL, a power cut) moves its machine for so long at most
+LEASE_TTL_S = 15.0  # a client that dies without a word (SIGKILL, a power cut) moves its machine for so long at most
 
 
 class ControlRefusedError(Exception):
@@ -95,7 +101,7 @@ class ControlRefusedError(Exception):
 class LeaseHolder:
     """A context manager: inside it this program has control, and `headers` prove it."""
 
-    def __init__(self, http: httpx.Client, owner: str, kind: str, ttl_s: float = TTL_S) -> None:
+    def __init__(self, http: httpx.Client, owner: str, kind: str, ttl_s: float = LEASE_TTL_S) -> None:
         self._http, self._owner, self._kind, self._ttl_s = http, owner, kind, ttl_s
         self._lease: dict[str, Any] = {}
         self._done = threading.Event()
@@ -297,7 +303,7 @@ class JobClient:
             self.stop()
         except httpx.HTTPError as error:
             ending.add_note(
-                f"STOP is not confirmed ({error}); without this client control expires within {TTL_S:.0f} s"
+                f"STOP is not confirmed ({error}); without this client control expires within {LEASE_TTL_S:.0f} s"
             )
 
     def stop_for_good(self) -> None:
@@ -316,7 +322,7 @@ class JobClient:
             try:
                 return self._http.post("/v1/jobs", json=body, headers=headers)
             except httpx.TransportError:
-                time.sleep(RETRY_S)
+                time.sleep(RETRY_DELAY_S)
         return self._http.post("/v1/jobs", json=body, headers=headers)
 
     def _job_events(self, location: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -332,7 +338,7 @@ class JobClient:
                 return
             except httpx.TransportError:
                 broken += 1
-                time.sleep(RETRY_S)
+                time.sleep(RETRY_DELAY_S)
 
     def _stream_events(self, location: str, last: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
         timeout, headers = httpx.Timeout(10.0, read=60.0), {"Last-Event-ID": last}

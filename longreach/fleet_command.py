@@ -75,7 +75,14 @@ def scrape(
         time.sleep(every_s)
 
 
-SHOWN = ("job_running", "faults", "store_ok", "camera_pairs_per_second", "plc_states_lost", "plc_underruns_total")
+SHOWN_METRICS = (
+    "job_running",
+    "faults",
+    "store_ok",
+    "camera_pairs_per_second",
+    "plc_states_lost",
+    "plc_underruns_total",
+)
 
 
 def metrics_line(url: str, key: str = "") -> str:
@@ -87,4 +94,4 @@ def metrics_line(url: str, key: str = "") -> str:
     except httpx.HTTPError as error:
         return f"no metrics ({error}{by_proxy(url)})"
     rows = dict(line.rsplit(" ", 1) for line in text.splitlines() if line and not line.startswith("#"))
-    return ", ".join(f"{name} {rows[f'longreach_{name}']}" for name in SHOWN if f"longreach_{name}" in rows)
+    return ", ".join(f"{name} {rows[f'longreach_{name}']}" for name in SHOWN_METRICS if f"longreach_{name}" in rows)

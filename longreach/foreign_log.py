@@ -41,7 +41,7 @@ def convert_log(
     def confirm(found: SourceContents, assembled: AssembledRecording) -> bool:
         show(found, assembled, screen)
         if mapping_out is not None:
-            _write_mapping(mapping_out, found.proposal)
+            _write_mapping(mapping_out, found.proposed_mapping_toml)
         if yes or not found.guessed_entries:
             return True
         return sys.stdin.isatty() and typer.confirm("Are the guesses right?", default=False, err=True)
@@ -60,8 +60,8 @@ def show(found: SourceContents, assembled: AssembledRecording, screen: Console) 
     """What was found, what it was taken for, and why the rest is not used."""
     table = Table("topic or column", "type", Column("messages", justify="right"), "use", "why")
     for entry in sorted(found.entries, key=lambda entry: (entry.use == "ignored", entry.name)):
-        use = "[yellow]guess[/]" if entry.guess and entry.use == "used" else entry.use
-        table.add_row(escape(entry.name), escape(entry.kind), str(entry.count), use, escape(entry.why))
+        use = "[yellow]guess[/]" if entry.is_guess and entry.use == "used" else entry.use
+        table.add_row(escape(entry.name), escape(entry.kind), str(entry.n_values), use, escape(entry.reason))
     screen.print(table)
     for note in (*found.notes, *assembled.notes):
         screen.print(f"note: {escape(note)}", soft_wrap=True)

@@ -33,13 +33,13 @@ from recording.errors import RecordingError
 from recording.files import read_text, write_durably
 from recording.foreign.mapping import UrdfChain
 from recording.foreign.ros_bag import NotDecodedError, RosBag
-from recording.foreign.ros_collect import JOINT_STATE
+from recording.foreign.ros_collect import JOINT_STATE_TYPE
 from recording.foreign.urdf_ends import chain_for
 from server.calibration.hand_eye import HandEyeEstimate, HandPoses, estimate_hand_eye, solve_ax_yb
 from server.calibration.hand_eye_fit import inverse_poses, rotation_vectors
 
-ALIKE_SHOWN = 8
-GAP_MAX_S = 0.2
+SIMILAR_POSES_SHOWN_MAX = 8
+HAND_POSE_GAP_MAX_S = 0.2
 
 
 # Poses for a hand-eye calibration from a ROS bag: the hand by joint states and URDF, the target by a pose topic.
@@ -60,7 +60,7 @@ def poses_of_bag(bag: Path, topic: str, urdf: Path, base_link: str, hand_link: s
     try:
         for message in RosBag(bag):
             topics.add(message.topic)
-            if message.topic != topic and message.kind != JOINT_STATE:
+            if message.topic != topic and message.message_type != JOINT_STATE_TYPE:
                 continue
             if len(seen) + sum(map(len, joints.values())) >= POSES_MAX:
                 raise HandEyeError(f"{bag} holds more than {POSES_MAX} poses and joint states; cut it")
@@ -96,8 +96,8 @@ def poses_of_bag(bag: Path, topic: str, urdf: Path, base_link: str, hand_link: s
 # What a hand-eye calibration leaves, pose by pose: residuals, outliers, and poses too alike to add anything.
 
 OUTLIER_SIGMAS = 4.0
-ALIKE_RAD = float(np.deg2rad(3.0))
-ALIKE_M = 0.02
+SIMILAR_POSE_ANGLE_MAX_RAD = float(np.deg2rad(3.0))
+SIMILAR_POSE_DISTANCE_MAX_M = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ class PoseResiduals:
 
     rotation_deg: Array
     translation_mm: Array
-    outliers: NDArray[np.bool_]
+    outlier_mask: NDArray[np.bool_]
 
 
 def pose_residuals(As: Array, Bs: Array, X: Array, Y: Array) -> PoseResiduals:
@@ -135,7 +135,7 @@ def alike_poses(As: Array) -> list[tuple[int, int]]:
     for k in range(1, len(As)):
         turns = np.linalg.norm(rotation_vectors(np.swapaxes(As[:k, :3, :3], 1, 2) @ As[k, :3, :3]), axis=1)
         moved = np.linalg.norm(As[:k, :3, 3] - As[k, :3, 3], axis=1)
-        near = np.nonzero((turns < ALIKE_RAD) & (moved < ALIKE_M))[0]
+        near = np.nonzero((turns < SIMILAR_POSE_ANGLE_MAX_RAD) & (moved < SIMILAR_POSE_DISTANCE_MAX_M))[0]
         if len(near):
             pairs.append((int(near[0]), k))
     return pairs
@@ -146,9 +146,9 @@ class Solved:
     """An estimate, and the pairs of poses that it was judged by."""
 
     estimate: HandEyeEstimate
-    hand: Array
+    hand_poses: Array
     target_from_camera: Array
-    labels: tuple[str, ...]
+    pose_labels: tuple[str, ...]
 
 
 def hand_eye(
@@ -194,41 +194,41 @@ def hand_eye(
         if urdf is None or not pose_topic:
             raise typer.BadParameter("--bag needs --pose-topic and --urdf")
         hand_table, table = poses_of_bag(bag, pose_topic, urdf, "", "")
-        seen = replace(table, Ts=inverse_poses(table.Ts)) if inverse_camera else table
+        seen = replace(table, poses=inverse_poses(table.poses)) if inverse_camera else table
     elif camera is not None:
         table = read_poses(camera)
-        seen = replace(table, Ts=inverse_poses(table.Ts)) if inverse_camera else table
+        seen = replace(table, poses=inverse_poses(table.poses)) if inverse_camera else table
     else:
         assert images is not None  # one of both is given
         if lens is None:
             raise typer.BadParameter("--images needs --lens, the camera's camera_info or OpenCV YAML")
         board = board_of(squares, square_mm, marker_mm, dictionary, legacy_pattern)
         found_poses = poses_of_pictures(images, board, read_lens(lens))
-        seen, covariances = found_poses.table, found_poses.covariances
-        for name, why in found_poses.skipped:
+        seen, covariances = found_poses.pose_table, found_poses.pose_covariances
+        for name, why in found_poses.skipped_pictures:
             screen.print(f"[yellow]without a pose[/] {escape(name)}: {escape(why)}", soft_wrap=True)
     if bag is None:
         assert hand is not None  # asked above
         hand_table = read_poses(hand)
     solved = solve_hand_eye(hand_table, seen, eye_to_hand, covariances)
     found = solved.estimate
-    alike = alike_poses(solved.hand) if len(solved.hand) <= 200 else []
+    alike = alike_poses(solved.hand_poses) if len(solved.hand_poses) <= 200 else []
     answer: dict[str, Any] = {
         "status": found.status.name,
         "reason": found.reason,
-        "n": len(solved.hand),
+        "n": len(solved.hand_poses),
         "n_used": found.n_used,
     }
-    answer["alike"] = [[solved.labels[first], solved.labels[second]] for first, second in alike]
-    if found.X is None or found.Y is None or found.covariance is None:
+    answer["alike"] = [[solved.pose_labels[first], solved.pose_labels[second]] for first, second in alike]
+    if found.T_hand_cam is None or found.T_base_target is None or found.covariance is None:
         screen.print(f"[bold red]not found[/]: {escape(found.reason)}", soft_wrap=True)
-        _show_alike(alike, solved.labels, screen)
+        _show_alike(alike, solved.pose_labels, screen)
         _write_json(json_file, answer)
         raise typer.Exit(1)
-    left = pose_residuals(solved.hand, solved.target_from_camera, found.X, found.Y)
+    left = pose_residuals(solved.hand_poses, solved.target_from_camera, found.T_hand_cam, found.T_base_target)
     mount = _mount_from_estimate(found, eye_to_hand, (base_frame, hand_frame, camera_frame, target_frame))
     _show_mount(mount, found, left, solved, screen)
-    _show_alike(alike, solved.labels, screen)
+    _show_alike(alike, solved.pose_labels, screen)
     answer |= _as_answer(mount, found, left, solved)
     _write_json(json_file, answer)
     if out is not None:
@@ -249,18 +249,18 @@ def solve_hand_eye(hand: PoseTable, seen: PoseTable, eye_to_hand: bool, covarian
     """
     pairs = matching_label_rows(hand, seen)
     if pairs is not None:
-        As, Ts_cam_target = hand.Ts[pairs[0]], seen.Ts[pairs[1]]
+        As, Ts_cam_target = hand.poses[pairs[0]], seen.poses[pairs[1]]
         labels = tuple(seen.labels[k] for k in pairs[1])
         Bs = Ts_cam_target if eye_to_hand else inverse_poses(Ts_cam_target)
         weights = None if covariances is None or eye_to_hand else covariances[pairs[1]]
         return Solved(solve_ax_yb(As, Bs, camera_covariances=weights), As, Bs, labels)
     if hand.t_s is None or seen.t_s is None:
         raise HandEyeError("hand and camera share no names and have no times; give both tables the same first column")
-    hand_t, hand_T = _in_order(hand.t_s, hand.Ts)
-    cam_t, cam_T = _in_order(seen.t_s, seen.Ts)
+    hand_t, hand_T = _in_order(hand.t_s, hand.poses)
+    cam_t, cam_T = _in_order(seen.t_s, seen.poses)
     start = hand_t[0]
     found = estimate_hand_eye(hand_t - start, hand_T, cam_t - start, inverse_poses(cam_T) if eye_to_hand else cam_T)
-    track = HandPoses(hand_t - start, hand_T, GAP_MAX_S)
+    track = HandPoses(hand_t - start, hand_T, HAND_POSE_GAP_MAX_S)
     inside = track.covers_times(cam_t - start + found.time_offset_s, 0.0)
     As = track.poses_at(cam_t[inside] - start + found.time_offset_s) if inside.any() else np.zeros((0, 4, 4))
     Bs = cam_T[inside] if eye_to_hand else inverse_poses(cam_T[inside])
@@ -274,11 +274,11 @@ def _in_order(t_s: Array, Ts: Array) -> tuple[Array, Array]:
 
 
 def _mount_from_estimate(found: HandEyeEstimate, eye_to_hand: bool, names: tuple[str, str, str, str]) -> Mount:
-    assert found.X is not None  # the caller asked
-    assert found.Y is not None
+    assert found.T_hand_cam is not None  # the caller asked
+    assert found.T_base_target is not None
     assert found.covariance is not None
     part = slice(6, 12) if eye_to_hand else slice(0, 6)
-    T = found.Y if eye_to_hand else found.X
+    T = found.T_base_target if eye_to_hand else found.T_hand_cam
     return Mount(T, found.covariance[part, part], not eye_to_hand, *names)
 
 
@@ -290,7 +290,7 @@ def _show_mount(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solve
         "translation, mm", "  ".join(f"{1e3 * x:.2f} +- {s:.2f}" for x, s in zip(T[:3, 3], moved, strict=True))
     )
     table.add_row("rotation known to, deg", "  ".join(f"{s:.3f}" for s in turned))
-    table.add_row("poses", f"{len(solved.hand)}, of which {found.n_used} count fully")
+    table.add_row("poses", f"{len(solved.hand_poses)}, of which {found.n_used} count fully")
     for name, values, unit in (
         ("residual rotation", left.rotation_deg, "deg"),
         ("residual place", left.translation_mm, "mm"),
@@ -301,11 +301,11 @@ def _show_mount(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solve
     if found.reason:
         table.add_row("clocks", found.reason)
     screen.print(table)
-    places = np.nonzero(left.outliers)[0]
+    places = np.nonzero(left.outlier_mask)[0]
     if len(places):
         shown = ", ".join(
-            f"{solved.labels[k]} ({left.rotation_deg[k]:.2f} deg, {left.translation_mm[k]:.1f} mm)"
-            for k in places[:ALIKE_SHOWN]
+            f"{solved.pose_labels[k]} ({left.rotation_deg[k]:.2f} deg, {left.translation_mm[k]:.1f} mm)"
+            for k in places[:SIMILAR_POSES_SHOWN_MAX]
         )
         screen.print(
             f"[yellow]outliers[/], {len(places)}: {escape(shown)}: check their images, or leave them out",
@@ -315,7 +315,7 @@ def _show_mount(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solve
 
 def _show_alike(alike: list[tuple[int, int]], labels: tuple[str, ...], screen: Console) -> None:
     if alike:
-        shown = ", ".join(f"{labels[second]} like {labels[first]}" for first, second in alike[:ALIKE_SHOWN])
+        shown = ", ".join(f"{labels[second]} like {labels[first]}" for first, second in alike[:SIMILAR_POSES_SHOWN_MAX])
         text = f"[yellow]too alike[/], {len(alike)}: {escape(shown)}: turn the hand further between poses"
         screen.print(text, soft_wrap=True)
 
@@ -325,10 +325,10 @@ def _as_answer(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solved
         "setup": "eye_in_hand" if mount.in_hand else "eye_to_hand",
         "parent_frame": mount.parent_frame,
         "T_parent_cam": mount.T_parent_cam.tolist(),
-        "covariance": mount.covariance.tolist(),
+        "covariance": mount.pose_covariance.tolist(),
         "residual_rotation_deg": {"median": float(np.median(left.rotation_deg)), "max": float(left.rotation_deg.max())},
         "residual_mm": {"median": float(np.median(left.translation_mm)), "max": float(left.translation_mm.max())},
-        "outliers": [solved.labels[k] for k in np.nonzero(left.outliers)[0]],
+        "outliers": [solved.pose_labels[k] for k in np.nonzero(left.outlier_mask)[0]],
         "time_offset_s": found.time_offset_s,
     }
 

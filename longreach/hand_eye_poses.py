@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from longreach.target_sources import SUFFIXES, corners_of, grey_picture
+from longreach.target_sources import IMAGE_FILE_SUFFIXES, corners_of, grey_picture
 from machine.poses import pose
 from machine.rotations import Array, quat_wxyz_from_rotation, rotation_from_quat_wxyz, rotation_from_rotvec, skew
 from machine.urdf_shapes import origin_element
@@ -20,7 +20,7 @@ from server.camera.rectification_rig import EyeCalibration, check_eye
 from server.camera.rectification_yaml import parse_yaml
 from server.errors import ServerError
 
-QUATERNION_OFF_MAX = 1e-2
+ORTHONORMALITY_ERROR_MAX = 1e-2
 
 
 class HandEyeError(ServerError):
@@ -33,7 +33,7 @@ class PoseTable:
 
     labels: tuple[str, ...]
     t_s: Array | None
-    Ts: Array
+    poses: Array
 
 
 def read_poses(path: Path) -> PoseTable:
@@ -76,12 +76,12 @@ def _parse_numbers(cells: list[str]) -> list[float] | None:
 def _pose_from_numbers(values: list[float], where: str) -> Array:
     if len(values) == 16:
         T = np.array(values).reshape(4, 4)
-        if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > QUATERNION_OFF_MAX or np.abs(T[3, :3]).max() > 0.0:
+        if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > ORTHONORMALITY_ERROR_MAX or np.abs(T[3, :3]).max() > 0.0:
             raise HandEyeError(f"{where}: no pose; write it row by row, a rotation and metres, the last row 0, 0, 0, 1")
         return T
     x, y, z, qx, qy, qz, qw = values
     length = float(np.sqrt(qx**2 + qy**2 + qz**2 + qw**2))
-    if abs(length - 1.0) > QUATERNION_OFF_MAX:
+    if abs(length - 1.0) > ORTHONORMALITY_ERROR_MAX:
         raise HandEyeError(f"{where}: the quaternion's length is {length:.4f}, not 1; the order is qx, qy, qz, qw")
     T = np.eye(4)
     T[:3, :3] = rotation_from_quat_wxyz(np.array([qw, qx, qy, qz]) / length)
@@ -105,7 +105,7 @@ def matching_label_rows(hand: PoseTable, camera: PoseTable) -> tuple[NDArray[np.
 # Poses of a ChArUco board in single pictures, with covariance, for a hand-eye calibration.
 
 CORNERS_MIN = 8
-SIGMA_MIN_PX = 0.1  # of a corner coordinate
+CORNER_SIGMA_MIN_PX = 0.1  # of a corner coordinate
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,9 +114,9 @@ class PicturePoses:
     pictures without a pose, and why.
     """
 
-    table: PoseTable
-    covariances: Array
-    skipped: tuple[tuple[str, str], ...]
+    pose_table: PoseTable
+    pose_covariances: Array
+    skipped_pictures: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,7 @@ class Lens:
     """Camera matrix (3, 3) [px] and distortion of one eye; `size_px`: of its pictures, where the file holds it."""
 
     file: str
-    eye: EyeCalibration
+    eye_calibration: EyeCalibration
     size_px: tuple[int, int] | None
 
     def check_picture_size(self, picture: Path, size_px: tuple[int, int]) -> None:
@@ -134,7 +134,7 @@ class Lens:
                 f"{picture} has {size_px[0]} x {size_px[1]} px, but lens {self.file} is of {self.size_px[0]} x "
                 f"{self.size_px[1]} px; give the calibration of this picture size"
             )
-        check_eye(self.eye, size_px, f"lens {self.file}")
+        check_eye(self.eye_calibration, size_px, f"lens {self.file}")
 
 
 def read_lens(path: Path) -> Lens:
@@ -147,8 +147,8 @@ def read_lens(path: Path) -> Lens:
     except OSError as error:
         raise HandEyeError(f"lens {path} cannot be read: {error.strerror}") from error
     eye, size_px = parse_eye(fields)
-    if eye.model != "brown":
-        raise HandEyeError(f"lens {path} is of the {eye.model} model; calibrate with the pinhole model")
+    if eye.lens_model != "brown":
+        raise HandEyeError(f"lens {path} is of the {eye.lens_model} model; calibrate with the pinhole model")
     return Lens(path.name, eye, size_px)
 
 
@@ -157,7 +157,11 @@ def poses_of_pictures(folder: Path, board: "cv2.aruco.CharucoBoard", lens: Lens)
 
     Raises: HandEyeError: no picture, none shows the board, or one has not the lens file's size.
     """
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES) if folder.is_dir() else []
+    files = (
+        sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_FILE_SUFFIXES)
+        if folder.is_dir()
+        else []
+    )
     if not files:
         raise HandEyeError(f"{folder} holds no pictures; give a folder of PNG or JPEG")
     detector = cv2.aruco.CharucoDetector(board)
@@ -171,7 +175,7 @@ def poses_of_pictures(folder: Path, board: "cv2.aruco.CharucoBoard", lens: Lens)
             count = 0 if seen is None else len(seen[0])
             skipped.append((file.stem, f"{count} corners of the board, {CORNERS_MIN} are needed"))
             continue
-        T, covariance = _pose_of(*seen, lens.eye.matrix, lens.eye.coefficients)
+        T, covariance = _pose_of(*seen, lens.eye_calibration.matrix, lens.eye_calibration.coefficients)
         labels.append(file.stem)
         Ts.append(T)
         covariances.append(covariance)
@@ -186,7 +190,7 @@ def _pose_of(points: Array, px: Array, K: Array, distortion: Array) -> tuple[Arr
     r, t = cv2.solvePnPRefineLM(points, px, K, distortion, r, t)
     T = pose(rotation_from_rotvec(np.asarray(r, float).ravel()), np.asarray(t, float).ravel())
     seen = np.asarray(cv2.projectPoints(points, r, t, K, distortion)[0], float).reshape(-1, 2)
-    variance = max(float(np.sum((seen - px) ** 2)) / (px.size - 6), SIGMA_MIN_PX**2)
+    variance = max(float(np.sum((seen - px) ** 2)) / (px.size - 6), CORNER_SIGMA_MIN_PX**2)
     J = np.zeros((px.size, 6))
     for k, turned in enumerate(points @ T[:3, :3].T):
         x, y, z = turned + T[:3, 3]
@@ -206,7 +210,7 @@ class Mount:
     """
 
     T_parent_cam: Array
-    covariance: Array
+    pose_covariance: Array
     in_hand: bool
     base_frame: str
     hand_frame: str
@@ -252,7 +256,7 @@ def as_tf(mount: Mount) -> str:
         f"ros2 run tf2_ros static_transform_publisher --x {x!r} --y {y!r} --z {z!r} --qx {i!r} --qy {j!r} --qz {k!r} "
         f"--qw {w!r} --frame-id {mount.parent_frame} --child-frame-id {mount.camera_frame}"
     )
-    rows = [", ".join(f"{value:.6g}" for value in row) for row in mount.covariance]
+    rows = [", ".join(f"{value:.6g}" for value in row) for row in mount.pose_covariance]
     notes = [command, "covariance of rotation vector [rad], translation [m]:", *rows]
     return "".join(f"# {note}\n" for note in notes) + yaml.safe_dump({"transforms": [transform]}, sort_keys=False)
 
@@ -294,5 +298,5 @@ def as_machine_section(mount: Mount) -> str:
 
 def mount_sigmas(mount: Mount) -> tuple[Array, Array]:
     """Standard deviations of the rotation (3,) [deg] and the translation (3,) [mm]."""
-    all_of = np.sqrt(np.maximum(np.diag(mount.covariance), 0.0))
+    all_of = np.sqrt(np.maximum(np.diag(mount.pose_covariance), 0.0))
     return np.rad2deg(all_of[:3]), 1e3 * all_of[3:6]

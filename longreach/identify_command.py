@@ -12,7 +12,7 @@ from rich.table import Table
 from longreach.fleet_client import JobClient, JobRefusedError, read_key
 from recording.files import write_durably
 
-POLL_S = 2.0
+JOB_POLL_PERIOD_S = 2.0
 
 
 def identify(
@@ -90,7 +90,7 @@ def _wait_for_diagnosis(console: Console, client: JobClient, diagnosis_id: str) 
             if one["state"] not in ("waiting", "running"):
                 break
             status.update(f"diagnosing, {one['elapsed_s']:.0f} s: {one['last_line']}")
-            time.sleep(POLL_S)
+            time.sleep(JOB_POLL_PERIOD_S)
     if one["state"] != "done":
         raise JobRefusedError(f"diagnosis {one['state']}: {one['reason']}")
     return client.get(f"/v1/diagnoses/{diagnosis_id}/result")

@@ -15,12 +15,14 @@ from server.access.roles import Role
 app = typer.Typer(no_args_is_help=True)
 Name = Annotated[str, typer.Argument(help="whose key it is; shown in the audit")]
 File = Annotated[Path, typer.Option("--file", help="the key file that [http] keys_file names")]
-DEFAULT = Path("keys.json")
+DEFAULT_KEYS_FILE = Path("keys.json")
 
 
 @app.command()
 def add(
-    name: Name, role: Annotated[Role, typer.Option(help="what the key may do")] = Role.OPERATOR, file: File = DEFAULT
+    name: Name,
+    role: Annotated[Role, typer.Option(help="what the key may do")] = Role.OPERATOR,
+    file: File = DEFAULT_KEYS_FILE,
 ) -> None:
     """Make a key and print it once; only its SHA-256 is stored."""
     secret = new_key()
@@ -30,7 +32,7 @@ def add(
 
 
 @app.command("list")
-def list_keys(file: File = DEFAULT) -> None:
+def list_keys(file: File = DEFAULT_KEYS_FILE) -> None:
     """List names, roles and dates, without the keys."""
     table = Table()
     for heading in ("name", "role", "made", "revoked"):
@@ -42,7 +44,7 @@ def list_keys(file: File = DEFAULT) -> None:
 
 
 @app.command()
-def revoke(name: Name, file: File = DEFAULT) -> None:
+def revoke(name: Name, file: File = DEFAULT_KEYS_FILE) -> None:
     """Revoke a key; a running server applies it within a second and ends its sessions."""
     write_keys(file, without_key(read_keys(file), name, time.time()))
     typer.echo(f"key of {name} revoked")

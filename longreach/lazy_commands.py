@@ -10,7 +10,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from server.errors import SettingsError
 
-CHECKOUT = "benchmarks"  # a package that is not in the wheel
+CHECKOUT_ONLY_PACKAGE = "benchmarks"  # a package that is not in the wheel
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,23 +18,23 @@ class Lazy:
     """One subcommand. `where` is `module:attribute` of a function or of a `Typer`; `about` is what the list says."""
 
     name: str
-    where: str
-    about: str
+    import_path: str
+    help_text: str
 
     @property
     def of_checkout(self) -> bool:
         """Whether it comes with the source checkout only."""
-        return self.where.startswith(f"{CHECKOUT}.")
+        return self.import_path.startswith(f"{CHECKOUT_ONLY_PACKAGE}.")
 
     def load(self) -> Any:
         """The command itself, as typer makes it."""
-        module, _, attribute = self.where.partition(":")
+        module, _, attribute = self.import_path.partition(":")
         try:
             found, app = getattr(import_module(module), attribute), typer.Typer()
         except ModuleNotFoundError as error:
             raise _missing_library_error(self.name, error) from error
         if isinstance(found, typer.Typer):
-            app.add_typer(found, name=self.name, help=self.about)
+            app.add_typer(found, name=self.name, help=self.help_text)
         else:
             app.command(self.name)(found)
         return typer.main.get_group(app).commands[self.name]
@@ -46,7 +46,7 @@ SERVER_LIBRARIES = ("cv2", "fastapi", "httpx", "httptools", "prometheus_client",
 def _missing_library_error(command: str, error: ModuleNotFoundError) -> Exception:
     """What to install for a command; the error itself where a module of our own is missing."""
     library = (error.name or "").split(".")[0]
-    if library == CHECKOUT:
+    if library == CHECKOUT_ONLY_PACKAGE:
         return SettingsError(
             f"`{command}` is part of the source checkout and not of the installed package; clone the repository, "
             "`pip install -e '.[server]'` in it, and call it again"
@@ -60,7 +60,7 @@ class LazyCommand(TyperCommand):
     """Stands for a subcommand in the list, and becomes it when its arguments are to be read."""
 
     def __init__(self, lazy: Lazy) -> None:
-        super().__init__(lazy.name, help=lazy.about)
+        super().__init__(lazy.name, help=lazy.help_text)
         self.lazy = lazy
 
     def load(self) -> Any:
@@ -80,8 +80,8 @@ def loaded_command(command: Any) -> Any:
 class LazyGroup(TyperGroup):
     """A command group with the commands of its table, in addition to those it is given."""
 
-    table: ClassVar[tuple[Lazy, ...]] = ()
+    lazy_commands: ClassVar[tuple[Lazy, ...]] = ()
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = {**{lazy.name: LazyCommand(lazy) for lazy in self.table}, **self.commands}
+        self.commands = {**{lazy.name: LazyCommand(lazy) for lazy in self.lazy_commands}, **self.commands}

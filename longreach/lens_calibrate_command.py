@@ -14,26 +14,37 @@ from rich.markup import escape
 from rich.progress import track
 from rich.table import Column, Table
 
-from longreach.target_sources import SUFFIXES, TargetError, board_of, corners_of, grey_picture, read_pair, stored_pairs
+from longreach.target_sources import (
+    IMAGE_FILE_SUFFIXES,
+    TargetError,
+    board_of,
+    corners_of,
+    grey_picture,
+    read_pair,
+    stored_pairs,
+)
 from machine.rotations import Array, rotation_from_rotvec
 from recording.files import write_durably
 from server.calibration.lens_fit import BoardView, Coverage, LensFit, LensFitError, coverage_of, fit_lens
-from server.camera.rectification_zed import SECTIONS
+from server.camera.rectification_zed import SECTION_SUFFIX_BY_SIZE
 
 # A calibrated lens or rig in the formats of others: ROS camera_info, OpenCV, Kalibr, and ZED's conf.
 
-NAMES = {1: ("camera",), 2: ("left", "right")}
+CAMERA_NAMES_BY_EYE_COUNT = {1: ("camera",), 2: ("left", "right")}
 
 
 def write_lens(fit: LensFit, folder: Path) -> tuple[list[Path], list[str]]:
     """Write all forms that can hold it; the files, and why another is not written. Raises: OSError."""
-    texts = {f"{name}.yaml": camera_info(fit, eye) for eye, name in enumerate(NAMES[len(fit.lenses)])}
+    texts = {
+        f"{name}.yaml": camera_info(fit, eye)
+        for eye, name in enumerate(CAMERA_NAMES_BY_EYE_COUNT[len(fit.lens_parameters)])
+    }
     texts |= {"kalibr.yaml": kalibr_camchain(fit), "opencv.yaml": opencv_yaml(fit)}
     notes = []
-    if fit.rig is None:
+    if fit.rig_parameters is None:
         notes.append("no ZED conf: it is of two eyes")
-    elif fit.size_px not in SECTIONS:
-        sizes = ", ".join(f"{width} x {height}" for width, height in SECTIONS)
+    elif fit.size_px not in SECTION_SUFFIX_BY_SIZE:
+        sizes = ", ".join(f"{width} x {height}" for width, height in SECTION_SUFFIX_BY_SIZE)
         notes.append(f"no ZED conf: it knows {sizes} px an eye only")
     else:
         texts["zed.conf"] = zed_conf(fit)
@@ -44,22 +55,22 @@ def write_lens(fit: LensFit, folder: Path) -> tuple[list[Path], list[str]]:
 
 
 def _camera_matrix(fit: LensFit, eye: int) -> Array:
-    fx, fy, cx, cy = fit.lenses[eye, :4]
+    fx, fy, cx, cy = fit.lens_parameters[eye, :4]
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 def _left_to_right_transform(fit: LensFit) -> tuple[Array, Array]:
     """R and t [m] that take the left eye's points to the right one's."""
-    assert fit.rig is not None  # two eyes
-    return rotation_from_rotvec(fit.rig[:3]), fit.rig[3:]
+    assert fit.rig_parameters is not None  # two eyes
+    return rotation_from_rotvec(fit.rig_parameters[:3]), fit.rig_parameters[3:]
 
 
 def _rectification_per_eye(fit: LensFit) -> list[tuple[Array, Array]]:
     """Rectification and projection of each eye."""
-    if fit.rig is None:
+    if fit.rig_parameters is None:
         return [(np.eye(3), np.hstack([_camera_matrix(fit, 0), np.zeros((3, 1))]))]
     R, t = _left_to_right_transform(fit)
-    lenses = [(_camera_matrix(fit, eye), fit.lenses[eye, 4:].copy()) for eye in (0, 1)]
+    lenses = [(_camera_matrix(fit, eye), fit.lens_parameters[eye, 4:].copy()) for eye in (0, 1)]
     R1, R2, P1, P2 = cv2.stereoRectify(*lenses[0], *lenses[1], fit.size_px, R, t[:, None], alpha=0.0)[:4]
     return [(np.asarray(R1, float), np.asarray(P1, float)), (np.asarray(R2, float), np.asarray(P2, float))]
 
@@ -70,10 +81,10 @@ def camera_info(fit: LensFit, eye: int) -> str:
     body = {
         "image_width": fit.size_px[0],
         "image_height": fit.size_px[1],
-        "camera_name": NAMES[len(fit.lenses)][eye],
+        "camera_name": CAMERA_NAMES_BY_EYE_COUNT[len(fit.lens_parameters)][eye],
         "camera_matrix": _matrix_data(_camera_matrix(fit, eye)),
         "distortion_model": "plumb_bob",
-        "distortion_coefficients": _matrix_data(fit.lenses[eye, None, 4:]),
+        "distortion_coefficients": _matrix_data(fit.lens_parameters[eye, None, 4:]),
         "rectification_matrix": _matrix_data(R),
         "projection_matrix": _matrix_data(P),
     }
@@ -87,16 +98,16 @@ def _matrix_data(values: Array) -> dict[str, object]:
 
 def opencv_yaml(fit: LensFit) -> str:
     """OpenCV's stereo YAML, with the names of its samples."""
-    if fit.rig is None:
+    if fit.rig_parameters is None:
         return _file_storage(
-            {"camera_matrix": _camera_matrix(fit, 0), "distortion_coefficients": fit.lenses[:1, 4:]}, fit
+            {"camera_matrix": _camera_matrix(fit, 0), "distortion_coefficients": fit.lens_parameters[:1, 4:]}, fit
         )
     R, t = _left_to_right_transform(fit)
     matrices = {
         "K1": _camera_matrix(fit, 0),
-        "D1": fit.lenses[:1, 4:],
+        "D1": fit.lens_parameters[:1, 4:],
         "K2": _camera_matrix(fit, 1),
-        "D2": fit.lenses[1:, 4:],
+        "D2": fit.lens_parameters[1:, 4:],
     }
     return _file_storage(matrices | {"R": R, "T": t[:, None]}, fit)
 
@@ -113,12 +124,12 @@ def _file_storage(matrices: dict[str, Array], fit: LensFit) -> str:
 def kalibr_camchain(fit: LensFit) -> str:
     """Kalibr's camchain; it has four coefficients, so a k3 that matters is lost, and that is said in the file."""
     body: dict[str, object] = {}
-    for eye in range(len(fit.lenses)):
+    for eye in range(len(fit.lens_parameters)):
         camera: dict[str, object] = {
             "camera_model": "pinhole",
-            "intrinsics": fit.lenses[eye, :4].tolist(),
+            "intrinsics": fit.lens_parameters[eye, :4].tolist(),
             "distortion_model": "radtan",
-            "distortion_coeffs": fit.lenses[eye, 4:8].tolist(),
+            "distortion_coeffs": fit.lens_parameters[eye, 4:8].tolist(),
             "resolution": list(fit.size_px),
             "rostopic": f"/cam{eye}/image_raw",
         }
@@ -127,27 +138,27 @@ def kalibr_camchain(fit: LensFit) -> str:
             T[:3, :3], T[:3, 3] = _left_to_right_transform(fit)
             camera["T_cn_cnm1"] = T.tolist()
         body[f"cam{eye}"] = camera
-    lost = ", ".join(f"{value:.6g}" for value in fit.lenses[:, 8])
+    lost = ", ".join(f"{value:.6g}" for value in fit.lens_parameters[:, 8])
     return f"# radtan has no k3; left out: {lost}\n" + yaml.safe_dump(body, sort_keys=False, default_flow_style=None)
 
 
 def zed_conf(fit: LensFit) -> str:
     """ZED's conf at this image size."""
-    ending = SECTIONS[fit.size_px]
+    ending = SECTION_SUFFIX_BY_SIZE[fit.size_px]
     lines = []
     for eye, side in enumerate(("LEFT", "RIGHT")):
-        fx, fy, cx, cy, k1, k2, p1, p2, k3 = fit.lenses[eye].tolist()
+        fx, fy, cx, cy, k1, k2, p1, p2, k3 = fit.lens_parameters[eye].tolist()
         lines += [f"[{side}_CAM_{ending}]", f"fx={fx!r}", f"fy={fy!r}", f"cx={cx!r}", f"cy={cy!r}"]
         lines += [f"k1={k1!r}", f"k2={k2!r}", f"p1={p1!r}", f"p2={p2!r}", f"k3={k3!r}", ""]
-    assert fit.rig is not None  # the caller asked
-    rx, ry, rz = fit.rig[:3].tolist()
-    baseline, ty, tz = (-1e3 * fit.rig[3:]).tolist()
+    assert fit.rig_parameters is not None  # the caller asked
+    rx, ry, rz = fit.rig_parameters[:3].tolist()
+    baseline, ty, tz = (-1e3 * fit.rig_parameters[3:]).tolist()
     lines += ["[STEREO]", f"Baseline={baseline!r}", f"TY={ty!r}", f"TZ={tz!r}"]
     lines += [f"RX_{ending}={rx!r}", f"CV_{ending}={ry!r}", f"RZ_{ending}={rz!r}", ""]
     return "\n".join(lines)
 
 
-SHADES = " .:*#"
+COVERAGE_CHARACTERS = " .:*#"
 
 
 def calibrate(
@@ -188,7 +199,11 @@ def calibrate(
 def _picture_pairs(folder: Path, mono: bool) -> list[tuple[Path, Path | None]]:
     if not mono:
         return stored_pairs(folder)
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES) if folder.is_dir() else []
+    files = (
+        sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_FILE_SUFFIXES)
+        if folder.is_dir()
+        else []
+    )
     if not files:
         raise TargetError(f"{folder}: no pictures; give a folder of PNG or JPEG")
     return [(path, None) for path in files]
@@ -220,14 +235,16 @@ def _show_lens_fit(fit: LensFit, covered: Coverage, screen: Console) -> None:
     for name, value, sigma in zip(fit.covariance_names, fit.values, sigmas, strict=True):
         table.add_row(name, f"{value:.6g}", f"{sigma:.2g}")
     screen.print(table)
-    screen.print(f"{len(fit.used)} views, rms {fit.rms_px:.3f} px a coordinate")
-    for name, why in fit.dropped:
+    screen.print(f"{len(fit.used_views)} views, rms {fit.rms_px:.3f} px a coordinate")
+    for name, why in fit.dropped_views:
         screen.print(f"[yellow]left out[/] {escape(name)}: {escape(why)}", soft_wrap=True)
-    most = max(int(covered.corners.max()), 1)
-    for eye, counts in enumerate(covered.corners):
+    most = max(int(covered.corner_counts.max()), 1)
+    for eye, counts in enumerate(covered.corner_counts):
         screen.print(f"corners in the picture of eye {eye + 1} (blank: none)")
         for row in counts:
-            screen.print(escape("|" + "".join(3 * SHADES[min(4, -(-4 * int(n) // most))] for n in row) + "|"))
+            screen.print(
+                escape("|" + "".join(3 * COVERAGE_CHARACTERS[min(4, -(-4 * int(n) // most))] for n in row) + "|")
+            )
     for text in covered.advice:
         screen.print(f"[yellow]next[/] {escape(text)}", soft_wrap=True)
 
@@ -240,8 +257,8 @@ def _lens_fit_json(fit: LensFit, covered: Coverage) -> dict[str, object]:
         "sigmas": dict(zip(fit.covariance_names, sigmas.tolist(), strict=True)),
         "covariance": fit.covariance.tolist(),
         "rms_px": fit.rms_px,
-        "used": list(fit.used),
-        "dropped": [list(pair) for pair in fit.dropped],
-        "coverage": covered.corners.tolist(),
+        "used": list(fit.used_views),
+        "dropped": [list(pair) for pair in fit.dropped_views],
+        "coverage": covered.corner_counts.tolist(),
         "next": list(covered.advice),
     }

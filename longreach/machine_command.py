@@ -69,8 +69,8 @@ def urdf_of(machine: Path, nominal: bool) -> tuple[str, tuple[str, ...]]:
     Raises: MachineError, DiagnosisError: the file cannot be read, is wrong, or has no geometry.
     """
     text = text_of_machine(machine)
-    known = nominal_of(text, UrdfFiles(folder=machine.parent))
-    held, left_out = ((), ()) if nominal else split_entries(known.baseline)
+    known = nominal_of(text, UrdfFiles(machine_file_folder=machine.parent))
+    held, left_out = ((), ()) if nominal else split_entries(known.baseline_effects)
     if known.arm is None:
         raise MachineFileError(f"{machine} has no geometry: {known.why_absent('structure')}")
     try:
@@ -94,7 +94,7 @@ def _own_urdf(text: str, machine: Path) -> tuple[str, str, str] | None:
     section = tomllib.loads(text.removeprefix("\ufeff")).get("urdf")
     if not isinstance(section, dict):
         return None
-    found = UrdfFiles(folder=machine.parent).urdf_text(section["file"])
+    found = UrdfFiles(machine_file_folder=machine.parent).urdf_text(section["file"])
     if found is None:
         raise MachineFileError(f"{section['file']} is not next to {machine}; put it there")
     urdf_chain(found, section["base_link"], section["tip_link"])

@@ -36,10 +36,10 @@ def machine_with_effects(text: str, found: Budget) -> str:
     """
     if not found.confirmed_effects and found.verdict != "none":
         raise MachineOutError(
-            f"no effect is confirmed ({found.why}): no machine file is written; do the next experiment and "
+            f"no effect is confirmed ({found.verdict_reason}): no machine file is written; do the next experiment and "
             "diagnose both recordings together"
         )
-    line = f"\n# longreach diagnose: verdict {found.verdict}, {found.why}\n"
+    line = f"\n# longreach diagnose: verdict {found.verdict}, {found.verdict_reason}\n"
     try:
         return with_tables(with_room_for_effects(text), line + entries_to_toml(found.effect_entries()))
     except (DiagnosisError, MachineFileError) as error:

@@ -17,7 +17,7 @@ from typing import Self
 from longreach.signals import end_as_by_ctrl_c, not_interrupted
 from server.errors import SettingsError
 
-STOP_S = 8.0
+PROCESS_STOP_TIMEOUT_S = 8.0
 
 
 def free_port(kind: int = socket.SOCK_STREAM) -> int:
@@ -54,7 +54,7 @@ class Stack:
     seed: int = 1
     camera_rate_hz: float = 15.0
     truth_log: Path | None = None
-    runs: Path | None = None
+    runs_folder: Path | None = None
     settings_file: Path | None = None
     sim_options: tuple[str, ...] = ()  # further options of `longreach sim`
     log_folder: Path | None = None
@@ -93,8 +93,8 @@ class Stack:
         command = ["serve", "--port", str(self.ports.http), "--plc-port", str(self.ports.plc)]
         command += ["--plc-local-port", str(self.ports.plc_local)]
         command += ["--camera-url", f"http://127.0.0.1:{self.ports.camera}/stream"]
-        if self.runs is not None:
-            command += ["--runs", str(self.runs)]
+        if self.runs_folder is not None:
+            command += ["--runs", str(self.runs_folder)]
         if self.settings_file is not None:
             command += ["--settings", str(self.settings_file)]
         self._start("server", command)
@@ -130,16 +130,16 @@ def _stop_process_group(process: subprocess.Popen[bytes]) -> None:
     if process.poll() is None:
         process.terminate()
         with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(STOP_S)
+            process.wait(PROCESS_STOP_TIMEOUT_S)
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    process.wait(STOP_S)
+    process.wait(PROCESS_STOP_TIMEOUT_S)
 
 
 # Check every listening address before anything starts; one line names the faulty one.
 
-RETRY_S = 0.5
-NOT_THERE_YET = (errno.EADDRNOTAVAIL, errno.ENODEV)  # as at boot, before the network is up
+BIND_RETRY_DELAY_S = 0.5
+RETRYABLE_BIND_ERRNOS = (errno.EADDRNOTAVAIL, errno.ENODEV)  # as at boot, before the network is up
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,13 +150,13 @@ class Address:
     port: int
     host_option: str
     port_option: str
-    kind: socket.SocketKind = socket.SOCK_STREAM
-    family: socket.AddressFamily = socket.AF_UNSPEC
+    socket_kind: socket.SocketKind = socket.SOCK_STREAM
+    address_family: socket.AddressFamily = socket.AF_UNSPEC
     taken_by: str = "another program; give another one"
 
     def try_it(self) -> None:
         """Bind and let go. Raises: OSError."""
-        infos = socket.getaddrinfo(self.host, self.port, self.family, self.kind, flags=socket.AI_PASSIVE)
+        infos = socket.getaddrinfo(self.host, self.port, self.address_family, self.socket_kind, flags=socket.AI_PASSIVE)
         for family, kind, protocol, _, where in infos:
             with socket.socket(family, kind, protocol) as probe:
                 if kind is socket.SOCK_STREAM:
@@ -175,10 +175,10 @@ class Address:
 
     def explain_error(self, error: OSError) -> str:
         """What is wrong, and what to do."""
-        udp = "udp " if self.kind is socket.SOCK_DGRAM else ""
+        udp = "udp " if self.socket_kind is socket.SOCK_DGRAM else ""
         if error.errno == errno.EADDRINUSE:
             return f"{udp}port {self.port} is taken by {self.taken_by} by {self.port_option}"
-        if isinstance(error, socket.gaierror) or error.errno in NOT_THERE_YET:
+        if isinstance(error, socket.gaierror) or error.errno in RETRYABLE_BIND_ERRNOS:
             return (
                 f"'{self.host}' is not an address of this computer ({error.strerror}); give one by {self.host_option}"
             )
@@ -199,7 +199,7 @@ def require_bindable(
                 address.try_it()
                 break
             except OSError as error:
-                missing = isinstance(error, socket.gaierror) or error.errno in NOT_THERE_YET
+                missing = isinstance(error, socket.gaierror) or error.errno in RETRYABLE_BIND_ERRNOS
                 if not missing or time.monotonic() >= until_s:
                     raise SettingsError(address.explain_error(error)) from error
             if not announced:
@@ -207,4 +207,4 @@ def require_bindable(
                     f"'{address.host}' is not an address of this computer yet; waiting for it, {wait_s:.0f} s at most"
                 )
                 announced = True
-            time.sleep(min(RETRY_S, max(0.0, until_s - time.monotonic())))
+            time.sleep(min(BIND_RETRY_DELAY_S, max(0.0, until_s - time.monotonic())))

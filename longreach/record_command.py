@@ -71,31 +71,33 @@ def recover(recording: Source, target: Target) -> None:
     else:
         lost = f"{saved.lost_chunks} damaged chunks are lost; " if saved.lost_chunks else ""
         how = "nothing was damaged" if saved.was_complete else f"{lost}stopped reading at: {escape(saved.reason)}"
-        text = f"saved {saved.messages} messages and {saved.attachments} attachments to {escape(str(target))}; {how}"
+        text = (
+            f"saved {saved.n_messages} messages and {saved.n_attachments} attachments to {escape(str(target))}; {how}"
+        )
         console.print(text, soft_wrap=True)
 
 
 def left_behind(found: Recording) -> list[str]:
     """What the other form does not hold, in words."""
     out = [] if found.complete else ["data behind the damage: the file is cut; rows up to there are written"]
-    out += [f"channel {channel}" for channel in found.foreign]
-    return out + ([f"{found.images} images: CSV folders hold no images"] if found.images else [])
+    out += [f"channel {channel}" for channel in found.foreign_channels]
+    return out + ([f"{found.n_images} images: CSV folders hold no images"] if found.n_images else [])
 
 
 def shown(report: CheckReport, screen: Console) -> None:
     """A report as people read it: what is there, then what is missing, what that costs, and the remedy."""
     whole = "whole" if report.complete else "[yellow]cut off[/]: `longreach recording recover` saves the readable part"
     use = "usable for a diagnosis" if report.usable else "[red]not usable for a diagnosis[/]"
-    screen.print(f"{escape(str(report.path))}: {whole}; {use}; {report.images} images", soft_wrap=True)
+    screen.print(f"{escape(str(report.path))}: {whole}; {use}; {report.n_images} images", soft_wrap=True)
     table = Table("signal", *(Column(name, justify="right") for name in ("rows", "rate [Hz]", "lasts [s]", "gaps")))
     for signal in report.signals:
         table.add_row(
-            signal.name, str(signal.rows), f"{signal.rate_hz:.4g}", f"{signal.duration_s:.1f}", str(signal.gaps)
+            signal.name, str(signal.n_rows), f"{signal.rate_hz:.4g}", f"{signal.duration_s:.1f}", str(signal.n_gaps)
         )
     screen.print(table)
     for text in report.problems:
         screen.print(f"[yellow]problem[/] {escape(text)}", soft_wrap=True)
-    for missing in report.missing:
+    for missing in report.missing_signals:
         screen.print(
             f"without {escape(missing.signal)}: {escape(missing.cost)}; {escape(missing.remedy)}", soft_wrap=True
         )

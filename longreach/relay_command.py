@@ -87,7 +87,9 @@ def relay(
 
 def table_of(figures: RelayFigures) -> Table:
     """The figures of both directions, one class a row."""
-    table = Table(title=f"relayed for {figures.pcs} PC address{'' if figures.pcs == 1 else 'es'}", title_justify="left")
+    table = Table(
+        title=f"relayed for {figures.n_pcs} PC address{'' if figures.n_pcs == 1 else 'es'}", title_justify="left"
+    )
     for heading in ("datagrams", "to the PLC", "to the PC"):
         table.add_column(heading, justify="left" if heading == "datagrams" else "right")
     for field in fields(figures.to_plc):

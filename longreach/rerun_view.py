@@ -19,7 +19,7 @@ from rich.markup import escape
 
 from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, LOG_TOPIC, TRANSFORM_TOPIC
 
-APPLICATION = "longreach"
+RERUN_APPLICATION_ID = "longreach"
 
 
 class RerunError(Exception):
@@ -46,7 +46,7 @@ def convert(recording: Path, target: Path) -> None:
     program = str(installed) if installed.exists() else shutil.which("rerun")
     if program is None:
         raise RerunError(f"Rerun is not installed: {sys.executable} -m pip install rerun-sdk")
-    command = [program, "mcap", "convert", str(recording), "-o", str(target), "--application-id", APPLICATION]
+    command = [program, "mcap", "convert", str(recording), "-o", str(target), "--application-id", RERUN_APPLICATION_ID]
     _require_mcap(recording)  # of anything else Rerun makes an empty recording without a word
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -82,4 +82,4 @@ def write_blueprint(target: Path) -> None:
     )
     log = rrb.TextLogView(name="log", origin=LOG_TOPIC)
     views = rrb.Horizontal(rrb.Vertical(scene, log, row_shares=[3, 1]), rrb.Vertical(picture, numbers))
-    rrb.Blueprint(views).save(APPLICATION, str(target))
+    rrb.Blueprint(views).save(RERUN_APPLICATION_ID, str(target))

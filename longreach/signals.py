@@ -6,7 +6,9 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))  # Windows: no SIGHUP
+TERMINATION_SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)
+)  # Windows: no SIGHUP
 _ended_by: list[int] = []
 
 
@@ -14,7 +16,7 @@ def end_as_by_ctrl_c() -> None:
     """From now on, in this process. What is ignored, as SIGHUP under nohup, stays so."""
     if threading.current_thread() is not threading.main_thread():
         return
-    for number in ENDING:
+    for number in TERMINATION_SIGNALS:
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, _as_ctrl_c)
 
@@ -23,7 +25,7 @@ def end_as_by_ctrl_c() -> None:
 def ended_as_by_ctrl_c() -> Iterator[None]:
     """Inside it, in the main thread, as `end_as_by_ctrl_c`; a program's own handlers stay."""
     in_main = threading.current_thread() is threading.main_thread()
-    ours = [number for number in ENDING if in_main and signal.getsignal(number) is signal.SIG_DFL]
+    ours = [number for number in TERMINATION_SIGNALS if in_main and signal.getsignal(number) is signal.SIG_DFL]
     end_as_by_ctrl_c()
     try:
         yield
@@ -53,7 +55,7 @@ def not_interrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, *ENDING)}
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, *TERMINATION_SIGNALS)}
     try:
         yield
     finally:

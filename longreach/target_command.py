@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.status import Status
 
-from longreach.target_page import PAPERS_MM, Page, board_page, marker_page, pdf_of, png_of, svg_of
+from longreach.target_page import PAPER_SIZES_MM, Page, board_page, marker_page, pdf_of, png_of, svg_of
 from longreach.target_report import layout_json, layout_table, layout_toml, sides_table, verdict_text
 from longreach.target_sources import MarkerSearch, TargetError, live_views, stored_pairs, stored_views
 from machine.boards import board_marker_ids
@@ -59,10 +59,10 @@ def teach(
     dictionary = _marker_dictionary(nominal)
     if folder is not None:
         camera = nominal.camera
-        seen = _from_folder(folder, MarkerSearch(camera, dictionary, task.ids), console)
+        seen = _from_folder(folder, MarkerSearch(camera, dictionary, task.marker_ids), console)
     else:
         source, camera = live_camera(camera_url, settings_file, nominal)
-        seen = _from_camera(source, MarkerSearch(camera, dictionary, task.ids), task, views, timeout_s, console)
+        seen = _from_camera(source, MarkerSearch(camera, dictionary, task.marker_ids), task, views, timeout_s, console)
     layout = teach_layout(seen, task, camera, TeachSettings())
     _finish(layout, nominal, on, out, console)
 
@@ -73,13 +73,13 @@ def print_markers(
     machine: MachineFile = "hiab033",
     on: Annotated[str, typer.Option("--on", help="tool, ooi or both")] = "both",
     form: Annotated[str, typer.Option("--format", help="pdf, svg or png")] = "pdf",
-    paper: Annotated[str | None, typer.Option(help=f"{', '.join(PAPERS_MM)}; else the smallest that fits")] = None,
+    paper: Annotated[str | None, typer.Option(help=f"{', '.join(PAPER_SIZES_MM)}; else the smallest that fits")] = None,
     dpi: Annotated[int, typer.Option(min=100, max=1200, help="of PNG")] = 300,
 ) -> None:
     """Write every marker and board of the machine file in its true size, with a ruler to check the print's scale."""
     console = Console()
-    if paper is not None and paper not in PAPERS_MM:
-        raise TargetError(f"--paper = {paper}: give one of {', '.join(PAPERS_MM)}")
+    if paper is not None and paper not in PAPER_SIZES_MM:
+        raise TargetError(f"--paper = {paper}: give one of {', '.join(PAPER_SIZES_MM)}")
     nominal = read_machine(machine)
     try:
         pages = _target_pages(nominal, ("tool", "ooi") if on == "both" else (_parse_target_object(on),), paper)
@@ -210,7 +210,8 @@ def _from_camera(
     source = open_source(camera)
     settings = TeachSettings()
     console.print(
-        f"markers {', '.join(map(str, task.ids))}: hold the camera still, then move it to the side, up or down by a "
+        f"markers {', '.join(map(str, task.marker_ids))}: hold the camera still, then move it to the side, up or down "
+        "by a "
         f"third of its distance, and hold it still again; {n_views} views; Ctrl-C when you have enough"
     )
     with console.status("waiting for images") as status:
@@ -247,7 +248,7 @@ def _so_far(layout: TaughtLayout) -> str:
 
 
 def _seen_marker_ids_text(view: TeachView) -> str:
-    return ", ".join(str(marker_id) for marker_id in sorted(view.left.keys() | view.right.keys()))
+    return ", ".join(str(marker_id) for marker_id in sorted(view.left_corners_px.keys() | view.right_corners_px.keys()))
 
 
 def _finish(layout: TaughtLayout, nominal: Machine, on: str, out: Path | None, console: Console) -> None:

@@ -22,15 +22,15 @@ from server.vision.marker_search import dictionary_by_name
 from server.vision.teach_contracts import TeachSettings, TeachView
 from server.vision.teach_views import OfferedView, ViewKeeper, teach_view
 
-SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
-TWO_FOLDERS = (
+IMAGE_FILE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
+STEREO_FOLDER_NAMES = (
     ("left", "right"),
     ("image_l", "image_r"),
     ("cam0/data", "cam1/data"),
     ("mav0/cam0/data", "mav0/cam1/data"),
 )
-READ_S = 0.5
-FIRST_PICTURE_S = 30.0  # a camera that is there has sent one by then
+READ_TIMEOUT_S = 0.5
+FIRST_IMAGE_TIMEOUT_S = 30.0  # a camera that is there has sent one by then
 
 
 class TargetError(ServerError):
@@ -43,7 +43,7 @@ class MarkerSearch:
 
     camera: StereoCamera
     dictionary: "cv2.aruco.Dictionary"
-    ids: tuple[int, ...]
+    marker_ids: tuple[int, ...]
 
     def view_of(self, left: Image, right: Image) -> TeachView:
         """The markers of one pair. Raises: TargetError: the pictures have not the camera's size."""
@@ -53,7 +53,7 @@ class MarkerSearch:
                 f"pictures of {left.shape[1]} x {left.shape[0]} px, but the machine file's camera has {size[1]} x "
                 f"{size[0]} px; give pictures as the camera made them"
             )
-        return teach_view(left, right, self.dictionary, self.ids, self.camera)
+        return teach_view(left, right, self.dictionary, self.marker_ids, self.camera)
 
 
 def stored_pairs(folder: Path) -> list[tuple[Path, Path | None]]:
@@ -61,7 +61,7 @@ def stored_pairs(folder: Path) -> list[tuple[Path, Path | None]]:
 
     Raises: TargetError: nothing there that could be stereo pairs.
     """
-    for left_name, right_name in TWO_FOLDERS:
+    for left_name, right_name in STEREO_FOLDER_NAMES:
         lefts, rights = _by_name(folder / left_name), _by_name(folder / right_name)
         if not lefts:
             continue
@@ -76,7 +76,7 @@ def stored_pairs(folder: Path) -> list[tuple[Path, Path | None]]:
         return [(path, _right_eye_picture(path)) for path in lefts]
     if files:
         return [(path, None) for path in files]
-    names = ", ".join(f"{left} and {right}" for left, right in TWO_FOLDERS)
+    names = ", ".join(f"{left} and {right}" for left, right in STEREO_FOLDER_NAMES)
     raise TargetError(
         f"{folder}: no stereo pairs; give a folder with {names}, *left and *right, or side by side pictures"
     )
@@ -85,7 +85,7 @@ def stored_pairs(folder: Path) -> list[tuple[Path, Path | None]]:
 def _picture_paths(folder: Path) -> list[Path]:
     if not folder.is_dir():
         return []
-    names = [path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
+    names = [path.name for path in folder.iterdir() if path.suffix.lower() in IMAGE_FILE_SUFFIXES and path.is_file()]
     return [folder / name for name in natural_order(names)]
 
 
@@ -157,12 +157,12 @@ def live_views(
     Raises: TargetError: no picture at all within half a minute, or within the time.
     """
     keeper = ViewKeeper(search.camera, settings)
-    begun_s, first_s, any_pair = time.monotonic(), min(timeout_s, FIRST_PICTURE_S), False
+    begun_s, first_s, any_pair = time.monotonic(), min(timeout_s, FIRST_IMAGE_TIMEOUT_S), False
     try:
         while len(keeper.views) < n_views and not source.ended:
             if time.monotonic() >= begun_s + (timeout_s if any_pair else first_s):
                 break
-            frame = source.read(READ_S)
+            frame = source.read(READ_TIMEOUT_S)
             if frame is None:
                 continue
             any_pair = True

@@ -11,8 +11,8 @@ from machine.errors import MachineError
 from machine.lens import fold_radius
 from machine.rotations import Array
 
-NEWTON_STEPS = 50  # 5 suffice inside the image of the nominal lens
-NEWTON_DONE = 1e-14  # normalised units: 5e-12 px
+NEWTON_ITERATIONS_MAX = 50  # 5 suffice inside the image of the nominal lens
+NEWTON_CONVERGED_STEP = 1e-14  # normalised units: 5e-12 px
 DEPTH_MIN_M = 1e-9  # at or behind the eye
 
 
@@ -108,7 +108,7 @@ def undistort_normalised(distorted: Array, coefficients: Array, radius_max: floa
     rays = np.empty_like(distorted)
     for i in range(distorted.shape[0]):
         x, y = distorted[i]
-        for _ in range(NEWTON_STEPS):
+        for _ in range(NEWTON_ITERATIONS_MAX):
             outside = np.sqrt(x * x + y * y) / radius_max
             if outside > 1.0:  # stay where the model is one to one
                 x, y = x / outside, y / outside
@@ -117,7 +117,7 @@ def undistort_normalised(distorted: Array, coefficients: Array, radius_max: floa
             slope = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)  # d radial / d r2
             u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) - distorted[i, 0]
             v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y - distorted[i, 1]
-            if abs(u) < NEWTON_DONE and abs(v) < NEWTON_DONE:
+            if abs(u) < NEWTON_CONVERGED_STEP and abs(v) < NEWTON_CONVERGED_STEP:
                 break
             xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
             xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y

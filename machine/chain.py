@@ -13,9 +13,9 @@ from machine.rotations import Array
 class Chain:
     """Classic DH rows as arrays (n,), joint limits (n,) [rad], and link 7 `T_flange_tcp` (4, 4); read-only copies."""
 
-    a: Array
-    d: Array
-    alpha: Array
+    dh_a_m: Array
+    dh_d_m: Array
+    dh_alpha_rad: Array
     theta_offset: Array
     q_min: Array
     q_max: Array
@@ -24,7 +24,7 @@ class Chain:
 
     def __post_init__(self) -> None:
         """Copy the arrays in, read-only, and refuse wrong shapes and values."""
-        n = np.size(self.a)
+        n = np.size(self.dh_a_m)
         for field in fields(self):
             if field.name == "names":
                 continue
@@ -38,7 +38,7 @@ class Chain:
     @property
     def n(self) -> int:
         """Number of joints."""
-        return len(self.a)
+        return len(self.dh_a_m)
 
     def joint_label(self, index: int) -> str:
         """How a joint is called in messages, from its index (0 = slew): "joint 2 (lift)"."""
@@ -49,9 +49,9 @@ def chain_of(machine: Machine) -> Chain:
     """The chain of a machine."""
     joints = machine.joints
     return Chain(
-        a=np.array([joint.a_m for joint in joints]),
-        d=np.array([joint.d_m for joint in joints]),
-        alpha=np.array([joint.alpha_rad for joint in joints]),
+        dh_a_m=np.array([joint.a_m for joint in joints]),
+        dh_d_m=np.array([joint.d_m for joint in joints]),
+        dh_alpha_rad=np.array([joint.alpha_rad for joint in joints]),
         theta_offset=np.array([joint.theta_offset_rad for joint in joints]),
         q_min=np.array([joint.q_min_rad for joint in joints]),
         q_max=np.array([joint.q_max_rad for joint in joints]),

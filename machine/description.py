@@ -13,8 +13,16 @@ from pydantic import Field, ValidationError
 from machine.boards import board_markers
 from machine.errors import MachineFileError
 from machine.field_units import unit_of
-from machine.lens import PRINCIPAL_OFF_MAX_FRAC, distorted_radius_max, principal_off_frac
-from machine.marker_sections import REMEDIES, BoardSection, MarkerSection, MarkersSection, Pose16, Strict, check_markers
+from machine.lens import PRINCIPAL_OFFSET_MAX_FRAC, distorted_radius_max, principal_off_frac
+from machine.marker_sections import (
+    MARKER_FIELD_REMEDIES,
+    BoardSection,
+    MarkerSection,
+    MarkersSection,
+    Pose16,
+    Strict,
+    check_markers,
+)
 from machine.remainder import Remainder, parse_baseline, parse_remainders
 from machine.rotations import Array
 from machine.targets import Board, Marker
@@ -22,8 +30,8 @@ from machine.targets import Board, Marker
 if TYPE_CHECKING:
     from machine.effects.entries import EffectEntry
 
-SHOWN_MAX = 120  # characters of a wrong value in a message
-PLACE_MAX_M = 20.0  # of a marker or board on its object
+SHOWN_VALUE_CHARS_MAX = 120  # characters of a wrong value in a message
+TARGET_OFFSET_MAX_M = 20.0  # of a marker or board on its object
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +241,10 @@ def _checked_pose_on_object(values: list[float], subject: str) -> Array:
     """Pose of a marker or board on its object; far-off places are millimetres written as metres."""
     T = _checked_pose(values, subject)
     away = float(np.abs(T[:3, 3]).max())
-    if away > PLACE_MAX_M:
-        raise MachineFileError(f"{subject} lies {away:g} from the origin (limit {PLACE_MAX_M:g} [m]); give metres")
+    if away > TARGET_OFFSET_MAX_M:
+        raise MachineFileError(
+            f"{subject} lies {away:g} from the origin (limit {TARGET_OFFSET_MAX_M:g} [m]); give metres"
+        )
     return T
 
 
@@ -288,10 +298,11 @@ def _check_lens(camera: StereoCamera, off_centre: bool) -> None:
         if not 0.0 <= value <= size - 1.0:
             raise MachineFileError(f"camera.{name}_px = {value} must lie inside the image, 0 .. {size - 1} [px]")
     off_frac = principal_off_frac((camera.cx_px, camera.cy_px), (camera.width_px, camera.height_px))
-    if off_frac > PRINCIPAL_OFF_MAX_FRAC and not off_centre:
+    if off_frac > PRINCIPAL_OFFSET_MAX_FRAC and not off_centre:
         raise MachineFileError(
             f"camera: principal point ({camera.cx_px:g}, {camera.cy_px:g}) px lies {100 * off_frac:.0f} % of the image "
-            f"from its middle (limit {100 * PRINCIPAL_OFF_MAX_FRAC:g} %); give the calibration of this image size, or "
+            f"from its middle (limit {100 * PRINCIPAL_OFFSET_MAX_FRAC:g} %); give the calibration of this image size, "
+            "or "
             "confirm a cropped picture with off_centre = true"
         )
     x = max(camera.cx_px, camera.width_px - 1.0 - camera.cx_px) / camera.fx_px
@@ -314,10 +325,10 @@ def _first_error(error: ValidationError, sections: dict[str, object]) -> str:
         names.append(f"{key} ({label})" if isinstance(key, int) and label is not None else str(key))
     field = names[-1] if names else "file"
     given = repr(first["input"])
-    given = given if len(given) <= SHOWN_MAX else f"{given[: SHOWN_MAX - 4]} ..."
+    given = given if len(given) <= SHOWN_VALUE_CHARS_MAX else f"{given[: SHOWN_VALUE_CHARS_MAX - 4]} ..."
     value = "" if first["type"] in ("missing", "model_type", "value_error") else f" = {given}"
     unit = f" [{unit_of(field)}]" if unit_of(field) else ""
-    remedy = f"; {REMEDIES[field]}" if names[:1] == ["markers"] and field in REMEDIES else ""
+    remedy = f"; {MARKER_FIELD_REMEDIES[field]}" if names[:1] == ["markers"] and field in MARKER_FIELD_REMEDIES else ""
     return f"{'.'.join(names)}{value}: {first['msg'].removeprefix('Value error, ')}{unit}{remedy}"
 
 

@@ -11,11 +11,13 @@ from typing import Any
 from machine.effects.entries import entries_to_toml, parse_entries
 from machine.errors import MachineFileError
 
-EFFECT = "effect"
-KEY = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
-HEADER = re.compile(rf"[ \t]*\[\[?[ \t]*({KEY})[ \t]*(?:\.[ \t]*{KEY}[ \t]*)*\]\]?[ \t]*(?:#.*)?$")
-ASSIGNED = re.compile(rf"[ \t]*({KEY})[ \t]*=")
-REMEDY = "write each of them as its own [[effect]] or [[remainder]] table, behind all other tables"
+EFFECT_TABLE_NAME = "effect"
+TOML_KEY_PATTERN = r"""(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')"""
+TOML_TABLE_HEADER_PATTERN = re.compile(
+    rf"[ \t]*\[\[?[ \t]*({TOML_KEY_PATTERN})[ \t]*(?:\.[ \t]*{TOML_KEY_PATTERN}[ \t]*)*\]\]?[ \t]*(?:#.*)?$"
+)
+TOML_ASSIGNMENT_PATTERN = re.compile(rf"[ \t]*({TOML_KEY_PATTERN})[ \t]*=")
+TABLE_LAYOUT_REMEDY = "write each of them as its own [[effect]] or [[remainder]] table, behind all other tables"
 
 
 def without_lists(text: str, names: Sequence[str]) -> str:
@@ -28,10 +30,10 @@ def without_lists(text: str, names: Sequence[str]) -> str:
     kept: list[str] = []
     at_top, dropped, k = True, False, 0
     while k < len(lines):
-        header = HEADER.match(lines[k])
+        header = TOML_TABLE_HEADER_PATTERN.match(lines[k])
         if header is not None:
             at_top, dropped = False, _unquoted_key(header[1]) in names
-        assigned = ASSIGNED.match(lines[k]) if at_top else None
+        assigned = TOML_ASSIGNMENT_PATTERN.match(lines[k]) if at_top else None
         if assigned is not None and _unquoted_key(assigned[1]) in names:
             k += _lines_of_value(lines[k:])
             continue
@@ -48,12 +50,12 @@ def with_room_for_effects(text: str) -> str:
     Raises: MachineFileError: it is not TOML, or cannot be split into tables.
     """
     before = _parse_toml(text)
-    headers = [found[1] for line in text.splitlines() if (found := HEADER.match(line))]
-    if EFFECT not in before or EFFECT in map(_unquoted_key, headers):
+    headers = [found[1] for line in text.splitlines() if (found := TOML_TABLE_HEADER_PATTERN.match(line))]
+    if EFFECT_TABLE_NAME not in before or EFFECT_TABLE_NAME in map(_unquoted_key, headers):
         return text
     joints = before.get("joint")
-    entries = parse_entries(before[EFFECT], len(joints) if isinstance(joints, list) else 0)
-    return with_tables(without_lists(text, (EFFECT,)), entries_to_toml(entries))
+    entries = parse_entries(before[EFFECT_TABLE_NAME], len(joints) if isinstance(joints, list) else 0)
+    return with_tables(without_lists(text, (EFFECT_TABLE_NAME,)), entries_to_toml(entries))
 
 
 def with_tables(text: str, added: str) -> str:
@@ -65,7 +67,7 @@ def with_tables(text: str, added: str) -> str:
     before, more, after = _parse_toml(text), _parse_toml(added), _parse_toml(out)
     for name, tables in more.items():
         if after[name] != [*before.get(name, []), *tables]:
-            raise MachineFileError(f"the machine file's {name} cannot be added to; {REMEDY}")
+            raise MachineFileError(f"the machine file's {name} cannot be added to; {TABLE_LAYOUT_REMEDY}")
     _require_same(before, after, tuple(more))
     return out
 
@@ -74,13 +76,13 @@ def _parse_toml(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text.removeprefix("\ufeff"))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise MachineFileError(f"the machine file would not be valid TOML: {error}; {REMEDY}") from error
+        raise MachineFileError(f"the machine file would not be valid TOML: {error}; {TABLE_LAYOUT_REMEDY}") from error
 
 
 def _require_same(before: dict[str, Any], after: dict[str, Any], names: Sequence[str]) -> None:
     for key in sorted((before.keys() | after.keys()) - set(names)):
         if before.get(key) != after.get(key):
-            raise MachineFileError(f"the machine file's {key!r} would be changed; {REMEDY}")
+            raise MachineFileError(f"the machine file's {key!r} would be changed; {TABLE_LAYOUT_REMEDY}")
 
 
 def _unquoted_key(key: str) -> str:

@@ -15,7 +15,9 @@ from machine.rotations import Array
 
 # Compiled closed form of the inverse kinematics: all DH angles that reach a flange pose, in plain loops.
 
-FREE = 1e-9  # |sin theta5|, or [m] of the wrist centre from the slew axis, below which an angle may be chosen freely
+FREE_ANGLE_TOLERANCE = (
+    1e-9  # |sin theta5|, or [m] of the wrist centre from the slew axis, below which an angle may be chosen freely
+)
 LIMIT_TOLERANCE_RAD = 1e-9  # an angle this far outside its range still counts as inside: rounding
 
 
@@ -48,10 +50,10 @@ def _arm_angles(a: Array, d: Array, p_wrist: Array, theta1_free: float) -> tuple
     count = 0
     x, y, z = p_wrist
     lateral, radius = d[1] + d[2], np.hypot(x, y)
-    if radius < abs(lateral) - FREE:
+    if radius < abs(lateral) - FREE_ANGLE_TOLERANCE:
         return 0, arms
-    side = np.arcsin(min(1.0, max(-1.0, lateral / radius))) if radius > FREE else 0.0
-    azimuth = np.arctan2(y, x) if radius > FREE else theta1_free
+    side = np.arcsin(min(1.0, max(-1.0, lateral / radius))) if radius > FREE_ANGLE_TOLERANCE else 0.0
+    azimuth = np.arctan2(y, x) if radius > FREE_ANGLE_TOLERANCE else theta1_free
     forearm, bend = np.hypot(a[2], d[3]), np.arctan2(d[3], a[2])
     for shoulder in range(2):
         theta1 = azimuth + side if shoulder == 0 else azimuth + np.pi - side
@@ -88,7 +90,9 @@ def _wrist_rotation(arm: Array, R: Array) -> Array:
 @njit(cache=True)
 def _wrist_angles(M: Array, sign: float, theta4_free: float, out: Array) -> None:
     """theta 4..6 of M = Rz(t4) Ry(-t5) Rz(t6); theta6 from what theta4 leaves, so it is sound at theta5 = 0."""
-    t4 = np.arctan2(sign * M[1, 2], sign * M[0, 2]) if np.hypot(M[0, 2], M[1, 2]) > FREE else theta4_free
+    t4 = (
+        np.arctan2(sign * M[1, 2], sign * M[0, 2]) if np.hypot(M[0, 2], M[1, 2]) > FREE_ANGLE_TOLERANCE else theta4_free
+    )
     c4, s4 = np.cos(t4), np.sin(t4)
     out[3] = t4
     out[4] = np.arctan2(-c4 * M[0, 2] - s4 * M[1, 2], M[2, 2])
@@ -129,9 +133,13 @@ def rotation_fault(T: Array) -> float:
     return worst if x * T[2, 0] + y * T[2, 1] + z * T[2, 2] > 0.0 else np.inf
 
 
-ALPHAS_RAD = np.deg2rad([90.0, 0.0, 90.0, 90.0, -90.0, 90.0])  # the twists of Table 1, which the closed form needs
-SINGULAR = 1e-4  # sin of an angle, or [m]; nearer, 1e-6 of noise in the wanted pose turns a joint by half a degree
-ROTATION_TOLERANCE = 1e-6  # how far a wanted pose may be from orthonormal
+CLOSED_FORM_DH_ALPHAS_RAD = np.deg2rad(
+    [90.0, 0.0, 90.0, 90.0, -90.0, 90.0]
+)  # the twists of Table 1, which the closed form needs
+SINGULARITY_SINE_MIN = (
+    1e-4  # sin of an angle, or [m]; nearer, 1e-6 of noise in the wanted pose turns a joint by half a degree
+)
+ORTHONORMALITY_ERROR_MAX = 1e-6  # how far a wanted pose may be from orthonormal
 
 
 class InverseStatus(Enum):
@@ -147,7 +155,7 @@ class InverseStatus(Enum):
 class Branch:
     """One solution (n,) [rad] and whether it lies inside the joint limits."""
 
-    q: Array
+    q_rad: Array
     inside_limits: bool
 
 
@@ -157,7 +165,7 @@ class InverseResult:
 
     status: InverseStatus
     reason: str
-    q: Array | None
+    q_rad: Array | None
     sigma_min: float
 
 
@@ -175,10 +183,10 @@ def inverse_all(chain: Chain, T_base_tcp: Array, q_near: Array | None = None) ->
     _check_pose(T_base_tcp)
     q_near = (chain.q_min + chain.q_max) / 2.0 if q_near is None else _checked_near(q_near)
     T_base_flange = T_base_tcp @ inverse_pose(chain.T_flange_tcp)
-    count, thetas = solve_angles(chain.a, chain.d, T_base_flange, q_near + chain.theta_offset)
+    count, thetas = solve_angles(chain.dh_a_m, chain.dh_d_m, T_base_flange, q_near + chain.theta_offset)
     qs = thetas[:count] - chain.theta_offset
     inside = unwrap(qs, q_near + 0.0, chain.q_min, chain.q_max)
-    return tuple(Branch(q=q, inside_limits=bool(fits)) for q, fits in zip(qs, inside, strict=True))
+    return tuple(Branch(q_rad=q, inside_limits=bool(fits)) for q, fits in zip(qs, inside, strict=True))
 
 
 def inverse_nearest(chain: Chain, T_base_tcp: Array, q_near: Array) -> InverseResult:
@@ -194,23 +202,28 @@ def inverse_nearest(chain: Chain, T_base_tcp: Array, q_near: Array) -> InverseRe
         return InverseResult(InverseStatus.OUT_OF_REACH, _reach_reason(chain, T_base_tcp), None, 0.0)
     inside = [branch for branch in branches if branch.inside_limits]
     if not inside:
-        closest = min(branches, key=lambda branch: _joint_limit_excess(chain, branch.q).max())
-        return InverseResult(InverseStatus.JOINT_LIMIT, _limit_reason(chain, closest.q), None, 0.0)
-    best = min(inside, key=lambda branch: float(np.abs(branch.q - q_near).max()))
-    smallest = sigma_min(tcp_jacobian(chain, best.q))
-    reason = _singular_reason(chain, best.q, T_base_tcp)
+        closest = min(branches, key=lambda branch: _joint_limit_excess(chain, branch.q_rad).max())
+        return InverseResult(InverseStatus.JOINT_LIMIT, _limit_reason(chain, closest.q_rad), None, 0.0)
+    best = min(inside, key=lambda branch: float(np.abs(branch.q_rad - q_near).max()))
+    smallest = sigma_min(tcp_jacobian(chain, best.q_rad))
+    reason = _singular_reason(chain, best.q_rad, T_base_tcp)
     status = InverseStatus.SINGULAR if reason else InverseStatus.OK
-    return InverseResult(status, reason, best.q, smallest)
+    return InverseResult(status, reason, best.q_rad, smallest)
 
 
 def _check_chain(chain: Chain) -> None:
-    if chain.n != 6 or np.abs(chain.alpha - ALPHAS_RAD).max() > 1e-9 or chain.a[3:].any() or chain.d[4] != 0.0:
+    if (
+        chain.n != 6
+        or np.abs(chain.dh_alpha_rad - CLOSED_FORM_DH_ALPHAS_RAD).max() > 1e-9
+        or chain.dh_a_m[3:].any()
+        or chain.dh_d_m[4] != 0.0
+    ):
         raise MachineError(
             "the closed-form inverse needs six joints with the twists of Table 1 (90, 0, 90, 90, -90, 90 deg) and a "
-            f"spherical wrist (a4 = a5 = a6 = d5 = 0); alpha is {np.rad2deg(chain.alpha).round(3)} deg, "
-            f"a {chain.a} m, d {chain.d} m"
+            f"spherical wrist (a4 = a5 = a6 = d5 = 0); alpha is {np.rad2deg(chain.dh_alpha_rad).round(3)} deg, "
+            f"a {chain.dh_a_m} m, d {chain.dh_d_m} m"
         )
-    if chain.a[1] == 0.0 or np.hypot(chain.a[2], chain.d[3]) == 0.0:
+    if chain.dh_a_m[1] == 0.0 or np.hypot(chain.dh_a_m[2], chain.dh_d_m[3]) == 0.0:
         raise MachineError("the closed-form inverse needs two booms of some length: a2, and a3 or d4, above 0 m")
 
 
@@ -218,10 +231,10 @@ def _check_pose(T_base_tcp: Array) -> None:
     if T_base_tcp.shape != (4, 4) or not np.isfinite(T_base_tcp).all():
         raise MachineError(f"wanted pose has shape {T_base_tcp.shape} or is not finite; give a finite (4, 4) pose")
     error = float(rotation_fault(np.array(T_base_tcp, dtype=float)))
-    if error > ROTATION_TOLERANCE:
+    if error > ORTHONORMALITY_ERROR_MAX:
         raise MachineError(
             f"wanted pose is not a pose: its rotation departs from orthonormal by {error:.1e} (limit "
-            f"{ROTATION_TOLERANCE:.0e}; inf: mirrored); make it a rotation first"
+            f"{ORTHONORMALITY_ERROR_MAX:.0e}; inf: mirrored); make it a rotation first"
         )
 
 
@@ -248,18 +261,18 @@ def _limit_reason(chain: Chain, q: Array) -> str:
 def _reach_reason(chain: Chain, T_base_tcp: Array) -> str:
     """The wrist centre's distance from the lift joint against what the two booms can span."""
     T_base_flange = T_base_tcp @ inverse_pose(chain.T_flange_tcp)
-    x, y, z = T_base_flange[:3, 3] - chain.d[5] * T_base_flange[:3, 1]
-    lateral = abs(float(chain.d[1] + chain.d[2]))
+    x, y, z = T_base_flange[:3, 3] - chain.dh_d_m[5] * T_base_flange[:3, 1]
+    lateral = abs(float(chain.dh_d_m[1] + chain.dh_d_m[2]))
     radius = float(np.hypot(x, y))
     if radius < lateral:
         return (
             f"the wrist centre would be {radius:.3f} m from the slew axis, where the booms, {lateral:.3f} m off it, "
             "cannot come; move the target away from the slew axis"
         )
-    ahead = float(np.sqrt(radius * radius - lateral * lateral)) - chain.a[0]
-    distance = float(np.hypot(ahead, z - chain.d[0]))
-    forearm = float(np.hypot(chain.a[2], chain.d[3]))
-    shortest, longest = abs(chain.a[1] - forearm), chain.a[1] + forearm
+    ahead = float(np.sqrt(radius * radius - lateral * lateral)) - chain.dh_a_m[0]
+    distance = float(np.hypot(ahead, z - chain.dh_d_m[0]))
+    forearm = float(np.hypot(chain.dh_a_m[2], chain.dh_d_m[3]))
+    shortest, longest = abs(chain.dh_a_m[1] - forearm), chain.dh_a_m[1] + forearm
     remedy = "move the base or the target nearer" if distance > longest else "move the target further away"
     return (
         f"the wrist centre would be {distance:.2f} m from {chain.joint_label(1)}, which spans {shortest:.2f} m and "
@@ -270,24 +283,24 @@ def _reach_reason(chain: Chain, T_base_tcp: Array) -> str:
 def _singular_reason(chain: Chain, q: Array, T_base_tcp: Array) -> str:
     """Which of the three singularities q is at; empty when at none."""
     theta = q + chain.theta_offset
-    if abs(np.sin(theta[4])) < SINGULAR:
+    if abs(np.sin(theta[4])) < SINGULARITY_SINE_MIN:
         return (
             f"{chain.joint_label(4)} is at {np.rad2deg(q[4]):.3f} deg, where {chain.joint_label(3)} and "
-            f"{chain.joint_label(5)} turn about one axis (limit {np.rad2deg(SINGULAR):.3f} deg); "
+            f"{chain.joint_label(5)} turn about one axis (limit {np.rad2deg(SINGULARITY_SINE_MIN):.3f} deg); "
             "turn the tool out of the tilt boom's line"
         )
-    bend = float(np.arctan2(chain.d[3], chain.a[2]))
-    if abs(np.sin(theta[2] - bend)) < SINGULAR:
+    bend = float(np.arctan2(chain.dh_d_m[3], chain.dh_a_m[2]))
+    if abs(np.sin(theta[2] - bend)) < SINGULARITY_SINE_MIN:
         return (
             f"{chain.joint_label(2)} is at {np.rad2deg(q[2]):.3f} deg, where the booms are in line (limit "
-            f"{np.rad2deg(SINGULAR):.3f} deg from it); move the target nearer to the base"
+            f"{np.rad2deg(SINGULARITY_SINE_MIN):.3f} deg from it); move the target nearer to the base"
         )
     T_base_flange = T_base_tcp @ inverse_pose(chain.T_flange_tcp)
-    centre = T_base_flange[:2, 3] - chain.d[5] * T_base_flange[:2, 1]
-    off_axis_m = np.sqrt(max(0.0, float(centre @ centre) - float(chain.d[1] + chain.d[2]) ** 2))
-    if off_axis_m < SINGULAR:
+    centre = T_base_flange[:2, 3] - chain.dh_d_m[5] * T_base_flange[:2, 1]
+    off_axis_m = np.sqrt(max(0.0, float(centre @ centre) - float(chain.dh_d_m[1] + chain.dh_d_m[2]) ** 2))
+    if off_axis_m < SINGULARITY_SINE_MIN:
         return (
-            f"the wrist centre is {off_axis_m:.5f} m from the slew axis (limit {SINGULAR:g} m), where "
+            f"the wrist centre is {off_axis_m:.5f} m from the slew axis (limit {SINGULARITY_SINE_MIN:g} m), where "
             f"{chain.joint_label(0)} cannot move it sideways; move the target away from the slew axis"
         )
     return ""

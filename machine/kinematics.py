@@ -95,12 +95,14 @@ def link_poses(chain: Chain, q: Array) -> Array:
     Raises:  MachineError: wrong shape, or not finite.
     Source:  paper eq. 23-24.
     """
-    return _result_if_finite(_link_poses(chain.a, chain.d, chain.alpha, _dh_angles(chain, q)), q)
+    return _result_if_finite(_link_poses(chain.dh_a_m, chain.dh_d_m, chain.dh_alpha_rad, _dh_angles(chain, q)), q)
 
 
 def tcp_pose(chain: Chain, q: Array) -> Array:
     """T_base_tcp (4, 4) at q (n,) [rad], position [m] (paper eq. 23, link 7 included)."""
-    return _result_if_finite(_tcp_pose(chain.a, chain.d, chain.alpha, _dh_angles(chain, q), chain.T_flange_tcp), q)
+    return _result_if_finite(
+        _tcp_pose(chain.dh_a_m, chain.dh_d_m, chain.dh_alpha_rad, _dh_angles(chain, q), chain.T_flange_tcp), q
+    )
 
 
 def tcp_poses(chain: Chain, qs: Array) -> Array:
@@ -109,7 +111,7 @@ def tcp_poses(chain: Chain, qs: Array) -> Array:
     if qs.ndim != 2 or qs.shape[1] != chain.n:
         raise MachineError(f"joint vectors have shape {qs.shape}; the chain has {chain.n} joints: give (m, {chain.n})")
     thetas = np.ascontiguousarray(qs + chain.theta_offset)
-    return _result_if_finite(_tcp_poses(chain.a, chain.d, chain.alpha, thetas, chain.T_flange_tcp), qs)
+    return _result_if_finite(_tcp_poses(chain.dh_a_m, chain.dh_d_m, chain.dh_alpha_rad, thetas, chain.T_flange_tcp), qs)
 
 
 def tcp_jacobian(chain: Chain, q: Array) -> Array:
@@ -121,7 +123,9 @@ def tcp_jacobian(chain: Chain, q: Array) -> Array:
     Raises:  MachineError: wrong shape, or not finite.
     Source:  paper eq. 2.
     """
-    return _result_if_finite(_tcp_jacobian(chain.a, chain.d, chain.alpha, _dh_angles(chain, q), chain.T_flange_tcp), q)
+    return _result_if_finite(
+        _tcp_jacobian(chain.dh_a_m, chain.dh_d_m, chain.dh_alpha_rad, _dh_angles(chain, q), chain.T_flange_tcp), q
+    )
 
 
 def sigma_min(J: Array) -> float:

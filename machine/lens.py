@@ -31,7 +31,7 @@ def distorted_radius_max(distortion: Coefficients) -> float:
 
 #: Of the image's width or height. Lens and sensor are centred to 1 or 2 %, a rectified picture to about 5 %; beyond
 #: 10 % the picture was cropped, or the calibration is of another image size.
-PRINCIPAL_OFF_MAX_FRAC = 0.1
+PRINCIPAL_OFFSET_MAX_FRAC = 0.1
 
 
 def principal_off_frac(principal_px: tuple[float, float], size_px: tuple[int, int]) -> float:

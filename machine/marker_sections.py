@@ -20,10 +20,10 @@ Length = Annotated[float, Field(gt=0.0, le=2.0)]
 Squares = Annotated[int, Field(ge=1, le=100)]
 
 CHARUCO_SQUARES_MIN = 3  # along each side: fewer leave no four inner corners
-MARKER_SHARE_MAX = 0.9  # of the square; the white around a marker is what its sides are seen by
+MARKER_OF_SQUARE_MAX_FRAC = 0.9  # of the square; the white around a marker is what its sides are seen by
 DICTIONARY_PATTERN = r"^DICT_([4-7]X[4-7]_(50|100|250|1000)|APRILTAG_[0-9]{2}[hH][0-9]{1,2}|ARUCO_[A-Za-z0-9_]+)$"
 # How many ids the families have whose names do not say it; others with such names are left to the vision package.
-FAMILY_SIZES = {
+MARKER_FAMILY_ID_COUNTS = {
     "DICT_APRILTAG_16H5": 30,
     "DICT_APRILTAG_25H9": 35,
     "DICT_APRILTAG_36H10": 2320,
@@ -31,7 +31,7 @@ FAMILY_SIZES = {
     "DICT_ARUCO_ORIGINAL": 1024,
     "DICT_ARUCO_MIP_36H12": 250,
 }
-REMEDIES = {
+MARKER_FIELD_REMEDIES = {
     "dictionary": "give a name of OpenCV's, such as DICT_4X4_50 or DICT_APRILTAG_36h11",
     "id": "give the number printed next to the marker",
     "side_m": "measure the printed marker's black outer side and give it in metres",
@@ -94,7 +94,7 @@ class MarkersSection(Strict):
 def dictionary_size(name: str) -> int | None:
     """Number of ids in a dictionary; None where neither the name nor the table states it."""
     counted = re.fullmatch(r"DICT_[4-7]X[4-7]_(\d+)", name)
-    return int(counted[1]) if counted else FAMILY_SIZES.get(name.upper())
+    return int(counted[1]) if counted else MARKER_FAMILY_ID_COUNTS.get(name.upper())
 
 
 def check_markers(section: MarkersSection) -> None:
@@ -133,10 +133,11 @@ def _check_board(name: str, board: BoardSection) -> None:
                 )
     elif board.legacy_pattern:
         raise MachineFileError(f"{name}.legacy_pattern = True is for kind = 'charuco' only; leave it out of a grid")
-    limit = MARKER_SHARE_MAX * board.square_m
+    limit = MARKER_OF_SQUARE_MAX_FRAC * board.square_m
     if board.marker_m > limit:
         raise MachineFileError(
-            f"{name}.marker_m = {board.marker_m} exceeds {MARKER_SHARE_MAX:g} of square_m, {limit:g} [m]; leave white "
+            f"{name}.marker_m = {board.marker_m} exceeds {MARKER_OF_SQUARE_MAX_FRAC:g} of square_m, {limit:g} [m]; "
+            "leave white "
             "around the markers, or measure both again"
         )
 
@@ -158,7 +159,7 @@ def _check_range(ids: Sequence[int], boards: Sequence[BoardSection], dictionary:
         if marker_id >= size:
             raise MachineFileError(
                 f"markers.marker: id = {marker_id} is not in {dictionary}, which ends at {size - 1}; "
-                f"{REMEDIES['id']}, or a larger dictionary"
+                f"{MARKER_FIELD_REMEDIES['id']}, or a larger dictionary"
             )
     for k, board in enumerate(boards):
         if board.marker_ids[-1] >= size:

@@ -11,11 +11,11 @@ from machine.errors import MachineFileError
 if TYPE_CHECKING:
     from machine.effects.entries import EffectEntry
 
-OLD_KEYS = {"swing_rad": "oscillation_rad"}  # old name, read for one release
-STAGES = ("link", "controller", "actuator", "structure", "camera")
-LARGEST = 1e12  # of any number here: squares and sums of more leave what a float holds
+RENAMED_KEYS = {"swing_rad": "oscillation_rad"}  # old name, read for one release
+REMAINDER_STAGES = ("link", "controller", "actuator", "structure", "camera")
+ABSOLUTE_VALUE_MAX = 1e12  # of any number here: squares and sums of more leave what a float holds
 # fmt: off
-KEYS = {
+REMAINDER_TABLE_KEYS = {
     "stage", "joint", "on", "sigma", "rms", "ar", "usual", "by_axis", "oscillation_rad", "form", "form_most", "wander",
     "level",
 }
@@ -81,21 +81,22 @@ def parse_remainders(tables: object) -> tuple[Remainder, ...]:
 
 
 def _rename_old_keys(table: object) -> object:
-    return {OLD_KEYS.get(key, key): value for key, value in table.items()} if isinstance(table, dict) else table
+    return {RENAMED_KEYS.get(key, key): value for key, value in table.items()} if isinstance(table, dict) else table
 
 
 def _parse_remainder(table: object, where: str) -> Remainder:
     if not isinstance(table, dict):
         raise MachineFileError(f"{where} is not a table; write [[remainder]] with stage, joint, sigma and rms")
-    unknown = sorted(set(table) - KEYS)
+    unknown = sorted(set(table) - REMAINDER_TABLE_KEYS)
     if unknown:
         raise MachineFileError(
-            f"{where}: unknown key {unknown[0]!r}; it has {', '.join(sorted(KEYS))}. A baseline of an older version "
+            f"{where}: unknown key {unknown[0]!r}; it has {', '.join(sorted(REMAINDER_TABLE_KEYS))}. A baseline of an "
+            "older version "
             "has to be fitted again (`longreach diagnose --fit-baseline`)"
         )
     stage, joint, on, ar, by_axis = (table.get(key) for key in ("stage", "joint", "on", "ar", "by_axis"))
-    if stage not in STAGES:
-        raise MachineFileError(f"{where}: stage = {stage!r}; give one of {', '.join(STAGES)}")
+    if stage not in REMAINDER_STAGES:
+        raise MachineFileError(f"{where}: stage = {stage!r}; give one of {', '.join(REMAINDER_STAGES)}")
     if joint is not None and (isinstance(joint, bool) or not isinstance(joint, int) or joint < 1):
         raise MachineFileError(f"{where}: joint = {joint!r}; give a whole number from 1, or leave it out")
     return Remainder(
@@ -152,8 +153,8 @@ def _number_at_least(table: dict[str, object], key: str, least: float, where: st
 
 
 def _finite_number(value: object, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
-        raise MachineFileError(f"{where} = {repr(value)[:60]} is not a finite number up to {LARGEST:g}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= ABSOLUTE_VALUE_MAX:
+        raise MachineFileError(f"{where} = {repr(value)[:60]} is not a finite number up to {ABSOLUTE_VALUE_MAX:g}")
     return float(value)
 
 

@@ -7,11 +7,19 @@ import numpy as np
 from machine.description import Joint, Machine
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_about
-from machine.urdf_shapes import DARK, GREY, PAINT, bar, box, cylinder_visual, origin_element
+from machine.urdf_shapes import (
+    DARK_MATERIAL_XML,
+    GREY_MATERIAL_XML,
+    PAINT_MATERIAL_XML,
+    bar,
+    box,
+    cylinder_visual,
+    origin_element,
+)
 
-THICKNESS_M = (0.30, 0.20, 0.16, 0.13, 0.11, 0.09)  # of the bodies, from the base; drawing only
+LINK_THICKNESSES_M = (0.30, 0.20, 0.16, 0.13, 0.11, 0.09)  # of the bodies, from the base; drawing only
 PEDESTAL_M = (0.8, 0.8, 0.12)
-SHORTEST_DRAWN_M = 0.02
+DRAWN_LENGTH_MIN_M = 0.02
 
 
 def urdf_text(machine: Machine, tilts: Array | None = None) -> str:
@@ -75,42 +83,46 @@ def _body_shapes_xml(machine: Machine, number: int) -> str:
     joint's d is this body's boom (d4, the tilt boom, on body 3), and the first and last keep their own (pillar, tool).
     """
     joint, count = machine.joints[number - 1], len(machine.joints)
-    thickness = THICKNESS_M[min(number, len(THICKNESS_M)) - 1]
+    thickness = LINK_THICKNESSES_M[min(number, len(LINK_THICKNESSES_M)) - 1]
     T_link_body = inverse_pose(dh_fixed_part(joint))
     along_axis = np.array([0.0, 0.0, 1.0])
     axis, foot, end = T_link_body[:3, :3] @ along_axis, T_link_body[:3, 3], np.zeros(3)
     corner = foot + joint.d_m * axis
     half_hub = 0.65 * thickness * axis
-    shapes = [] if number == 1 else [cylinder_visual(foot - half_hub, foot + half_hub, 0.6 * thickness, DARK)]
+    shapes = (
+        [] if number == 1 else [cylinder_visual(foot - half_hub, foot + half_hub, 0.6 * thickness, DARK_MATERIAL_XML)]
+    )
     if number == count:
         neck = foot + 0.6 * joint.d_m * axis
         shapes += [
-            cylinder_visual(foot, neck, 0.5 * thickness, GREY),
-            cylinder_visual(neck, corner, 0.2 * thickness, DARK),
+            cylinder_visual(foot, neck, 0.5 * thickness, GREY_MATERIAL_XML),
+            cylinder_visual(neck, corner, 0.2 * thickness, DARK_MATERIAL_XML),
         ]
     elif number == 1:
-        shapes.append(cylinder_visual(foot, corner, 0.5 * thickness, PAINT))
-    if abs(joint.a_m) > SHORTEST_DRAWN_M:
-        shapes.append(bar(corner, end, thickness, PAINT))
-    if number < count - 1 and abs(machine.joints[number].d_m) > SHORTEST_DRAWN_M:
-        shapes.append(bar(end, machine.joints[number].d_m * along_axis, thickness, PAINT))
+        shapes.append(cylinder_visual(foot, corner, 0.5 * thickness, PAINT_MATERIAL_XML))
+    if abs(joint.a_m) > DRAWN_LENGTH_MIN_M:
+        shapes.append(bar(corner, end, thickness, PAINT_MATERIAL_XML))
+    if number < count - 1 and abs(machine.joints[number].d_m) > DRAWN_LENGTH_MIN_M:
+        shapes.append(bar(end, machine.joints[number].d_m * along_axis, thickness, PAINT_MATERIAL_XML))
     return "".join(shapes)
 
 
 def _pedestal_shape_xml() -> str:
-    return box(pose(np.eye(3), np.array([0.0, 0.0, -PEDESTAL_M[2] / 2.0])), PEDESTAL_M, GREY)
+    return box(pose(np.eye(3), np.array([0.0, 0.0, -PEDESTAL_M[2] / 2.0])), PEDESTAL_M, GREY_MATERIAL_XML)
 
 
 def _camera_bracket(machine: Machine) -> str:
     """From the torsion axis to the middle between the eyes, in the tcp frame."""
     middle = machine.T_tcp_cam_left @ np.array([machine.camera.baseline_m / 2.0, 0.0, -0.02, 1.0])
     foot = np.array([0.0, 0.0, middle[2]])
-    return bar(foot, middle[:3], 0.03, DARK) if np.linalg.norm(middle[:3] - foot) > SHORTEST_DRAWN_M else ""
+    return (
+        bar(foot, middle[:3], 0.03, DARK_MATERIAL_XML) if np.linalg.norm(middle[:3] - foot) > DRAWN_LENGTH_MIN_M else ""
+    )
 
 
 def _camera_box(baseline_m: float) -> str:
     T_cam_box = pose(np.eye(3), np.array([baseline_m / 2.0, 0.0, -0.015]))
-    return box(T_cam_box, (baseline_m + 0.05, 0.03, 0.03), DARK)
+    return box(T_cam_box, (baseline_m + 0.05, 0.03, 0.03), DARK_MATERIAL_XML)
 
 
 def _marker_plates(machine: Machine) -> str:
@@ -118,5 +130,5 @@ def _marker_plates(machine: Machine) -> str:
     plates = []
     for marker in machine.markers_on("tool"):
         T_tool_plate = marker.T_on_marker @ pose(np.eye(3), np.array([0.0, 0.0, -0.004]))
-        plates.append(box(T_tool_plate, (1.2 * marker.side_m, 1.2 * marker.side_m, 0.006), GREY))
+        plates.append(box(T_tool_plate, (1.2 * marker.side_m, 1.2 * marker.side_m, 0.006), GREY_MATERIAL_XML))
     return "".join(plates)

@@ -23,8 +23,8 @@ from machine.urdf import urdf_text
 from machine.urdf_shapes import origin_element, roll_pitch_yaw
 
 #: What moves a frame by the same amount in every posture.
-HELD = ("encoder_bias", "link_length_error", "joint_axis_tilt", "base_tilt")
-HELD += ("hand_eye_rotation", "hand_eye_translation")
+POSTURE_INDEPENDENT_EFFECTS = ("encoder_bias", "link_length_error", "joint_axis_tilt", "base_tilt")
+POSTURE_INDEPENDENT_EFFECTS += ("hand_eye_rotation", "hand_eye_translation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +33,15 @@ class JointLimits:
 
     q_min: Array
     q_max: Array
-    speed: Array
+    speed_max: Array
 
 
 def split_entries(entries: Sequence[EffectEntry]) -> tuple[tuple[EffectEntry, ...], tuple[str, ...]]:
     """The effects that a URDF holds, and each other one in words, with the reason."""
-    held = tuple(entry for entry in entries if entry.name in HELD)
+    held = tuple(entry for entry in entries if entry.name in POSTURE_INDEPENDENT_EFFECTS)
     left_out = []
     for entry in entries:
-        if entry.name in HELD:
+        if entry.name in POSTURE_INDEPENDENT_EFFECTS:
             continue
         where = "" if entry.joint is None else f" of joint {entry.joint}"
         stage = effect_of(entry.name).stage
@@ -57,7 +57,7 @@ def split_entries(entries: Sequence[EffectEntry]) -> tuple[tuple[EffectEntry, ..
 def machine_urdf(machine: Machine, entries: Sequence[EffectEntry]) -> str:
     """A machine, drawn as in the panel, with zeros, lengths, tilts and mount applied."""
     sets = pack_effects(entries, len(machine.joints))
-    P = sets.joint[0]
+    P = sets.joint_parameters[0]
     joints = tuple(
         replace(
             joint,
@@ -81,7 +81,7 @@ def arm_urdf(
     Args: mount: T_tcp_cam_left (4, 4).
     """
     sets = pack_effects(entries, arm.n)
-    P, tilts = sets.joint[0], _joint_tilt_poses(sets)
+    P, tilts = sets.joint_parameters[0], _joint_tilt_poses(sets)
     parts, parent = [f"<robot name={quoteattr(name or 'arm')}>", '<link name="base"/>'], "base"
     for k in range(arm.n):
         before, after = arm.before[k].copy(), arm.after[k].copy()
@@ -89,7 +89,7 @@ def arm_urdf(
             before[:3, 3] += P[k, column] * arm.length_before[k, row]
             after[:3, 3] += P[k, column] * arm.length_after[k, row]
         body, link = f"body_{k + 1}", f"link_{k + 1}"
-        shift = arm.moves[k] * (arm.zero[k] - P[k, BIAS])
+        shift = arm.motion_factor[k] * (arm.q_offset[k] - P[k, BIAS])
         T = (
             (_base_tilt_pose(sets) if k == 0 else np.eye(4))
             @ before
@@ -119,17 +119,17 @@ def edited_urdf(
     Raises: MachineError: no URDF, or the chain passes a joint from child to parent, whose origin is another joint's.
     """
     chain = urdf_chain(text, base_link, tip_link)
-    if any(joint.rising for joint in chain):
-        rising = ", ".join(joint.name for joint in chain if joint.rising)
+    if any(joint.child_to_parent for joint in chain):
+        rising = ", ".join(joint.name for joint in chain if joint.child_to_parent)
         raise MachineError(f"urdf: the chain passes {rising} from child to parent; give a base_link above the arm")
     sets = pack_effects(entries, len(names))
-    P, tilts = sets.joint[0], _joint_tilt_poses(sets)
+    P, tilts = sets.joint_parameters[0], _joint_tilt_poses(sets)
     lengths = _length_directions(text, base_link, tip_link, names)
     root = ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"), ElementTree.XMLParser(target=_with_comments()))
     elements = {joint.get("name"): joint for joint in root.findall("joint")}
     fixed, lean = np.eye(4), _base_tilt_pose(sets)
     for joint in chain:
-        if joint.kind == "fixed" or joint.name not in names:
+        if joint.joint_type == "fixed" or joint.name not in names:
             fixed = fixed @ joint.T_parent_joint
             continue
         k = list(names).index(joint.name)
@@ -142,7 +142,7 @@ def edited_urdf(
             @ before
             @ tilts[k]
             @ along
-            @ _joint_motion_pose(float(-P[k, BIAS]), joint.kind == "prismatic")
+            @ _joint_motion_pose(float(-P[k, BIAS]), joint.joint_type == "prismatic")
             @ turn.T
         )
         if np.abs(moved - fixed @ joint.T_parent_joint).max() > 0.0:
@@ -173,7 +173,7 @@ def _set_origin(joint: ElementTree.Element, T: Array) -> None:
 
 def _joint_tilt_poses(sets: ParameterSets) -> Array:
     """How each joint's axis is tilted (n, 4, 4)."""
-    P = sets.joint[0]
+    P = sets.joint_parameters[0]
     out = np.tile(np.eye(4), (len(P), 1, 1))
     for k in range(len(P)):
         out[k, :3, :3] = rotation_from_rotvec(np.array([P[k, TILT_X], P[k, TILT_Y], 0.0]))
@@ -182,7 +182,7 @@ def _joint_tilt_poses(sets: ParameterSets) -> Array:
 
 def _base_tilt_pose(sets: ParameterSets) -> Array:
     """How the base is tilted (4, 4)."""
-    return pose(rotation_from_rotvec(sets.machine[0, BASE_TILT].copy()), np.zeros(3))
+    return pose(rotation_from_rotvec(sets.machine_parameters[0, BASE_TILT].copy()), np.zeros(3))
 
 
 def _joint_motion_pose(way: float, slides: bool) -> Array:
@@ -198,12 +198,14 @@ def _fixed_joint_xml(name: str, parent: str, child: str, T: Array) -> str:
 
 def _moving_joint_xml(name: str, k: int, parent: str, child: str, T: Array, arm: Arm, limits: JointLimits) -> str:
     ends = f'<parent link="{parent}"/><child link="{child}"/>{origin_element(T)}'
-    if arm.moves[k] == 0.0:
+    if arm.motion_factor[k] == 0.0:
         return f'<joint name={quoteattr(name)} type="fixed">{ends}</joint>'
     bounded = bool(np.isfinite([limits.q_min[k], limits.q_max[k]]).all())
     kind = "prismatic" if arm.prismatic[k] else "revolute" if bounded else "continuous"
     low, high = (limits.q_min[k], limits.q_max[k]) if bounded else (-1e3, 1e3)
-    speed = float(limits.speed[k]) if np.isfinite(limits.speed[k]) else 0.0
+    speed = float(limits.speed_max[k]) if np.isfinite(limits.speed_max[k]) else 0.0
     ends_of = "" if kind == "continuous" else f'lower="{low:.12g}" upper="{high:.12g}" '
     limit = f'<limit {ends_of}effort="0" velocity="{speed:.12g}"/>'
-    return f'<joint name={quoteattr(name)} type="{kind}">{ends}<axis xyz="0 0 {arm.moves[k]:g}"/>{limit}</joint>'
+    return (
+        f'<joint name={quoteattr(name)} type="{kind}">{ends}<axis xyz="0 0 {arm.motion_factor[k]:g}"/>{limit}</joint>'
+    )

@@ -5,9 +5,9 @@ import numpy as np
 from machine.poses import pose
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
 
-PAINT = '<material name="paint"><color rgba="0.93 0.66 0.15 1"/></material>'
-DARK = '<material name="dark"><color rgba="0.2 0.22 0.24 1"/></material>'
-GREY = '<material name="grey"><color rgba="0.62 0.64 0.66 1"/></material>'
+PAINT_MATERIAL_XML = '<material name="paint"><color rgba="0.93 0.66 0.15 1"/></material>'
+DARK_MATERIAL_XML = '<material name="dark"><color rgba="0.2 0.22 0.24 1"/></material>'
+GREY_MATERIAL_XML = '<material name="grey"><color rgba="0.62 0.64 0.66 1"/></material>'
 
 
 def origin_element(T: Array) -> str:

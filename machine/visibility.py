@@ -11,7 +11,7 @@ from machine.poses import transform_points
 from machine.rotations import Array
 
 FACING_COSINE_MIN = 0.2  # seen flatter than 78 deg a marker cannot be read
-DEPTH_MIN_M = 0.05  # nearer than this nothing is in focus
+FOCUS_DEPTH_MIN_M = 0.05  # nearer than this nothing is in focus
 
 
 def in_eye(camera: StereoCamera, points_eye: Array, margin_px: float) -> bool:
@@ -22,7 +22,7 @@ def in_eye(camera: StereoCamera, points_eye: Array, margin_px: float) -> bool:
     if points_eye.ndim != 2 or points_eye.shape[1] != 3 or not len(points_eye):
         raise MachineError(f"points have shape {points_eye.shape}; give (n, 3) [m], at least one")
     depth = points_eye[:, 2]
-    if not np.all(depth > DEPTH_MIN_M):
+    if not np.all(depth > FOCUS_DEPTH_MIN_M):
         return False
     if np.any(np.hypot(points_eye[:, 0], points_eye[:, 1]) / depth >= fold_radius(camera.distortion)):
         return False

@@ -8,7 +8,7 @@ import hmac
 
 from protocol.errors import LocalProtocolError
 
-TAG_SIZE = 16
+AUTH_TAG_BYTES = 16
 KEY_MIN, KEY_MAX = 16, 64  # bytes; more than one SHA-256 block would be hashed first and gains nothing
 
 
@@ -40,7 +40,7 @@ def parse_key(text: str) -> bytes:
 
 def tag_of(key: bytes, signed: bytes) -> bytes:
     """The 16 bytes that go with everything before the tag."""
-    return hmac.digest(key, signed, "sha256")[:TAG_SIZE]
+    return hmac.digest(key, signed, "sha256")[:AUTH_TAG_BYTES]
 
 
 def is_authentic(key: bytes, signed: bytes, tag: bytes) -> bool:

@@ -25,27 +25,33 @@ def c_header() -> str:
     """The text of hmlink.h; valid as C11 and as C++11."""
     knots = f"    hm_knot_t knots[{layout.KNOTS_PER_COMMAND}];"
     command = [
-        *_struct_members(layout.HEADER),
-        *_struct_members(layout.COMMAND_BODY),
+        *_struct_members(layout.HEADER_LAYOUT),
+        *_struct_members(layout.COMMAND_BODY_LAYOUT),
         knots,
-        *_struct_members(layout.COMMAND_TAIL),
+        *_struct_members(layout.COMMAND_TAIL_LAYOUT),
     ]
-    state = [*_struct_members(layout.HEADER), *_struct_members(layout.STATE_BODY)]
+    state = [*_struct_members(layout.HEADER_LAYOUT), *_struct_members(layout.STATE_BODY_LAYOUT)]
     asserts = [
-        *_layout_asserts("hm_knot_t", layout.KNOT_SIZE, layout.KNOT),
-        *_layout_asserts("hm_command_t", layout.COMMAND_SIZE, layout.HEADER, layout.COMMAND_BODY, layout.COMMAND_TAIL),
+        *_layout_asserts("hm_knot_t", layout.KNOT_SIZE, layout.KNOT_LAYOUT),
+        *_layout_asserts(
+            "hm_command_t",
+            layout.COMMAND_SIZE,
+            layout.HEADER_LAYOUT,
+            layout.COMMAND_BODY_LAYOUT,
+            layout.COMMAND_TAIL_LAYOUT,
+        ),
         f'HM_ASSERT(offsetof(hm_command_t, knots) == {layout.KNOTS_OFFSET}, "knots");',
-        *_layout_asserts("hm_state_t", layout.STATE_SIZE, layout.HEADER, layout.STATE_BODY),
-        *_layout_asserts("hm_limits_t", layout.LIMITS.codec.size, layout.LIMITS),
+        *_layout_asserts("hm_state_t", layout.STATE_SIZE, layout.HEADER_LAYOUT, layout.STATE_BODY_LAYOUT),
+        *_layout_asserts("hm_limits_t", layout.LIMIT_TABLE_LAYOUT.codec.size, layout.LIMIT_TABLE_LAYOUT),
     ]
     parts = (
         _HEAD,
         *(_enum_declaration(kind) for kind in _ENUMS),
-        _struct_typedef("hm_knot_t", _struct_members(layout.KNOT)),
+        _struct_typedef("hm_knot_t", _struct_members(layout.KNOT_LAYOUT)),
         _struct_typedef("hm_command_t", command),
         _struct_typedef("hm_state_t", state),
         "/* Never sent: cfg_id is the CRC-32 of it, unused axes 0. */\n"
-        + _struct_typedef("hm_limits_t", _struct_members(layout.LIMITS)),
+        + _struct_typedef("hm_limits_t", _struct_members(layout.LIMIT_TABLE_LAYOUT)),
         "\n".join(asserts),
         "#endif /* HMLINK_H */\n",
     )
@@ -80,11 +86,11 @@ _HEAD = f"""\
 
 
 def _struct_members(block: Block) -> list[str]:
-    return [f"    {_C_TYPES[f.iec]} {f.name}{_array_suffix(f)}; /* {f.offset} */" for f in block.fields]
+    return [f"    {_C_TYPES[f.iec_type]} {f.name}{_array_suffix(f)}; /* {f.offset} */" for f in block.fields]
 
 
 def _array_suffix(field: Field) -> str:
-    return f"[{field.count}]" if field.count > 1 else ""
+    return f"[{field.array_length}]" if field.array_length > 1 else ""
 
 
 def _struct_typedef(name: str, members: list[str]) -> str:

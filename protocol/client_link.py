@@ -18,7 +18,7 @@ from protocol.client_events import (
     TailAnswered,
     TrajectoryEnded,
 )
-from protocol.client_run import MOVING, Run, StopReference
+from protocol.client_run import MOVING_STATES, Run, StopReference
 from protocol.client_state import ClientCounters, ClockOffset, PendingRequest, RequestKind, SentCommands, other_pc_text
 from protocol.codec import decode_state, encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
@@ -31,14 +31,14 @@ from protocol.playback import Playback, Window
 from protocol.sequence import SequenceKind, classify_sequence, is_at_or_after, next_sequence
 from protocol.servo_target import ServoTarget
 from protocol.timeouts import (
-    COMMAND_LOST,
+    COMMAND_LOST_TIMEOUT,
     HELLO_PERIOD,
-    LINK_CLOSED,
-    SERVO_LOST,
-    START_WAIT,
-    STATE_LATE,
-    STATE_LOST,
-    TAIL_AHEAD_NS,
+    LINK_CLOSE_TIMEOUT,
+    SERVO_LOST_TIMEOUT,
+    STATE_LATE_TIMEOUT,
+    STATE_LOST_TIMEOUT,
+    TAIL_LEAD_NS,
+    TRAJECTORY_START_TIMEOUT,
 )
 
 _PHASES = {
@@ -59,13 +59,13 @@ _INTERP = {Mode.TRAJECTORY: Interp.QUINTIC, Mode.SERVO: Interp.LINEAR}
 class ClientLink:
     """One session with one PLC. `session` is a fresh random non-zero number; `t_mono_ns` the PC's monotonic clock."""
 
-    table: LimitTable
+    limit_table: LimitTable
     framing: Framing
     session: int
     speed_override: float = 1.0
     key: bytes = b""  # with a key commands are signed, and only signed states are taken
     state: State | None = None  # newest usable one
-    clock: ClockOffset = field(default_factory=ClockOffset)
+    clock_offset: ClockOffset = field(default_factory=ClockOffset)
     counters: ClientCounters = field(default_factory=ClientCounters)
     last_reject: str = ""
     closed: bool = False
@@ -87,7 +87,7 @@ class ClientLink:
 
     def phase(self, t_mono_ns: int) -> ClientPhase:
         """How far the connection has come."""
-        if self.closed or self.state is None or self.age_ns(t_mono_ns) > STATE_LOST.ns:
+        if self.closed or self.state is None or self.age_ns(t_mono_ns) > STATE_LOST_TIMEOUT.duration_ns:
             return ClientPhase.OFFLINE
         if self.linked or self.state.plc_state in (PlcState.FAULT, PlcState.LOCAL):
             return _PHASES[self.state.plc_state]
@@ -96,22 +96,22 @@ class ClientLink:
     @property
     def busy(self) -> bool:
         """Whether a trajectory or a stop is under way."""
-        moving = self.linked and self.state is not None and self.state.plc_state in MOVING
+        moving = self.linked and self.state is not None and self.state.plc_state in MOVING_STATES
         return self._run is not None or self._stop is not None or moving
 
     # --- requests ---------------------------------------------------------------------------------------------------
 
     def request_arm(self) -> None:
         """Arm as soon as the link is proven. A request ends with the session, or by `cancel_request`."""
-        self._request.kind = RequestKind.ARM
+        self._request.request_kind = RequestKind.ARM
 
     def request_reset(self) -> None:
         """Ask for a latched fault to be cleared; never restarts motion."""
-        self._request.kind = RequestKind.RESET
+        self._request.request_kind = RequestKind.RESET
 
     def request_disarm(self) -> None:
         """Ramp down if moving, then leave the armed state; the session ends with it."""
-        self._request.kind = RequestKind.DISARM
+        self._request.request_kind = RequestKind.DISARM
 
     def cancel_request(self) -> None:
         """Stop asking for arm or reset; a disarm that was requested goes on until it is done."""
@@ -128,7 +128,7 @@ class ClientLink:
         Raises: LocalProtocolError: not holding, or another motion is under way.
         """
         q_ref = self._require_armed_idle(traj_id, t_mono_ns).q_ref
-        refusals = () if judged else check_trajectory(knots, q_ref, self.table)
+        refusals = () if judged else check_trajectory(knots, q_ref, self.limit_table)
         if not refusals:
             self._run = Run(Playback(traj_id, tuple(knots)), next_sequence(self._seq), t_mono_ns)
         return refusals
@@ -152,16 +152,16 @@ class ClientLink:
             raise LocalProtocolError(f"trajectory {traj_id}: knot {first} cannot be replaced, give 1..{playback.last}")
         t_play_ns = state.t_play_ns + self.age_ns(t_mono_ns)
         splice_ns = min(playback.knots[first].t_ns, knots[0].t_ns) if knots else 0
-        if splice_ns < t_play_ns + TAIL_AHEAD_NS:
+        if splice_ns < t_play_ns + TAIL_LEAD_NS:
             left_ms = (splice_ns - t_play_ns) / 1e6
             raise LocalProtocolError(
                 f"trajectory {traj_id}: the new tail begins {left_ms:.0f} ms ahead, "
-                f"at least {TAIL_AHEAD_NS / 1e6:.0f} ms are needed; begin later"
+                f"at least {TAIL_LEAD_NS / 1e6:.0f} ms are needed; begin later"
             )
-        refusals = check_tail(knots, playback.knots[first - 1], self.table)
+        refusals = check_tail(knots, playback.knots[first - 1], self.limit_table)
         if not refusals:
             replaced = playback.with_tail(first, tuple(knots))
-            if replaced.splice is None:  # knot by knot what is played anyway
+            if replaced.splice_knot_index is None:  # knot by knot what is played anyway
                 self._pending.append(TailAnswered(traj_id, True, "taken"))
             else:
                 run.replace_tail(replaced)
@@ -214,7 +214,7 @@ class ClientLink:
         try:
             state = decode_state(self.framing.unwrap(datagram), self.key)
         except RemoteProtocolError as error:
-            self.counters.bad += 1
+            self.counters.malformed += 1
             return [DatagramDropped(error.code, error.text)]
         if state.session == self.session:
             return self._own_state(state, t_mono_ns)
@@ -226,16 +226,16 @@ class ClientLink:
         """What the passing of time leads to."""
         events, self._pending = self._pending, []
         run = self._run
-        if run and not run.started and t_mono_ns - run.t_asked_ns > START_WAIT.ns:
+        if run and not run.started and t_mono_ns - run.t_asked_ns > TRAJECTORY_START_TIMEOUT.duration_ns:
             self.request_stop("the PLC did not start the motion within 1 s")
         if run and isinstance(run.motion, ServoTarget) and run.motion.is_caller_silent(t_mono_ns):
-            self.request_stop(f"no servo target for {SERVO_LOST.ns // 1_000_000} ms")
+            self.request_stop(f"no servo target for {SERVO_LOST_TIMEOUT.duration_ns // 1_000_000} ms")
         if not self.linked or self.closed:
             return events
         age_ns = self.age_ns(t_mono_ns)
-        if age_ns > STATE_LOST.ns and run:
-            self.request_stop(f"no state from the PLC for {STATE_LOST.ns // 1_000_000} ms")
-        if age_ns > LINK_CLOSED.ns:
+        if age_ns > STATE_LOST_TIMEOUT.duration_ns and run:
+            self.request_stop(f"no state from the PLC for {STATE_LOST_TIMEOUT.duration_ns // 1_000_000} ms")
+        if age_ns > LINK_CLOSE_TIMEOUT.duration_ns:
             events += self._close("no state from the PLC for 1 s")
         return events
 
@@ -253,23 +253,23 @@ class ClientLink:
         if self.linked and self.state:
             sequenced = classify_sequence(self.state.seq, state.seq)
             if sequenced.kind is SequenceKind.JUMP:
-                self.counters.bad += 1
+                self.counters.malformed += 1
                 return [DatagramDropped(RejectCode.SEQ_JUMP, f"state {state.seq} after {self.state.seq}")]
             if not sequenced.is_usable:
-                self.counters.stale += 1
+                self.counters.duplicate_or_late += 1
                 return []
-            self.counters.lost += sequenced.lost
+            self.counters.lost += sequenced.n_lost
         self.linked = True
         if state.t_pc_echo_ns:
             t_plc_receive_ns = state.t_send_ns - state.rx_age_us * 1000
-            self.clock.add(state.t_pc_echo_ns, t_plc_receive_ns, state.t_send_ns, t_mono_ns)
+            self.clock_offset.add(state.t_pc_echo_ns, t_plc_receive_ns, state.t_send_ns, t_mono_ns)
         events = [*self._take(state, t_mono_ns), *self._rejects(state)]
         return events + self._update_motion_progress(state)
 
     def _foreign_state(self, state: State, t_mono_ns: int) -> list[ClientEvent]:
         """Another session's state while ours was open: late from before it, or the PLC has ended ours."""
         if self.state and state.t_send_ns <= self.state.t_send_ns:
-            self.counters.stale += 1
+            self.counters.duplicate_or_late += 1
             return []
         disarmed = self._request.is_disarm
         events = self._take(state, t_mono_ns)
@@ -281,9 +281,9 @@ class ClientLink:
         A state from before the newest one is late; after a silence it is a PLC that was switched off and on, whose
         clock begins again.
         """
-        silent = self.age_ns(t_mono_ns) > STATE_LOST.ns
+        silent = self.age_ns(t_mono_ns) > STATE_LOST_TIMEOUT.duration_ns
         if self.state and not silent and state.t_send_ns <= self.state.t_send_ns:
-            self.counters.stale += 1
+            self.counters.duplicate_or_late += 1
             return []
         return [*self._take(state, t_mono_ns), *self._rejects(state)]
 
@@ -323,7 +323,12 @@ class ClientLink:
             events += self._end_run(*over, state) if over else []
         elif state.plc_state is PlcState.RUN:  # its run was given up here, or the PLC makes a mistake
             self.request_stop("the PLC plays a motion that is not under way here")
-        if stop and not self._run and state.plc_state not in MOVING and is_at_or_after(state.ack_seq, stop.first_seq):
+        if (
+            stop
+            and not self._run
+            and state.plc_state not in MOVING_STATES
+            and is_at_or_after(state.ack_seq, stop.first_seq)
+        ):
             self._stop = None
         return events
 
@@ -339,7 +344,7 @@ class ClientLink:
     # --- output -------------------------------------------------------------------------------------------------------
 
     def _hello_datagram_if_due(self, t_mono_ns: int) -> bytes | None:
-        if self._t_hello_ns is not None and t_mono_ns - self._t_hello_ns < HELLO_PERIOD.ns:
+        if self._t_hello_ns is not None and t_mono_ns - self._t_hello_ns < HELLO_PERIOD.duration_ns:
             return None
         self._t_hello_ns = t_mono_ns
         return self._encode_next_datagram(self._build_command(t_mono_ns, Mode.HEARTBEAT, hello=True))
@@ -347,11 +352,11 @@ class ClientLink:
     def _select_next_command(self, t_mono_ns: int) -> Command:
         """The command to send if the gate passes it; the most cautious case is decided first."""
         state, age_ns = self.state, self.age_ns(t_mono_ns)
-        if state is None or self._stop or age_ns > STATE_LOST.ns:
+        if state is None or self._stop or age_ns > STATE_LOST_TIMEOUT.duration_ns:
             return self._build_command(t_mono_ns, Mode.QUICK_STOP if self._stop and self._stop.quick else Mode.STOP)
         if self._request.is_disarm:
             return self._build_command(t_mono_ns, Mode.DISARM)
-        if age_ns > STATE_LATE.ns:
+        if age_ns > STATE_LATE_TIMEOUT.duration_ns:
             return self._build_command(t_mono_ns, Mode.HEARTBEAT)
         if self._run and state.plc_state in (PlcState.HOLD, PlcState.RUN):
             return self._motion(self._run, state, t_mono_ns)
@@ -363,7 +368,7 @@ class ClientLink:
             run.note_sent(next_sequence(self._seq), window)
             return self._build_command(t_mono_ns, Mode.TRAJECTORY, window)
         flags = CommandFlag.START | (CommandFlag.LAST_IS_END if run.motion.ending else _NO_FLAGS)
-        window = Window(0, (run.motion.knot(t_mono_ns, self.table),), None, flags)
+        window = Window(0, (run.motion.knot(t_mono_ns, self.limit_table),), None, flags)
         return self._build_command(t_mono_ns, Mode.SERVO, window)
 
     def _build_command(self, t_mono_ns: int, mode: Mode, window: Window | None = None, hello: bool = False) -> Command:
@@ -377,14 +382,14 @@ class ClientLink:
             arm_nonce=own.nonce if own else 0,
             ack_plc_seq=own.seq if own else 0,
             t_plc_echo_ns=own.t_send_ns if own else 0,
-            axis_mask=axis_mask(self.table),
-            cfg_id=cfg_id(self.table),
-            timeout_us=COMMAND_LOST.ns // 1000,
+            axis_mask=axis_mask(self.limit_table),
+            cfg_id=cfg_id(self.limit_table),
+            timeout_us=COMMAND_LOST_TIMEOUT.duration_ns // 1000,
             speed_override=self.speed_override,
             traj_id=self._run.traj_id if self._run and window else 0,
             knot_first=window.knot_first if window else 0,
             interp=_INTERP.get(mode, Interp.NONE),
-            cmd_flags=window.flags if window else _NO_FLAGS,
+            cmd_flags=window.command_flags if window else _NO_FLAGS,
             knots=window.knots if window else (),
         )
 
@@ -398,12 +403,12 @@ class ClientLink:
             q_ref=state.q_ref if state else ZEROS,
             knot_before=self._knot_before(command),
         )
-        verdict = gate(command, view, self.table)
+        verdict = gate(command, view, self.limit_table)
         if verdict.refusals:
             text = "; ".join(refusal.as_line for refusal in verdict.refusals)
             self._pending.append(GateRefused(text))
             self.request_stop(f"motion gate: {text}")
-        return verdict.sent
+        return verdict.command_to_send
 
     def _knot_before(self, command: Command) -> Knot | None:
         if self._run is None or command.knot_first == 0 or not isinstance(self._run.motion, Playback):

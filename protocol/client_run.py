@@ -8,7 +8,7 @@ from protocol.playback import Playback, Window
 from protocol.sequence import is_at_or_after
 from protocol.servo_target import ServoTarget
 
-MOVING = (PlcState.RUN, PlcState.STOPPING)
+MOVING_STATES = (PlcState.RUN, PlcState.STOPPING)
 _OF_KNOTS = range(RejectCode.LIMIT_Q, RejectCode.OVERRIDE + 1)  # refusals that blame what a command carries
 _OF_OTHERS = (RejectCode.SOURCE, RejectCode.SESSION)  # refusals of another client's datagrams, with their numbers
 
@@ -51,13 +51,13 @@ class Run:
 
     def note_sent(self, seq: int, window: Window) -> None:
         """A command with this window goes out."""
-        splice = self.motion.splice if isinstance(self.motion, Playback) else None
+        splice = self.motion.splice_knot_index if isinstance(self.motion, Playback) else None
         if splice is not None and window.holds_knot(splice):
             self._tail_seqs.add(seq)
 
     def look(self, state: State) -> bool:
         """Take the state in; whether a pending tail has just been taken by the PLC."""
-        if state.traj_id == self.traj_id and state.plc_state in MOVING:
+        if state.traj_id == self.traj_id and state.plc_state in MOVING_STATES:
             self.started = True
         carried = self.tail_pending and state.ack_seq in self._tail_seqs
         taken = carried and state.plc_state is PlcState.RUN  # while stopping knots are acknowledged, but not taken
@@ -82,7 +82,7 @@ class Run:
 
     def is_over(self, state: State, stop: StopReference | None) -> tuple[bool, str] | None:
         """Whether it is over: (reached, reason); None while it goes on."""
-        if state.plc_state in MOVING:
+        if state.plc_state in MOVING_STATES:
             return None
         if self.holds_at_end(state):
             return True, "reached"

@@ -4,7 +4,7 @@ from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 from enum import Enum
 
-from protocol.client_run import MOVING
+from protocol.client_run import MOVING_STATES
 from protocol.codes import Mode, PlcState, RejectCode, reject_text
 from protocol.layout import command_field_text
 from protocol.messages import State
@@ -20,8 +20,8 @@ class ClientCounters:
     sent: int = 0
     received: int = 0
     lost: int = 0
-    stale: int = 0  # duplicates and late ones
-    bad: int = 0
+    duplicate_or_late: int = 0  # duplicates and late ones
+    malformed: int = 0
     rejected: int = 0
 
 
@@ -120,32 +120,32 @@ class RequestKind(Enum):
 class PendingRequest:
     """The request of one session, which ends with it."""
 
-    kind: RequestKind = RequestKind.NONE
+    request_kind: RequestKind = RequestKind.NONE
     _t_asked_ns: int | None = None  # for arm or reset
 
     @property
     def is_disarm(self) -> bool:
         """Whether disarming was requested, which nothing but its end takes back."""
-        return self.kind is RequestKind.DISARM
+        return self.request_kind is RequestKind.DISARM
 
     def cancel(self) -> None:
         """Stop asking for arm or reset; a disarm that was requested goes on until it is done."""
         if not self.is_disarm:
-            self.kind = RequestKind.NONE
+            self.request_kind = RequestKind.NONE
 
     def look(self, state: State) -> None:
         """Forget what a state shows fulfilled."""
-        armed = state.plc_state in (PlcState.HOLD, *MOVING)
+        armed = state.plc_state in (PlcState.HOLD, *MOVING_STATES)
         reset = state.plc_state is not PlcState.FAULT
-        if (self.kind is RequestKind.ARM and armed) or (self.kind is RequestKind.RESET and reset):
-            self.kind = RequestKind.NONE
+        if (self.request_kind is RequestKind.ARM and armed) or (self.request_kind is RequestKind.RESET and reset):
+            self.request_kind = RequestKind.NONE
 
     def mode(self, state: State, t_mono_ns: int) -> Mode:
         """RESET or ARM when the PLC is ready for it and it is time to ask, else HEARTBEAT."""
         proven = state.rx_ok >= GOOD_COMMANDS_TO_ARM
-        if self.kind is RequestKind.RESET and state.plc_state is PlcState.FAULT:
+        if self.request_kind is RequestKind.RESET and state.plc_state is PlcState.FAULT:
             mode = Mode.RESET
-        elif self.kind is RequestKind.ARM and state.plc_state is PlcState.LINKED and proven:
+        elif self.request_kind is RequestKind.ARM and state.plc_state is PlcState.LINKED and proven:
             mode = Mode.ARM
         else:
             return Mode.HEARTBEAT
@@ -153,6 +153,6 @@ class PendingRequest:
 
     def _is_due(self, t_mono_ns: int) -> bool:
         """Heartbeats in between: a refused ARM or RESET feeds no watchdog, and the session must outlive it."""
-        due = self._t_asked_ns is None or t_mono_ns - self._t_asked_ns >= ARM_PERIOD.ns
+        due = self._t_asked_ns is None or t_mono_ns - self._t_asked_ns >= ARM_PERIOD.duration_ns
         self._t_asked_ns = t_mono_ns if due else self._t_asked_ns
         return due

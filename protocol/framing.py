@@ -9,9 +9,9 @@ from protocol.errors import FramingError, LocalProtocolError
 from protocol.layout import LAYOUT_ID
 
 EAP_PORT = 34980
-COMMAND_VARIABLE = 0x4801
-STATE_VARIABLE = 0x4802
-EAP_OVERHEAD = 22
+EAP_COMMAND_VARIABLE_ID = 0x4801
+EAP_STATE_VARIABLE_ID = 0x4802
+EAP_OVERHEAD_BYTES = 22
 _EAP_MAX_DATA = 1450  # one Ethernet frame
 _TYPE_NV = 4
 _FRAME = struct.Struct("<H6sHHBB")  # length and type, publisher, count, cycle index, reserved, EAP SM
@@ -113,12 +113,12 @@ class EapFraming:
     @classmethod
     def for_client(cls, pc_net_id: str, plc_net_id: str) -> "EapFraming":
         """The PC's end: publishes commands, takes states."""
-        return cls(parse_net_id(pc_net_id), parse_net_id(plc_net_id), COMMAND_VARIABLE, STATE_VARIABLE)
+        return cls(parse_net_id(pc_net_id), parse_net_id(plc_net_id), EAP_COMMAND_VARIABLE_ID, EAP_STATE_VARIABLE_ID)
 
     @classmethod
     def for_plc(cls, pc_net_id: str, plc_net_id: str) -> "EapFraming":
         """The PLC's end: publishes states, takes commands."""
-        return cls(parse_net_id(plc_net_id), parse_net_id(pc_net_id), STATE_VARIABLE, COMMAND_VARIABLE)
+        return cls(parse_net_id(plc_net_id), parse_net_id(pc_net_id), EAP_STATE_VARIABLE_ID, EAP_COMMAND_VARIABLE_ID)
 
     def wrap(self, payload: bytes, seq: int) -> bytes:
         """The frame around a payload; its cycle index is the low 16 bits of the sequence number."""

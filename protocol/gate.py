@@ -11,7 +11,7 @@ from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
 from protocol.layout import KNOTS_PER_COMMAND
 from protocol.limits import LimitTable, axis_mask
 from protocol.messages import Axes, Command, Knot
-from protocol.timeouts import MS, SERVO_REACH_S, STATE_LATE
+from protocol.timeouts import MS, SERVO_TARGET_LEAD_MAX_S, STATE_LATE_TIMEOUT
 
 _ROUNDING = 1e-9  # relative: a planner that plans to the limit is not refused for its last bit
 _REST = 1e-6  # rad/s and rad/s^2: rest, up to rounding
@@ -54,7 +54,7 @@ class GateView:
 class GateVerdict:
     """What may be sent, and why that is not what was requested (empty: it is)."""
 
-    sent: Command
+    command_to_send: Command
     refusals: tuple[Refusal, ...] = ()
 
 
@@ -112,10 +112,15 @@ def _in_state(view: GateView, states: tuple[PlcState, ...], subject: str) -> Ite
 
 
 def _stale_state_refusals(view: GateView) -> Iterator[Refusal]:
-    if not 0 <= view.state_age_ns <= STATE_LATE.ns:
+    if not 0 <= view.state_age_ns <= STATE_LATE_TIMEOUT.duration_ns:
         remedy = "the PLC is not seen; check network and PLC"
         yield Refusal(
-            RejectCode.ECHO_STALE, "age of the PLC state", view.state_age_ns / MS, STATE_LATE.ns / MS, "ms", remedy
+            RejectCode.ECHO_STALE,
+            "age of the PLC state",
+            view.state_age_ns / MS,
+            STATE_LATE_TIMEOUT.duration_ns / MS,
+            "ms",
+            remedy,
         )
 
 
@@ -188,7 +193,7 @@ def _servo_refusals(command: Command, view: GateView, table: LimitTable) -> Iter
     target = command.knots[0]
     yield from _one_knot(target, table)
     for i, axis in enumerate(table.axes):
-        step, reach = abs(target.q[i] - view.q_ref[i]), axis.qd_max * SERVO_REACH_S
+        step, reach = abs(target.q[i] - view.q_ref[i]), axis.qd_max * SERVO_TARGET_LEAD_MAX_S
         if not step <= reach:
             remedy = "begin at q_ref and move the target in small steps"
             yield Refusal(RejectCode.IMPLIED_SPEED, f"{axis.name}: target minus q_ref", step, reach, "rad", remedy)

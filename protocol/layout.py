@@ -8,7 +8,7 @@ import hashlib
 import struct
 from dataclasses import dataclass
 
-AXES = 8
+N_AXIS_SLOTS = 8
 KNOTS_PER_COMMAND = 6
 HEADER_SIZE = 32
 KNOT_SIZE = 200
@@ -34,23 +34,23 @@ class Field:
     """One field: byte offset in the payload (in a knot: from its first byte), IEC 61131-3 type, name, array length."""
 
     offset: int
-    iec: str
+    iec_type: str
     name: str
-    count: int = 1
+    array_length: int = 1
     first_name: str = ""  # what version 1.0 called it, where a minor version gave it a meaning
 
     @property
     def size(self) -> int:
         """Bytes on the wire."""
-        return _CODES[self.iec][1] * self.count
+        return _CODES[self.iec_type][1] * self.array_length
 
     @property
     def format(self) -> str:
         """Its part of a struct format; a byte array travels as bytes."""
-        if self.iec == "USINT" and self.count > 1:
-            return f"{self.count}s"
-        code = _CODES[self.iec][0]
-        return code if self.count == 1 else f"{self.count}{code}"
+        if self.iec_type == "USINT" and self.array_length > 1:
+            return f"{self.array_length}s"
+        code = _CODES[self.iec_type][0]
+        return code if self.array_length == 1 else f"{self.array_length}{code}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,24 +89,25 @@ def _contiguous_block(name: str, end: int, *fields: Field) -> Block:
 
 
 # fmt: off
-HEADER = _contiguous_block("header", 32, Field(0, "UDINT", "magic"), Field(4, "USINT", "ver_major"),
+HEADER_LAYOUT = _contiguous_block("header", 32, Field(0, "UDINT", "magic"), Field(4, "USINT", "ver_major"),
     Field(5, "USINT", "ver_minor"), Field(6, "USINT", "msg_type"), Field(7, "USINT", "hdr_len"),
     Field(8, "UINT", "payload_len"), Field(10, "UINT", "flags"), Field(12, "UDINT", "layout_id"),
     Field(16, "UDINT", "session"), Field(20, "UDINT", "seq"), Field(24, "ULINT", "t_send_ns"))
 
-COMMAND_BODY = _contiguous_block("command", 80, Field(32, "UDINT", "arm_nonce"), Field(36, "UDINT", "ack_plc_seq"),
+COMMAND_BODY_LAYOUT = _contiguous_block("command", 80, Field(32, "UDINT", "arm_nonce"), Field(36, "UDINT",
+    "ack_plc_seq"),
     Field(40, "ULINT", "t_plc_echo_ns"), Field(48, "UINT", "mode"), Field(50, "UINT", "axis_mask"),
     Field(52, "UDINT", "cfg_id"), Field(56, "UDINT", "traj_id"), Field(60, "UDINT", "knot_first"),
     Field(64, "USINT", "knot_count"), Field(65, "USINT", "interp"), Field(66, "UINT", "cmd_flags"),
     Field(68, "UDINT", "timeout_us"), Field(72, "LREAL", "speed_override"))
 
-KNOT = _contiguous_block("knot", KNOT_SIZE, Field(0, "ULINT", "t_ns"), Field(8, "LREAL", "q", AXES),
-    Field(72, "LREAL", "qd", AXES), Field(136, "LREAL", "qdd", AXES))
+KNOT_LAYOUT = _contiguous_block("knot", KNOT_SIZE, Field(0, "ULINT", "t_ns"), Field(8, "LREAL", "q", N_AXIS_SLOTS),
+    Field(72, "LREAL", "qd", N_AXIS_SLOTS), Field(136, "LREAL", "qdd", N_AXIS_SLOTS))
 
-COMMAND_TAIL = _contiguous_block("command tail", COMMAND_SIZE, Field(1280, "USINT", "auth_tag", 16),
+COMMAND_TAIL_LAYOUT = _contiguous_block("command tail", COMMAND_SIZE, Field(1280, "USINT", "auth_tag", 16),
     Field(1296, "UDINT", "reserved"), Field(1300, "UDINT", "crc"))
 
-STATE_BODY = _contiguous_block("state", STATE_SIZE, Field(32, "UDINT", "nonce"), Field(36, "UDINT", "ack_seq"),
+STATE_BODY_LAYOUT = _contiguous_block("state", STATE_SIZE, Field(32, "UDINT", "nonce"), Field(36, "UDINT", "ack_seq"),
     Field(40, "ULINT", "t_pc_echo_ns"), Field(48, "UDINT", "rx_age_us"), Field(52, "UDINT", "plc_cycle"),
     Field(56, "UINT", "plc_cycle_us"), Field(58, "USINT", "plc_state"), Field(59, "USINT", "link_state"),
     Field(60, "UINT", "mode_active"), Field(62, "UINT", "axis_mask"), Field(64, "ULINT", "fault_bits"),
@@ -115,20 +116,23 @@ STATE_BODY = _contiguous_block("state", STATE_SIZE, Field(32, "UDINT", "nonce"),
     Field(96, "UDINT", "knot_playing"), Field(100, "UDINT", "knot_last"), Field(104, "ULINT", "t_play_ns"),
     Field(112, "UDINT", "buffer_us"), Field(116, "UDINT", "underruns"), Field(120, "UDINT", "rx_ok"),
     Field(124, "UDINT", "rx_lost"), Field(128, "UDINT", "rx_dup"), Field(132, "UDINT", "rx_late"),
-    Field(136, "UDINT", "rx_bad"), Field(140, "UDINT", "wd_trips"), Field(144, "LREAL", "q", AXES),
-    Field(208, "LREAL", "qd", AXES), Field(272, "LREAL", "q_ref", AXES), Field(336, "LREAL", "qd_ref", AXES),
-    Field(400, "REAL", "valve_cmd", AXES), Field(432, "REAL", "p_a", AXES), Field(464, "REAL", "p_b", AXES),
-    Field(496, "UDINT", "axis_status", AXES), Field(528, "REAL", "p_supply"), Field(532, "REAL", "p_tank"),
+    Field(136, "UDINT", "rx_bad"), Field(140, "UDINT", "wd_trips"), Field(144, "LREAL", "q", N_AXIS_SLOTS),
+    Field(208, "LREAL", "qd", N_AXIS_SLOTS), Field(272, "LREAL", "q_ref", N_AXIS_SLOTS), Field(336, "LREAL", "qd_ref",
+        N_AXIS_SLOTS),
+    Field(400, "REAL", "valve_cmd", N_AXIS_SLOTS), Field(432, "REAL", "p_a", N_AXIS_SLOTS), Field(464, "REAL", "p_b",
+        N_AXIS_SLOTS),
+    Field(496, "UDINT", "axis_status", N_AXIS_SLOTS), Field(528, "REAL", "p_supply"), Field(532, "REAL", "p_tank"),
     Field(536, "REAL", "t_oil"), Field(540, "REAL", "speed_scale"), Field(544, "USINT", "auth_tag", 16),
     Field(560, "UDINT", "reject_offset", first_name="reserved"), Field(564, "UDINT", "crc"))
 
-LIMITS = _contiguous_block("limits", 288, Field(0, "UDINT", "n_axes"), Field(4, "UDINT", "reserved"),
+LIMIT_TABLE_LAYOUT = _contiguous_block("limits", 288, Field(0, "UDINT", "n_axes"), Field(4, "UDINT", "reserved"),
     Field(8, "ULINT", "spacing_min_ns"), Field(16, "ULINT", "spacing_max_ns"), Field(24, "LREAL", "start_tolerance"),
-    Field(32, "LREAL", "q_min", AXES), Field(96, "LREAL", "q_max", AXES), Field(160, "LREAL", "qd_max", AXES),
-    Field(224, "LREAL", "qdd_max", AXES))  # never sent: what cfg_id is the CRC-32 of
+    Field(32, "LREAL", "q_min", N_AXIS_SLOTS), Field(96, "LREAL", "q_max", N_AXIS_SLOTS), Field(160, "LREAL", "qd_max",
+        N_AXIS_SLOTS),
+    Field(224, "LREAL", "qdd_max", N_AXIS_SLOTS))  # never sent: what cfg_id is the CRC-32 of
 # fmt: on
 
-BLOCKS = (HEADER, COMMAND_BODY, KNOT, COMMAND_TAIL, STATE_BODY)
+MESSAGE_BLOCK_LAYOUTS = (HEADER_LAYOUT, COMMAND_BODY_LAYOUT, KNOT_LAYOUT, COMMAND_TAIL_LAYOUT, STATE_BODY_LAYOUT)
 
 
 def _schema_text() -> str:
@@ -136,9 +140,14 @@ def _schema_text() -> str:
 
     A minor version may give reserved bytes a meaning; it leaves sizes, offsets and so this text as they are.
     """
-    lines = [f"HMLINK {VERSION_MAJOR} axes {AXES} knots {KNOTS_PER_COMMAND} command {COMMAND_SIZE} state {STATE_SIZE}"]
-    for block in BLOCKS:
-        lines += [f"{block.name} {f.offset} {f.iec}[{f.count}] {f.first_name or f.name}" for f in block.fields]
+    lines = [
+        f"HMLINK {VERSION_MAJOR} axes {N_AXIS_SLOTS} knots {KNOTS_PER_COMMAND} command {COMMAND_SIZE} state "
+        f"{STATE_SIZE}"
+    ]
+    for block in MESSAGE_BLOCK_LAYOUTS:
+        lines += [
+            f"{block.name} {f.offset} {f.iec_type}[{f.array_length}] {f.first_name or f.name}" for f in block.fields
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -148,11 +157,14 @@ LAYOUT_ID = int.from_bytes(hashlib.sha256(SCHEMA_TEXT.encode("ascii")).digest()[
 
 def offsets_markdown(block: Block) -> str:
     """One block as a documentation table."""
-    rows = [f"| {f.offset} | {f.iec}{f'[{f.count}]' if f.count > 1 else ''} | {f.name} |" for f in block.fields]
+    rows = [
+        f"| {f.offset} | {f.iec_type}{f'[{f.array_length}]' if f.array_length > 1 else ''} | {f.name} |"
+        for f in block.fields
+    ]
     return "\n".join(["| off | type | field |", "|---|---|---|", *rows])
 
 
-_COMMAND_FIELDS = (*HEADER.fields, *COMMAND_BODY.fields, *COMMAND_TAIL.fields)
+_COMMAND_FIELDS = (*HEADER_LAYOUT.fields, *COMMAND_BODY_LAYOUT.fields, *COMMAND_TAIL_LAYOUT.fields)
 KNOTS_OFFSET = 80
 
 
@@ -160,17 +172,21 @@ def _element_at_offset(fields: tuple[Field, ...], offset: int) -> tuple[str, str
     """Name with index, IEC type and start of the element that covers a byte."""
     for field in fields:
         if field.offset <= offset < field.offset + field.size:
-            size = field.size // field.count
+            size = field.size // field.array_length
             i = (offset - field.offset) // size
-            return f"{field.name}[{i}]" if field.count > 1 else field.name, field.iec, field.offset + i * size
+            return (
+                f"{field.name}[{i}]" if field.array_length > 1 else field.name,
+                field.iec_type,
+                field.offset + i * size,
+            )
     return None
 
 
 def command_field_at(offset: int) -> tuple[str, str, int] | None:
     """Name, IEC type and start of the command's field that covers a byte; None where there is none."""
-    if KNOTS_OFFSET <= offset < COMMAND_TAIL.offset:
+    if KNOTS_OFFSET <= offset < COMMAND_TAIL_LAYOUT.offset:
         k, within = divmod(offset - KNOTS_OFFSET, KNOT_SIZE)
-        found = _element_at_offset(KNOT.fields, within)
+        found = _element_at_offset(KNOT_LAYOUT.fields, within)
         return (f"knot[{k}].{found[0]}", found[1], KNOTS_OFFSET + k * KNOT_SIZE + found[2]) if found else None
     return _element_at_offset(_COMMAND_FIELDS, offset)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from protocol.errors import LocalProtocolError
-from protocol.layout import AXES, LIMITS
+from protocol.layout import LIMIT_TABLE_LAYOUT, N_AXIS_SLOTS
 from protocol.timeouts import KNOT_SPACING_MAX_NS, KNOT_SPACING_MIN_NS, START_TOLERANCE_RAD
 
 
@@ -63,8 +63,10 @@ class LimitTable:
 def limits_of(joints: Iterable[JointLimits]) -> LimitTable:
     """The table of a machine's joints. Raises: LocalProtocolError: not 1..8 joints."""
     axes = tuple(AxisLimits(j.name, j.q_min_rad, j.q_max_rad, j.qd_max_rad_s, j.qdd_max_rad_s2) for j in joints)
-    if not 1 <= len(axes) <= AXES:
-        raise LocalProtocolError(f"machine: {len(axes)} joints, the link carries 1..{AXES}; leave the others out")
+    if not 1 <= len(axes) <= N_AXIS_SLOTS:
+        raise LocalProtocolError(
+            f"machine: {len(axes)} joints, the link carries 1..{N_AXIS_SLOTS}; leave the others out"
+        )
     return LimitTable(axes)
 
 
@@ -76,6 +78,6 @@ def axis_mask(table: LimitTable) -> int:
 def cfg_id(table: LimitTable) -> int:
     """CRC-32 of the table packed as layout.LIMITS, unused axes 0: a PLC computes it from its own constants."""
     columns = zip(*((a.q_min, a.q_max, a.qd_max, a.qdd_max) for a in table.axes), strict=True)
-    numbers = [float(x) for column in columns for x in (*column, *(0.0,) * (AXES - len(table.axes)))]
+    numbers = [float(x) for column in columns for x in (*column, *(0.0,) * (N_AXIS_SLOTS - len(table.axes)))]
     head = (len(table.axes), 0, table.spacing_min_ns, table.spacing_max_ns, table.start_tolerance_rad)
-    return zlib.crc32(LIMITS.codec.pack(*head, *numbers))
+    return zlib.crc32(LIMIT_TABLE_LAYOUT.codec.pack(*head, *numbers))

@@ -3,18 +3,18 @@
 from dataclasses import dataclass
 
 from protocol.codes import CommandFlag, HeaderFlag, Interp, LinkState, Mode, PlcState
-from protocol.layout import AXES, VERSION_MINOR
+from protocol.layout import N_AXIS_SLOTS, VERSION_MINOR
 
 Axes = tuple[float, ...]
 _NO_HEADER_FLAGS = HeaderFlag(0)
 _NO_COMMAND_FLAGS = CommandFlag(0)
-ZEROS: Axes = (0.0,) * AXES
-NO_TAG = bytes(16)
+ZEROS: Axes = (0.0,) * N_AXIS_SLOTS
+EMPTY_AUTH_TAG = bytes(16)
 
 
 def pad_to_eight_axes(values: tuple[float, ...]) -> Axes:
     """The values of a machine's joints, filled up with zeros to 8 axes."""
-    return (*values, *(0.0,) * (AXES - len(values)))
+    return (*values, *(0.0,) * (N_AXIS_SLOTS - len(values)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Command:
     timeout_us: int = 0
     speed_override: float = 1.0
     knots: tuple[Knot, ...] = ()
-    auth_tag: bytes = NO_TAG
+    auth_tag: bytes = EMPTY_AUTH_TAG
     ver_minor: int = VERSION_MINOR
 
 
@@ -76,7 +76,7 @@ class PlcStatus:
     valve_cmd: Axes = ZEROS
     p_a: Axes = ZEROS
     p_b: Axes = ZEROS
-    axis_status: tuple[int, ...] = (0,) * AXES
+    axis_status: tuple[int, ...] = (0,) * N_AXIS_SLOTS
     p_supply: float = 0.0
     p_tank: float = 0.0
     t_oil: float = 0.0
@@ -128,11 +128,11 @@ class State:
     valve_cmd: Axes = ZEROS
     p_a: Axes = ZEROS
     p_b: Axes = ZEROS
-    axis_status: tuple[int, ...] = (0,) * AXES
+    axis_status: tuple[int, ...] = (0,) * N_AXIS_SLOTS
     p_supply: float = 0.0
     p_tank: float = 0.0
     t_oil: float = 0.0
     speed_scale: float = 1.0
     reject_offset: int = 0
-    auth_tag: bytes = NO_TAG
+    auth_tag: bytes = EMPTY_AUTH_TAG
     ver_minor: int = VERSION_MINOR

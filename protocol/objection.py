@@ -4,10 +4,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from protocol.codes import RejectCode
-from protocol.layout import COMMAND_BODY, KNOT, KNOT_SIZE, KNOTS_OFFSET
+from protocol.layout import COMMAND_BODY_LAYOUT, KNOT_LAYOUT, KNOT_SIZE, KNOTS_OFFSET
 
-_BODY = {field.name: field.offset for field in COMMAND_BODY.fields}
-_KNOT = {field.name: field.offset for field in KNOT.fields}
+_BODY = {field.name: field.offset for field in COMMAND_BODY_LAYOUT.fields}
+_KNOT = {field.name: field.offset for field in KNOT_LAYOUT.fields}
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +15,7 @@ class Objection:
     """One reason against a command; `offset` 0 means that no single field is to blame."""
 
     code: RejectCode
-    offset: int = 0
+    field_offset: int = 0
 
 
 def object_to(code: RejectCode, field: str) -> Objection:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from protocol.codes import CommandFlag
 from protocol.layout import KNOTS_PER_COMMAND
 from protocol.messages import Knot, State
-from protocol.timeouts import PREFILL_NS, RING_KNOTS
+from protocol.timeouts import KNOT_RING_CAPACITY, PREFILL_NS
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,8 +14,8 @@ class Window:
 
     knot_first: int
     knots: tuple[Knot, ...]
-    before: Knot | None
-    flags: CommandFlag
+    knot_before: Knot | None
+    command_flags: CommandFlag
 
     def holds_knot(self, index: int) -> bool:
         """Whether the knot of that index is among them."""
@@ -38,7 +38,7 @@ class Playback:
 
     traj_id: int
     knots: tuple[Knot, ...]
-    splice: int | None = None
+    splice_knot_index: int | None = None
 
     @property
     def last(self) -> int:
@@ -48,18 +48,18 @@ class Playback:
     def with_tail(self, first: int, knots: tuple[Knot, ...]) -> "Playback":
         """The same trajectory with everything from `first` on replaced; `splice` stays None if that changes nothing."""
         new = (*self.knots[:first], *knots)
-        return replace(self, knots=new, splice=_first_difference(self.knots, new))
+        return replace(self, knots=new, splice_knot_index=_first_difference(self.knots, new))
 
     def with_splice_accepted(self) -> "Playback":
         """The PLC has taken the new tail."""
-        return replace(self, splice=None)
+        return replace(self, splice_knot_index=None)
 
     def window(self, state: State) -> Window:
         """The first knots that the PLC is missing, while its ring has room; else the next unplayed ones again."""
         first = self._first(state)
         knots = self.knots[first : first + KNOTS_PER_COMMAND]
         flags = CommandFlag.START if self._may_start(state) else CommandFlag(0)
-        if self.splice is not None:
+        if self.splice_knot_index is not None:
             flags |= CommandFlag.TAIL_REPLACES
         if first + len(knots) > self.last:
             flags |= CommandFlag.LAST_IS_END
@@ -70,20 +70,22 @@ class Playback:
         if state.traj_id != self.traj_id:
             return False
         held = state.knot_last
-        full = held + 1 + KNOTS_PER_COMMAND - state.knot_playing > RING_KNOTS
+        full = held + 1 + KNOTS_PER_COMMAND - state.knot_playing > KNOT_RING_CAPACITY
         return held >= self.last or self.knots[held].t_ns >= PREFILL_NS or full
 
     def _first(self, state: State) -> int:
         if state.traj_id != self.traj_id:
             return 0
         missing = state.knot_last + 1
-        if self.splice is not None and missing >= self.splice:
-            return self.splice  # sent until it is taken: what the PLC holds from here on is the old tail
-        room = missing + KNOTS_PER_COMMAND - state.knot_playing <= RING_KNOTS
+        if self.splice_knot_index is not None and missing >= self.splice_knot_index:
+            return self.splice_knot_index  # sent until it is taken: what the PLC holds from here on is the old tail
+        room = missing + KNOTS_PER_COMMAND - state.knot_playing <= KNOT_RING_CAPACITY
         wanted = missing if missing <= self.last and room else state.knot_playing
         # a command near the end is filled up from before it, so that it always carries as much as it can
         return max(0, min(wanted, self.last + 1 - KNOTS_PER_COMMAND))
 
     def played_to_end(self, state: State) -> bool:
         """Whether the PLC has played this trajectory to its last knot."""
-        return state.traj_id == self.traj_id and self.splice is None and state.t_play_ns >= self.knots[-1].t_ns
+        return (
+            state.traj_id == self.traj_id and self.splice_knot_index is None and state.t_play_ns >= self.knots[-1].t_ns
+        )

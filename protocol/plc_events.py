@@ -36,9 +36,9 @@ class CommandRejected:
 
     code: RejectCode
     seq: int
-    source: Hashable
+    sender: Hashable
     text: str
-    offset: int = 0  # of the field that is to blame, in the payload
+    field_offset: int = 0  # of the field that is to blame, in the payload
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class SessionOpened:
     """A valid HELLO opened a session; states go to `source` from now on."""
 
     session: int
-    source: Hashable
+    sender: Hashable
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from protocol.codec import decode_command, encode_state, may_be_answered
 from protocol.codes import CommandFlag, HeaderFlag, LinkState, Mode, PlcState, RejectCode, WarnBit
 from protocol.errors import RefusedError, RemoteProtocolError, SessionError
 from protocol.framing import Framing
-from protocol.layout import COMMAND_BODY, HEADER, VERSION_MINOR
+from protocol.layout import COMMAND_BODY_LAYOUT, HEADER_LAYOUT, VERSION_MINOR
 from protocol.messages import Command, PlcStatus, State
 from protocol.objection import Objection
 from protocol.plc_events import (
@@ -25,7 +25,13 @@ from protocol.plc_events import (
 )
 from protocol.plc_states import ARMED_STATES, PlcEvent, next_state
 from protocol.sequence import SequenceKind, classify_sequence, next_sequence
-from protocol.timeouts import COMMAND_LATE, COMMAND_LOST, ECHO_STALE, GOOD_COMMANDS_TO_ARM, SESSION_VOID
+from protocol.timeouts import (
+    COMMAND_LATE_TIMEOUT,
+    COMMAND_LOST_TIMEOUT,
+    ECHO_STALE_TIMEOUT,
+    GOOD_COMMANDS_TO_ARM,
+    SESSION_TIMEOUT,
+)
 
 CommandCheck = Callable[[Command, PlcState], Objection | None]
 
@@ -47,12 +53,12 @@ class PlcLinkSettings:
 
 @dataclass(slots=True)
 class _Counters:
-    ok: int = 0
+    accepted: int = 0
     lost: int = 0
-    dup: int = 0
+    duplicates: int = 0
     late: int = 0
-    bad: int = 0
-    trips: int = 0
+    malformed: int = 0
+    watchdog_trips: int = 0
 
 
 @dataclass(slots=True)
@@ -60,7 +66,7 @@ class _LastReject:
     code: RejectCode = RejectCode.NONE
     count: int = 0
     seq: int = 0
-    offset: int = 0
+    field_offset: int = 0
 
 
 @dataclass(slots=True)
@@ -68,20 +74,20 @@ class _Session:
     """What is known of the PC while a session is open; a void session is a fresh object with id 0."""
 
     session: int = 0
-    source: Hashable = None
+    sender: Hashable = None
     last_seq: int = 0
-    good: int = 0
+    n_good_commands: int = 0
     accepted_ns: int = 0
     pc_time_ns: int = 0
-    timeout_ns: int = COMMAND_LOST.ns
+    timeout_ns: int = COMMAND_LOST_TIMEOUT.duration_ns
     traj_id: int = 0  # newest trajectory seen
-    servo: bool = False  # that one is followed in servo mode
-    spent: bool = False  # that trajectory has ended or was stopped
-    late: bool = False
+    servo_mode: bool = False  # that one is followed in servo mode
+    trajectory_over: bool = False  # that trajectory has ended or was stopped
+    command_late: bool = False
     newer_minor: bool = False
 
 
-_AT = {f.name: f.offset for block in (HEADER, COMMAND_BODY) for f in block.fields}
+_AT = {f.name: f.offset for block in (HEADER_LAYOUT, COMMAND_BODY_LAYOUT) for f in block.fields}
 _STATUS_FIELDS = tuple(f.name for f in fields(PlcStatus) if f.name not in ("simulation", "dry_run"))
 _SAFE_MODES = frozenset({Mode.STOP, Mode.QUICK_STOP, Mode.DISARM})
 _MOTION_MODES = (Mode.TRAJECTORY, Mode.SERVO)
@@ -120,7 +126,7 @@ class PlcLink:
     settings: PlcLinkSettings
     framing: Framing
     draw_nonce: Callable[[], int]
-    check: CommandCheck = accept_all
+    command_check: CommandCheck = accept_all
     state: PlcState = PlcState.BOOT
     peer: Hashable = None  # where states go: the source of the last valid HELLO
     refused: Hashable = None  # a sender that was refused and is not the peer: the next state goes to it too
@@ -160,13 +166,13 @@ class PlcLink:
             return []
         events: list[PlcLinkEvent] = []
         age_ns = self.age_ns(t_plc_ns)
-        if age_ns > self._session.timeout_ns and not self._session.late:
-            self._session.late = True
-            self._session.spent = True  # also what was only prefilled
-            self._counters.trips += 1
+        if age_ns > self._session.timeout_ns and not self._session.command_late:
+            self._session.command_late = True
+            self._session.trajectory_over = True  # also what was only prefilled
+            self._counters.watchdog_trips += 1
             if self.state is PlcState.RUN:
                 events += self.apply(PlcEvent.SOFT_STOP, t_plc_ns)
-        if age_ns > SESSION_VOID.ns:
+        if age_ns > SESSION_TIMEOUT.duration_ns:
             events += self._end_silent_session(t_plc_ns)
         return events
 
@@ -179,7 +185,7 @@ class PlcLink:
         old, new = self.state, next_state(self.state, event)
         self.state = new
         if old is PlcState.RUN and new is not PlcState.RUN:
-            self._session.spent = True  # motion never resumes by itself
+            self._session.trajectory_over = True  # motion never resumes by itself
         if old is new:
             return []
         events: list[PlcLinkEvent] = [StateChanged(old, new, event)]
@@ -221,13 +227,13 @@ class PlcLink:
             reject_code=self._reject.code,
             reject_count=self._reject.count & 0xFFFF,
             reject_seq=self._reject.seq,
-            reject_offset=self._reject.offset,
-            rx_ok=counters.ok,
+            reject_offset=self._reject.field_offset,
+            rx_ok=counters.accepted,
             rx_lost=counters.lost,
-            rx_dup=counters.dup,
+            rx_dup=counters.duplicates,
             rx_late=counters.late,
-            rx_bad=counters.bad,
-            wd_trips=counters.trips,
+            rx_bad=counters.malformed,
+            wd_trips=counters.watchdog_trips,
             **values,
         )
 
@@ -237,7 +243,7 @@ class PlcLink:
         age_ns = self.age_ns(t_plc_ns)
         if age_ns > self._session.timeout_ns:
             return LinkState.LOST
-        return LinkState.LATE if age_ns > COMMAND_LATE.ns else LinkState.FRESH
+        return LinkState.LATE if age_ns > COMMAND_LATE_TIMEOUT.duration_ns else LinkState.FRESH
 
     def _link_warning_bits(self, t_plc_ns: int) -> int:
         link = self._link_state(t_plc_ns)
@@ -258,7 +264,7 @@ class PlcLink:
         self.peer = source  # from here on the PC gets the reason, even if refused below
         self._check_cfg(hello)
         events = self.apply(PlcEvent.HELLO, t_plc_ns)
-        self._session = _Session(session=hello.session, source=source, last_seq=hello.seq)
+        self._session = _Session(session=hello.session, sender=source, last_seq=hello.seq)
         self._counters = _Counters()
         self._reject = _LastReject()
         self.state_seq = 0
@@ -270,12 +276,12 @@ class PlcLink:
         if not self.session or command.session != self.session:
             text = f"session {command.session:#x} is not the open one ({self.session:#x})"
             raise SessionError(RejectCode.SESSION, text, _AT["session"])
-        if source != session.source:
-            text = f"sent from {source}, the session was opened from {session.source}"
+        if source != session.sender:
+            text = f"sent from {source}, the session was opened from {session.sender}"
             raise SessionError(RejectCode.SOURCE, text, _AT["session"])
         sequenced = classify_sequence(session.last_seq, command.seq)
         if sequenced.kind is SequenceKind.DUPLICATE:
-            self._counters.dup += 1
+            self._counters.duplicates += 1
             return []
         if sequenced.kind is SequenceKind.LATE:
             self._counters.late += 1
@@ -286,7 +292,7 @@ class PlcLink:
             command = replace(command, mode=Mode.HEARTBEAT)  # a HELLO again is a heartbeat, whatever its mode says
         mode = command.mode
         self._check_rules(command, mode, t_plc_ns)
-        self._counters.lost += sequenced.lost
+        self._counters.lost += sequenced.n_lost
         return self._accept_command(command, mode, t_plc_ns)
 
     def _check_rules(self, command: Command, mode: Mode, t_plc_ns: int) -> None:
@@ -304,10 +310,10 @@ class PlcLink:
             self._check_motion(command, mode)
         if self._is_spent(command, mode):
             return
-        objection = self.check(command, self.state)
+        objection = self.command_check(command, self.state)
         if objection is not None:
             text = f"mode {mode.name} refused by the PLC's own check"
-            raise RefusedError(objection.code, text, objection.offset)
+            raise RefusedError(objection.code, text, objection.field_offset)
 
     def _check_motion(self, command: Command, mode: Mode) -> None:
         """Numbers of trajectories only rise, and one number keeps to one mode."""
@@ -315,7 +321,7 @@ class PlcLink:
         if command.traj_id < max(session.traj_id, 1):
             text = f"trajectory {command.traj_id} after {session.traj_id}"
             raise RefusedError(RejectCode.TRAJ_ID, text, _AT["traj_id"])
-        if command.traj_id == session.traj_id and session.servo is not (mode is Mode.SERVO):
+        if command.traj_id == session.traj_id and session.servo_mode is not (mode is Mode.SERVO):
             text = f"mode {mode.name} with the number of another mode's trajectory"
             raise RefusedError(RejectCode.MODE_ILLEGAL, text, _AT["mode"])
 
@@ -324,7 +330,7 @@ class PlcLink:
         if unarmed and command.ack_plc_seq == 0 and command.mode is not Mode.ARM:
             return  # the PC has not seen a state of this session yet
         age_ns = t_plc_ns - command.t_plc_echo_ns
-        if not 0 <= age_ns <= ECHO_STALE.ns:
+        if not 0 <= age_ns <= ECHO_STALE_TIMEOUT.duration_ns:
             text = f"the PC's newest state is {age_ns / 1e6:.0f} ms old, limit 250 ms"
             raise SessionError(RejectCode.ECHO_STALE, text, _AT["t_plc_echo_ns"])
 
@@ -337,13 +343,13 @@ class PlcLink:
         if command.arm_nonce != self.nonce:
             text = f"nonce {command.arm_nonce:#x} is not the present one"
             raise RefusedError(RejectCode.NONCE, text, _AT["arm_nonce"])
-        if self.state is PlcState.LINKED and self._session.good < GOOD_COMMANDS_TO_ARM:
-            text = f"{self._session.good} good commands, {GOOD_COMMANDS_TO_ARM} needed"
+        if self.state is PlcState.LINKED and self._session.n_good_commands < GOOD_COMMANDS_TO_ARM:
+            text = f"{self._session.n_good_commands} good commands, {GOOD_COMMANDS_TO_ARM} needed"
             raise RefusedError(RejectCode.LINK_NOT_PROVEN, text, _AT["mode"])
 
     def _is_spent(self, command: Command, mode: Mode) -> bool:
         """Whether this is a repetition of a trajectory that is over: it keeps the link alive and does nothing else."""
-        return mode in _MOTION_MODES and command.traj_id == self._session.traj_id and self._session.spent
+        return mode in _MOTION_MODES and command.traj_id == self._session.traj_id and self._session.trajectory_over
 
     def _accept_command(self, command: Command, mode: Mode, t_plc_ns: int) -> list[PlcLinkEvent]:
         """An accepted command: feed the watchdog, move the state machine, hand it up."""
@@ -352,7 +358,7 @@ class PlcLink:
             return self._take_motion(command, mode, t_plc_ns)
         effect = _EFFECTS.get(mode, PlcAction.KEEPALIVE)
         if effect in _STOPS:
-            self._session.spent = True  # also what was only prefilled: the stop was meant for it
+            self._session.trajectory_over = True  # also what was only prefilled: the stop was meant for it
         accepted: list[PlcLinkEvent] = [CommandAccepted(command, effect)]
         event = _EVENTS.get(effect)
         return accepted if event is None else [*self.apply(event, t_plc_ns), *accepted]
@@ -362,8 +368,8 @@ class PlcLink:
             return [CommandAccepted(command, PlcAction.KEEPALIVE)]
         if self.state is PlcState.RUN and command.traj_id != self._session.traj_id:
             return [*self.apply(PlcEvent.SOFT_STOP, t_plc_ns), CommandAccepted(command, PlcAction.KEEPALIVE)]
-        self._session.traj_id, self._session.servo = command.traj_id, mode is Mode.SERVO
-        self._session.spent = False
+        self._session.traj_id, self._session.servo_mode = command.traj_id, mode is Mode.SERVO
+        self._session.trajectory_over = False
         events: list[PlcLinkEvent] = []
         if self.state is PlcState.HOLD and CommandFlag.START in command.cmd_flags:
             events = self.apply(PlcEvent.START, t_plc_ns)
@@ -374,17 +380,21 @@ class PlcLink:
         session.last_seq = command.seq
         session.accepted_ns = t_plc_ns
         session.pc_time_ns = command.t_send_ns
-        session.good += 1
-        session.late = False
+        session.n_good_commands += 1
+        session.command_late = False
         session.newer_minor = command.ver_minor > VERSION_MINOR
         asked_ns = command.timeout_us * 1000
-        session.timeout_ns = min(max(asked_ns, COMMAND_LATE.ns), COMMAND_LOST.ns) if asked_ns else COMMAND_LOST.ns
-        self._counters.ok += 1
+        session.timeout_ns = (
+            min(max(asked_ns, COMMAND_LATE_TIMEOUT.duration_ns), COMMAND_LOST_TIMEOUT.duration_ns)
+            if asked_ns
+            else COMMAND_LOST_TIMEOUT.duration_ns
+        )
+        self._counters.accepted += 1
 
     def _refuse(self, error: RemoteProtocolError, seq: int, source: Hashable, t_plc_ns: int) -> list[PlcLinkEvent]:
         """Note a refusal. A PC that has gone blind is stopped: the one rule whose failure moves the state."""
-        self._counters.bad += 1
-        self._reject.code, self._reject.seq, self._reject.offset = error.code, seq, error.offset
+        self._counters.malformed += 1
+        self._reject.code, self._reject.seq, self._reject.field_offset = error.code, seq, error.offset
         self._reject.count += 1
         events: list[PlcLinkEvent] = [CommandRejected(error.code, seq, source, error.text, error.offset)]
         if error.code is RejectCode.ECHO_STALE and self.state is PlcState.RUN:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import Enum
 
-from protocol.timeouts import SEQUENCE_JUMP
+from protocol.timeouts import SEQUENCE_JUMP_MAX
 
 
 class SequenceKind(Enum):
@@ -21,7 +21,7 @@ class SequenceVerdict:
     """The verdict; `lost` counts the numbers skipped (GAP only)."""
 
     kind: SequenceKind
-    lost: int = 0
+    n_lost: int = 0
 
     @property
     def is_usable(self) -> bool:
@@ -34,11 +34,11 @@ def classify_sequence(last: int, seq: int) -> SequenceVerdict:
     delta = (seq - last + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
     if delta == 1:
         return SequenceVerdict(SequenceKind.NEXT)
-    if 2 <= delta <= SEQUENCE_JUMP:
-        return SequenceVerdict(SequenceKind.GAP, lost=delta - 1)
+    if 2 <= delta <= SEQUENCE_JUMP_MAX:
+        return SequenceVerdict(SequenceKind.GAP, n_lost=delta - 1)
     if delta == 0:
         return SequenceVerdict(SequenceKind.DUPLICATE)
-    if -SEQUENCE_JUMP <= delta < 0:
+    if -SEQUENCE_JUMP_MAX <= delta < 0:
         return SequenceVerdict(SequenceKind.LATE)
     return SequenceVerdict(SequenceKind.JUMP)
 

@@ -36,7 +36,13 @@ _WHOLE = {"auth_tag"}  # bytes, shown as one
 
 def lua_dissector() -> str:
     """The text of hmlink.lua."""
-    blocks = (layout.HEADER, layout.COMMAND_BODY, layout.KNOT, layout.COMMAND_TAIL, layout.STATE_BODY)
+    blocks = (
+        layout.HEADER_LAYOUT,
+        layout.COMMAND_BODY_LAYOUT,
+        layout.KNOT_LAYOUT,
+        layout.COMMAND_TAIL_LAYOUT,
+        layout.STATE_BODY_LAYOUT,
+    )
     fields = {_field_key(block, field): field for block in reversed(blocks) for field in reversed(block.fields)}
     proto_fields = [_proto_field(key, field) for key, field in reversed(fields.items())]
     places = {
@@ -68,8 +74,11 @@ def _lua_constants() -> str:
         ("KNOTS", layout.KNOTS_PER_COMMAND),
         ("PLC_PORT", RAW_PLC_PORT),
         ("PC_PORT", RAW_PC_PORT),
-        *((f"OFS_{f.name.upper()}", f.offset) for f in (*layout.HEADER.fields, *layout.COMMAND_BODY.fields)),
-        *((f"STATE_{f.name.upper()}", f.offset) for f in layout.STATE_BODY.fields if f.name in _IN_STATE),
+        *(
+            (f"OFS_{f.name.upper()}", f.offset)
+            for f in (*layout.HEADER_LAYOUT.fields, *layout.COMMAND_BODY_LAYOUT.fields)
+        ),
+        *((f"STATE_{f.name.upper()}", f.offset) for f in layout.STATE_BODY_LAYOUT.fields if f.name in _IN_STATE),
     )
     return "\n".join(f"local {name} = {value}" for name, value in numbers)
 
@@ -78,7 +87,7 @@ _IN_STATE = {"ack_seq", "plc_state", "reject_code", "reject_seq", "reject_offset
 
 
 def _field_key(block: Block, field: Field) -> str:
-    return f"knot.{field.name}" if block is layout.KNOT else field.name
+    return f"knot.{field.name}" if block is layout.KNOT_LAYOUT else field.name
 
 
 def _name_table(kind: type[IntEnum]) -> str:
@@ -90,7 +99,7 @@ def _lua_enum_table(kind: type[IntEnum]) -> str:
 
 
 def _proto_field(key: str, field: Field) -> str:
-    kind = "bytes" if field.name in _WHOLE else _LUA_TYPES[field.iec]
+    kind = "bytes" if field.name in _WHOLE else _LUA_TYPES[field.iec_type]
     extra = ""
     if field.name in _VALUES:
         extra = f", base.DEC, {_name_table(_VALUES[field.name])}"
@@ -101,7 +110,7 @@ def _proto_field(key: str, field: Field) -> str:
 
 def _flag_fields(name: str, field: Field) -> str:
     """One boolean a bit, such as hmlink.fault_bits.estop; every bit with a name lies in the first 4 bytes."""
-    width = min(4, field.size // field.count)
+    width = min(4, field.size // field.array_length)
     rows = [
         f'  ProtoField.bool("hmlink.{name}.{str(bit.name).lower()}", "{bit.name}", {8 * width}, nil, {int(bit):#x}),'
         for bit in _FLAGS[name]
@@ -112,7 +121,7 @@ def _flag_fields(name: str, field: Field) -> str:
 def _lua_field_table(block: Block) -> str:
     rows = []
     for field in block.fields:
-        count = 1 if field.name in _WHOLE else field.count
+        count = 1 if field.name in _WHOLE else field.array_length
         rows.append(f'  {{ "{_field_key(block, field)}", {field.offset}, {field.size // count}, {count} }},')
     return f"local {block.name.replace(' ', '_')}_fields = {{\n" + "\n".join(rows) + "\n}"
 

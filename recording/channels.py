@@ -7,20 +7,27 @@ from collections import Counter
 
 from mcap.records import Channel, McapRecord, Message, Schema
 
-from recording.foxglove import STRING_NAME
-from recording.messages import CODECS
-from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, JOINT_TOPIC, LOG_TOPIC, ROBOT_TOPIC, TRANSFORM_TOPIC
+from recording.foxglove import STRING_SCHEMA_NAME
+from recording.messages import ROW_CODEC_BY_TOPIC
+from recording.writer import (
+    CALIBRATION_TOPIC,
+    IMAGE_TOPIC,
+    JOINT_TOPIC,
+    LOG_TOPIC,
+    ROBOT_DESCRIPTION_TOPIC,
+    TRANSFORM_TOPIC,
+)
 
-ENCODING = "protobuf"
-SCHEMAS = {topic: codec.schema_name for topic, codec in CODECS.items()} | {
+DEFAULT_ENCODING = "protobuf"
+SCHEMA_NAME_BY_TOPIC = {topic: codec.schema_name for topic, codec in ROW_CODEC_BY_TOPIC.items()} | {
     IMAGE_TOPIC: "foxglove.CompressedImage",
     CALIBRATION_TOPIC: "foxglove.CameraCalibration",
     TRANSFORM_TOPIC: "foxglove.FrameTransforms",
     LOG_TOPIC: "foxglove.Log",
     JOINT_TOPIC: "foxglove.JointStates",
-    ROBOT_TOPIC: STRING_NAME,
+    ROBOT_DESCRIPTION_TOPIC: STRING_SCHEMA_NAME,
 }
-ENCODINGS = {ROBOT_TOPIC: ("json", "jsonschema")}  # of message and schema; all others are protobuf
+ENCODINGS_BY_TOPIC = {ROBOT_DESCRIPTION_TOPIC: ("json", "jsonschema")}  # of message and schema; all others are protobuf
 
 
 class Channels:
@@ -47,8 +54,8 @@ class Channels:
         channel = self._channels[message.channel_id]
         schema = self._schemas.get(channel.schema_id)
         encodings = (channel.message_encoding, "" if schema is None else schema.encoding)
-        expected = ENCODINGS.get(channel.topic, (ENCODING, ENCODING))
-        ours = SCHEMAS.get(channel.topic) == (schema and schema.name) and encodings == expected
+        expected = ENCODINGS_BY_TOPIC.get(channel.topic, (DEFAULT_ENCODING, DEFAULT_ENCODING))
+        ours = SCHEMA_NAME_BY_TOPIC.get(channel.topic) == (schema and schema.name) and encodings == expected
         if ours and schema is not None and self._has_expected_layout(channel.topic, schema):
             return channel.topic
         self._foreign[message.channel_id] += 1
@@ -57,7 +64,9 @@ class Channels:
     def _has_expected_layout(self, topic: str, schema: Schema) -> bool:
         """Whether a message's fields have the numbers and types of ours: another layout would be read as nonsense."""
         if schema.id not in self._fitting:
-            self._fitting[schema.id] = topic not in CODECS or CODECS[topic].can_read(schema.data)
+            self._fitting[schema.id] = topic not in ROW_CODEC_BY_TOPIC or ROW_CODEC_BY_TOPIC[topic].can_read(
+                schema.data
+            )
         return self._fitting[schema.id]
 
     @property

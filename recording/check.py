@@ -10,7 +10,7 @@ from machine.description import parse_machine_toml
 from machine.errors import MachineError
 from recording.content import Recording, column
 from recording.opening import read_run
-from recording.recover import RECOVERED
+from recording.recover import RECOVERED_METADATA_NAME
 from recording.rows import MarkerCorners, OdometryRow, PlcState, Row, Sent, StaticPoint, TrackerPoint
 
 GAP_FACTOR = 3.0  # a step in time beyond this many median steps is a gap
@@ -21,10 +21,10 @@ class SignalCheck:
     """One kind of rows: how many, how fast, how long, with how many gaps."""
 
     name: str
-    rows: int
+    n_rows: int
     rate_hz: float
     duration_s: float
-    gaps: int
+    n_gaps: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,10 +43,10 @@ class CheckReport:
     path: Path
     complete: bool
     signals: tuple[SignalCheck, ...]
-    missing: tuple[MissingSignalFinding, ...]
+    missing_signals: tuple[MissingSignalFinding, ...]
     problems: tuple[str, ...]
     usable: bool
-    images: int
+    n_images: int
 
 
 def _is_plc_field_recorded(recording: Recording, name: str) -> bool:
@@ -95,7 +95,7 @@ _NEEDS: tuple[tuple[str, Callable[[Recording], bool], str, str], ...] = (
         "the camera motion is known only while markers are visible", "switch odometry on, or keep the wall in view",
     ),
     (
-        "segments with repeat_of", lambda recording: any(segment.repeat_of for segment in recording.run.segments),
+        "segments with repeat_of", lambda recording: any(segment.repeat_of for segment in recording.run_info.segments),
         "the noise floor must be assumed: no command was repeated",
         "drive at least one command four times and name its runs in run.toml",
     ),
@@ -130,10 +130,10 @@ def check_recording(path: Path) -> CheckReport:
         path=path,
         complete=recording.complete,
         signals=tuple(signals),
-        missing=missing,
+        missing_signals=missing,
         problems=tuple(_recording_problems(recording)),
         usable="machine.toml" not in names and ("plc.csv q" not in names or bool(static)),
-        images=recording.images,
+        n_images=recording.n_images,
     )
 
 
@@ -152,20 +152,23 @@ def _recording_problems(recording: Recording) -> list[str]:
     problems: list[str] = []
     if not recording.complete:
         remedy = "`longreach recording recover` writes a complete file from the readable part"
-        problems.append("it was made of a cut or damaged file" if recording.run.cut else f"the file was cut; {remedy}")
-    left = dict(recording.metadata)
-    if (lost := left.get(f"{RECOVERED}.lost_chunks")) is not None:
         problems.append(
-            f"it holds the readable part of a damaged file: {lost} chunks lost, {left[f'{RECOVERED}.reason']}"
+            "it was made of a cut or damaged file" if recording.run_info.cut else f"the file was cut; {remedy}"
         )
-    problems += [f"channel {channel}: it is not of this format" for channel in recording.foreign]
+    left = dict(recording.metadata)
+    if (lost := left.get(f"{RECOVERED_METADATA_NAME}.lost_chunks")) is not None:
+        problems.append(
+            f"it holds the readable part of a damaged file: {lost} chunks lost, "
+            f"{left[f'{RECOVERED_METADATA_NAME}.reason']}"
+        )
+    problems += [f"channel {channel}: it is not of this format" for channel in recording.foreign_channels]
     for row_type, name in _TIMES:
         times_s = column(recording.of(row_type), name)
         back = int(np.sum(np.diff(times_s) < 0.0))
         if back:
             problems.append(f"{row_type.topic.strip('/')}: {name} runs backwards {back} times; sort the rows by time")
     problems += _machine_problems(recording)
-    if recording.run.plc_to_pc_offset_s is None and recording.of(Sent):
+    if recording.run_info.plc_to_pc_offset_s is None and recording.of(Sent):
         problems.append("run.toml has no clocks.plc_to_pc_offset_s: the link delay is known only up to a constant")
     return problems
 

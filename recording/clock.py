@@ -31,7 +31,7 @@ def suspended_ns() -> int:
     return (least_ns + most_ns) // 2
 
 
-SUSPENDED = "this computer was suspended; acquire control, look and plan again"
+SUSPENDED_REASON = "this computer was suspended; acquire control, look and plan again"
 
 
 class SuspendWatch:

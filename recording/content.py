@@ -36,16 +36,16 @@ class Attachment:
 class Recording:
     """Everything numeric of one run. Images stay in the MCAP file and are only counted."""
 
-    form: Literal["mcap", "folder"]
-    run: RunInfo
+    storage_format: Literal["mcap", "folder"]
+    run_info: RunInfo
     machine_toml: str
     rows: tuple[Row, ...]
-    log: tuple[LogEntry, ...] = ()
+    log_entries: tuple[LogEntry, ...] = ()
     attachments: tuple[Attachment, ...] = ()
     metadata: tuple[tuple[str, str], ...] = ()
-    images: int = 0
+    n_images: int = 0
     complete: bool = True  # False: the MCAP file was cut, what could be read was read
-    foreign: tuple[str, ...] = ()  # channels of an MCAP file that are not of this format, in words
+    foreign_channels: tuple[str, ...] = ()  # channels of an MCAP file that are not of this format, in words
 
     def of(self, row_type: type[AnyRow]) -> tuple[AnyRow, ...]:
         """The rows of one kind, in order."""

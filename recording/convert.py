@@ -15,10 +15,10 @@ from recording.folder import write_folder
 from recording.opening import read_run
 from recording.rows import Row
 from recording.run import RunInfo
-from recording.writer import RECOVERABLE, TIME_MOST_NS, RunWriter
+from recording.writer import MCAP_TIME_MAX_NS, RECOVERABLE_ROWS_HINT, RunWriter
 
 COUNT_LEAST, COUNT_MOST = -(2**63), 2**63 - 1  # what the messages' counts hold
-CLOCKS = "fix the row's time, or [clocks] of run.toml"
+CLOCK_REMEDY = "fix the row's time, or [clocks] of run.toml"
 
 
 def convert(source: Path, target: Path) -> Recording:
@@ -29,9 +29,9 @@ def convert(source: Path, target: Path) -> Recording:
     if target.exists():
         raise RecordingError(f"{target} exists already; choose another name")
     recording = read_run(source)
-    if target.suffix == ".mcap" and recording.form == "mcap":
+    if target.suffix == ".mcap" and recording.storage_format == "mcap":
         raise RecordingError(f"{source} is MCAP already; `longreach recording recover` copies one with its pictures")
-    recording = replace(recording, run=replace(recording.run, cut=not recording.complete))
+    recording = replace(recording, run_info=replace(recording.run_info, cut=not recording.complete))
     if target.suffix == ".mcap":
         write_mcap(recording, target)
     else:
@@ -44,20 +44,22 @@ def write_mcap(recording: Recording, path: Path) -> None:
 
     Raises: RecordingError: a count or a time that MCAP cannot hold, naming the row; a file that cannot be written.
     """
-    to_utc_ns = round((recording.run.pc_to_utc_offset_s or 0.0) * 1e9)
+    to_utc_ns = round((recording.run_info.pc_to_utc_offset_s or 0.0) * 1e9)
     _require_room(recording, to_utc_ns)
     attachments = [*recording.attachments]
     if recording.machine_toml:
         attachments.insert(0, Attachment("machine.toml", "application/toml", recording.machine_toml.encode()))
-    writer = RunWriter(path, recording.run, attachments, recording.metadata, mono_to_utc_ns=to_utc_ns, patient=True)
-    for entry in recording.log:
+    writer = RunWriter(
+        path, recording.run_info, attachments, recording.metadata, mono_to_utc_ns=to_utc_ns, patient=True
+    )
+    for entry in recording.log_entries:
         writer.log(entry.level, entry.text, entry.t_utc_ns - to_utc_ns)
     for t_ns, row in _in_turn(recording):
         writer.row(row, t_ns)
-    report = writer.close(recording.run)
+    report = writer.close(recording.run_info)
     if report.error:
         path.unlink(missing_ok=True)  # the source holds all of it
-        raise RecordingError(report.error.removesuffix(f"; {RECOVERABLE}"))
+        raise RecordingError(report.error.removesuffix(f"; {RECOVERABLE_ROWS_HINT}"))
 
 
 def _require_room(recording: Recording, to_utc_ns: int) -> None:
@@ -73,10 +75,12 @@ def _require_room(recording: Recording, to_utc_ns: int) -> None:
                 raise RecordingError(
                     f"{_row_location(recording, kind, numbers[kind])}: {fault}; leave the cell empty without a value"
                 )
-        t_utc_ns = pc_time_ns(row, recording.run) + to_utc_ns
-        if not 0 <= t_utc_ns <= TIME_MOST_NS:
-            fault = f"its time is {t_utc_ns * 1e-9:.6g} s in UTC, limits 0 to {TIME_MOST_NS * 1e-9:.6g} s since 1970"
-            raise RecordingError(f"{_row_location(recording, kind, numbers[kind])}: {fault}; {CLOCKS}")
+        t_utc_ns = pc_time_ns(row, recording.run_info) + to_utc_ns
+        if not 0 <= t_utc_ns <= MCAP_TIME_MAX_NS:
+            fault = (
+                f"its time is {t_utc_ns * 1e-9:.6g} s in UTC, limits 0 to {MCAP_TIME_MAX_NS * 1e-9:.6g} s since 1970"
+            )
+            raise RecordingError(f"{_row_location(recording, kind, numbers[kind])}: {fault}; {CLOCK_REMEDY}")
 
 
 def _integer_field_names(row_type: type[Row]) -> list[str]:
@@ -84,7 +88,7 @@ def _integer_field_names(row_type: type[Row]) -> list[str]:
 
 
 def _row_location(recording: Recording, kind: type[Row], number: int) -> str:
-    return f"{kind.file if recording.form == 'folder' else kind.topic}, row {number}"
+    return f"{kind.file if recording.storage_format == 'folder' else kind.topic}, row {number}"
 
 
 def _in_turn(recording: Recording) -> Iterator[tuple[int, Row]]:
@@ -94,7 +98,7 @@ def _in_turn(recording: Recording) -> Iterator[tuple[int, Row]]:
     """
     by_kind: dict[type[Row], list[tuple[int, int, Row]]] = {}
     for number, row in enumerate(recording.rows):
-        by_kind.setdefault(type(row), []).append((pc_time_ns(row, recording.run), number, row))
+        by_kind.setdefault(type(row), []).append((pc_time_ns(row, recording.run_info), number, row))
     turns = []
     for rows in by_kind.values():
         reached = itertools.accumulate((t_ns for t_ns, _, _ in rows), max)  # a clock that jumps back keeps its place

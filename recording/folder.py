@@ -16,16 +16,18 @@ from recording.rows import CSV_ROW_TYPES, MISSING_COUNT, NAN, Floats, Row, csv_f
 from recording.run import RunInfo, run_from_toml, run_to_toml
 
 #: What spreadsheets put between columns in place of commas, and how it is called.
-SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
-BYTES_MAX = 2**31  # of one file: two hours of six joints at 1 kHz; what is read takes ten times as much memory
-AS_NUMBERS = "write commas between columns and points in numbers"
+WRONG_SEPARATOR_NAMES = {";": "semicolons", "\t": "tabs", "|": "bars"}
+FILE_SIZE_MAX_BYTES = (
+    2**31
+)  # of one file: two hours of six joints at 1 kHz; what is read takes ten times as much memory
+NUMBER_FORMAT_REMEDY = "write commas between columns and points in numbers"
 
 
 def write_folder(recording: Recording, folder: Path) -> None:
     """Write a recording's numbers as a folder of CSV files; images and channels without a CSV form are left out."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "run.toml").write_text(run_to_toml(recording.run), encoding="utf-8")
+        (folder / "run.toml").write_text(run_to_toml(recording.run_info), encoding="utf-8")
         if recording.machine_toml:
             (folder / "machine.toml").write_text(recording.machine_toml, encoding="utf-8")
         for attachment in recording.attachments:
@@ -102,8 +104,8 @@ def read_folder(folder: Path) -> Recording:
     attached = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".urdf") and path.is_file()]
     run = run_from_toml(_read_file_text(run_file)) if run_file.is_file() else RunInfo("")
     return Recording(
-        form="folder",
-        run=run,
+        storage_format="folder",
+        run_info=run,
         machine_toml=_read_file_text(machine_file) if machine_file.is_file() else "",
         rows=tuple(rows),
         attachments=tuple(Attachment(path.name, _media_type(path), _read_file_bytes(path)) for path in attached),
@@ -121,8 +123,8 @@ def _read_file_text(path: Path) -> str:
 def _read_file_bytes(path: Path) -> bytes:
     try:
         size = path.stat().st_size
-        if size > BYTES_MAX:
-            text = f"{path} has {size / 2**30:.3g} GB, limit {BYTES_MAX / 2**30:.3g} GB"
+        if size > FILE_SIZE_MAX_BYTES:
+            text = f"{path} has {size / 2**30:.3g} GB, limit {FILE_SIZE_MAX_BYTES / 2**30:.3g} GB"
             raise RecordingError(f"{text}; cut it into shorter recordings")
         return path.read_bytes()
     except OSError as error:
@@ -149,9 +151,9 @@ def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[
     places = {name: _field_column_indices(path, pattern, header) for name, pattern in csv_fields(row_type)}
     first = next(iter(places))
     if not places[first]:
-        for separator, called in SEPARATORS.items():
+        for separator, called in WRONG_SEPARATOR_NAMES.items():
             if len(header) == 1 and separator in header[0]:
-                raise RecordingError(f"{path}: columns are separated by {called}; {AS_NUMBERS}")
+                raise RecordingError(f"{path}: columns are separated by {called}; {NUMBER_FORMAT_REMEDY}")
         raise RecordingError(f"{path}: column '{csv_fields(row_type)[0][1]}' is missing; the file cannot be placed")
     quick = {name: _fast_field_parser(hints[name], at) for name, at in places.items()}
 
@@ -159,7 +161,9 @@ def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[
         values: dict[str, Any] = {}
         if len(cells) > len(header) and any(cells[len(header) :]):
             where = f"{path}, line {number}"
-            raise RecordingError(f"{where}: {len(cells)} cells under {len(header)} column names; {AS_NUMBERS}")
+            raise RecordingError(
+                f"{where}: {len(cells)} cells under {len(header)} column names; {NUMBER_FORMAT_REMEDY}"
+            )
         for name, converted in quick.items():
             try:
                 values[name] = converted(cells)

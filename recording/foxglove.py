@@ -16,18 +16,18 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from machine.description import StereoCamera
 from machine.rotations import Array
 
-LEFT_FRAME = "cam_left"
-STRING_NAME = "std_msgs/String"  # by this name viewers know a robot's description; no protobuf name may hold a slash
+LEFT_CAMERA_FRAME_ID = "cam_left"
+STRING_SCHEMA_NAME = "std_msgs/String"  # viewers know a robot's description by it; no protobuf name holds a slash
 STRING_SCHEMA = b'{"type": "object", "properties": {"data": {"type": "string"}}}'
-LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
+LOG_LEVEL_NUMBERS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
 
 
 @dataclass(frozen=True, slots=True)
 class FramePose:
     """T_parent_child as one edge of the transform tree; `quat_wxyz` (4,), `position_m` (3,)."""
 
-    parent: str
-    child: str
+    parent_frame: str
+    child_frame: str
     position_m: tuple[float, float, float]
     quat_wxyz: tuple[float, float, float, float]
 
@@ -38,19 +38,26 @@ def _timestamp_from_utc_ns(t_utc_ns: int) -> Timestamp:
 
 def image_message(jpeg: bytes, t_utc_ns: int) -> Message:
     """The left image."""
-    return CompressedImage(timestamp=_timestamp_from_utc_ns(t_utc_ns), frame_id=LEFT_FRAME, data=jpeg, format="jpeg")
+    return CompressedImage(
+        timestamp=_timestamp_from_utc_ns(t_utc_ns), frame_id=LEFT_CAMERA_FRAME_ID, data=jpeg, format="jpeg"
+    )
 
 
 def log_message(level: str, text: str, t_utc_ns: int) -> Message:
     """One line of the log."""
-    return Log(timestamp=_timestamp_from_utc_ns(t_utc_ns), level=LEVELS.get(level, 0), message=text, name="longreach")  # pyright: ignore[reportArgumentType]
+    return Log(
+        timestamp=_timestamp_from_utc_ns(t_utc_ns),
+        level=LOG_LEVEL_NUMBERS.get(level, 0),  # pyright: ignore[reportArgumentType]
+        message=text,
+        name="longreach",
+    )
 
 
 def transforms_message(poses: Sequence[FramePose], t_utc_ns: int) -> Message:
     """Edges of the one transform tree base -> links -> tcp -> cam_left."""
     message = FrameTransforms()
     for pose in poses:
-        edge = message.transforms.add(parent_frame_id=pose.parent, child_frame_id=pose.child)
+        edge = message.transforms.add(parent_frame_id=pose.parent_frame, child_frame_id=pose.child_frame)
         edge.timestamp.CopyFrom(_timestamp_from_utc_ns(t_utc_ns))
         edge.translation.x, edge.translation.y, edge.translation.z = pose.position_m
         edge.rotation.w, edge.rotation.x, edge.rotation.y, edge.rotation.z = pose.quat_wxyz
@@ -79,7 +86,7 @@ def calibration_message(camera: StereoCamera, t_utc_ns: int, width_px: int) -> M
     K[:2, 2] -= 0.5
     return CameraCalibration(
         timestamp=_timestamp_from_utc_ns(t_utc_ns),
-        frame_id=LEFT_FRAME,
+        frame_id=LEFT_CAMERA_FRAME_ID,
         width=width_px,
         height=round(camera.height_px * scale),
         distortion_model="plumb_bob",

@@ -11,7 +11,7 @@ from google.protobuf.message import DecodeError, Message
 from recording.errors import RecordingError
 from recording.rows import ROW_TYPES, Floats, Row
 
-PACKAGE = "longreach"
+PROTOBUF_PACKAGE = "longreach"
 
 _TYPES = {
     float: (FieldProto.TYPE_DOUBLE, FieldProto.LABEL_OPTIONAL),
@@ -25,7 +25,7 @@ _TYPES = {
 def _file_of(row_type: type[Row]) -> descriptor_pb2.FileDescriptorProto:
     """One file per message, so that a channel's schema holds nothing but itself."""
     file = descriptor_pb2.FileDescriptorProto(
-        name=f"{PACKAGE}/{row_type.__name__}.proto", package=PACKAGE, syntax="proto3"
+        name=f"{PROTOBUF_PACKAGE}/{row_type.__name__}.proto", package=PROTOBUF_PACKAGE, syntax="proto3"
     )
     message = file.message_type.add(name=row_type.__name__)
     hints = get_type_hints(row_type)
@@ -43,7 +43,7 @@ class RowCodec:
         pool = descriptor_pool.DescriptorPool()
         pool.Add(file)
         self.row_type = row_type
-        self.schema_name = f"{PACKAGE}.{row_type.__name__}"
+        self.schema_name = f"{PROTOBUF_PACKAGE}.{row_type.__name__}"
         self.schema = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
         self._places = {field.name: (field.number, field.type, field.label) for field in file.message_type[0].field}
         self._names = tuple(column.name for column in fields(row_type))
@@ -100,4 +100,4 @@ class RowCodec:
 
 
 #: One codec per numeric channel, by topic.
-CODECS = {row_type.topic: RowCodec(row_type) for row_type in ROW_TYPES}
+ROW_CODEC_BY_TOPIC = {row_type.topic: RowCodec(row_type) for row_type in ROW_TYPES}

@@ -17,8 +17,8 @@ from recording.channels import Channels
 from recording.content import Attachment, LogEntry, Recording
 from recording.errors import RecordingError
 from recording.files import text_of
-from recording.foxglove import LEVELS
-from recording.messages import CODECS
+from recording.foxglove import LOG_LEVEL_NUMBERS
+from recording.messages import ROW_CODEC_BY_TOPIC
 from recording.rows import Row
 from recording.run import RunInfo, run_from_toml
 from recording.writer import IMAGE_TOPIC, LOG_TOPIC
@@ -26,13 +26,13 @@ from recording.writer import IMAGE_TOPIC, LOG_TOPIC
 # What the MCAP reader raises on bytes that end or are damaged; its decompressors have errors of their own. Overflow and
 # memory: a damaged size of a chunk, which they believe. LZ4 raises plain runtime errors.
 # fmt: off
-CUT_ERRORS = (
+TRUNCATED_FILE_ERRORS = (
     McapError, EOFError, struct.error, zlib.error, ValueError, KeyError, OSError, OverflowError, MemoryError,
     RuntimeError,
 )
 # fmt: on
 
-LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
+LEVEL_NAMES = {number: name for name, number in LOG_LEVEL_NUMBERS.items()}
 
 
 class RecordStream:
@@ -83,7 +83,10 @@ class RecordStream:
             return []
 
     def _note_damage_or_raise(self, error: Exception) -> None:
-        if not isinstance(error, CUT_ERRORS) and type(error).__module__.split(".")[0] not in ("zstandard", "lz4"):
+        if not isinstance(error, TRUNCATED_FILE_ERRORS) and type(error).__module__.split(".")[0] not in (
+            "zstandard",
+            "lz4",
+        ):
             raise error
         self._mark_damaged(str(error) or type(error).__name__)
 
@@ -143,8 +146,8 @@ class _CollectedRecords:
     def _message(self, record: Message) -> None:
         topic = self._channels.topic_of(record)
         try:
-            if topic in CODECS:
-                self._rows.append(CODECS[topic].decode(record.data))
+            if topic in ROW_CODEC_BY_TOPIC:
+                self._rows.append(ROW_CODEC_BY_TOPIC[topic].decode(record.data))
             elif topic == LOG_TOPIC:
                 entry: Any = Log.FromString(record.data)
                 level = LEVEL_NAMES.get(int(entry.level), "unknown")
@@ -160,16 +163,16 @@ class _CollectedRecords:
         info = RunInfo(name="") if run is None else run_from_toml(_attachment_text(run))
         machine = attachments.pop("machine.toml", None)
         return Recording(
-            form="mcap",
-            run=info,
+            storage_format="mcap",
+            run_info=info,
             machine_toml="" if machine is None else _attachment_text(machine),
             rows=tuple(self._rows),
-            log=tuple(self._log),
+            log_entries=tuple(self._log),
             attachments=tuple(attachments.values()),
             metadata=tuple(self._metadata),
-            images=self._images,
+            n_images=self._images,
             complete=complete and not info.cut,
-            foreign=self._channels.foreign,
+            foreign_channels=self._channels.foreign,
         )
 
 

@@ -10,15 +10,15 @@ from mcap.writer import CompressionType, Writer
 from recording.errors import RecordingError
 from recording.reader import RecordStream
 
-RECOVERED = "longreach/recovered"  # metadata of a file that holds what was left of another one
+RECOVERED_METADATA_NAME = "longreach/recovered"  # metadata of a file that holds what was left of another one
 
 
 @dataclass(frozen=True, slots=True)
 class RecoverReport:
     """What was saved. `was_complete`: there was nothing to repair."""
 
-    messages: int
-    attachments: int
+    n_messages: int
+    n_attachments: int
     was_complete: bool
     reason: str  # where reading ended or what was lost, in the reader's words
     lost_chunks: int = 0
@@ -84,7 +84,7 @@ class _Copier:
                     writer.add_metadata(record.name, record.metadata)
         if stream.cut:
             lost = {"lost_chunks": str(stream.lost_chunks), "reason": stream.reason or "it ended too early"}
-            writer.add_metadata(RECOVERED, lost)
+            writer.add_metadata(RECOVERED_METADATA_NAME, lost)
         writer.finish()
 
     def _copy_message(self, writer: Writer, record: Message) -> None:

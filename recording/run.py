@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 from recording.errors import RecordingError
 
 FORMAT_VERSION = 1
-LONGEST_S = 1e20  # nanoseconds of an epoch, and no more: what is not a second is found and named later
+TIME_ABSOLUTE_MAX_S = 1e20  # nanoseconds of an epoch, and no more: what is not a second is found and named later
 
 SegmentKind = Literal[
     "repeat", "multisine", "steps", "sweep", "staircase", "workcycle", "static", "hold", "positioning"
@@ -97,9 +97,10 @@ def run_from_toml(text: str) -> RunInfo:
 
 
 def _validated_seconds(value: object, subject: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LONGEST_S:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= TIME_ABSOLUTE_MAX_S:
         raise RecordingError(
-            f"run.toml: {subject} = {repr(value)[:60]} is not a number between -{LONGEST_S:g} and {LONGEST_S:g} [s]"
+            f"run.toml: {subject} = {repr(value)[:60]} is not a number between -{TIME_ABSOLUTE_MAX_S:g} and "
+            f"{TIME_ABSOLUTE_MAX_S:g} [s]"
         )
     return float(value)
 

@@ -5,9 +5,9 @@ import signal
 from collections.abc import Iterator
 from multiprocessing import resource_tracker
 
-TERMINAL = (signal.SIGINT, signal.SIGHUP)
+TERMINAL_SIGNALS = (signal.SIGINT, signal.SIGHUP)
 #: The environment of a process that computes in one thread.
-ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+SINGLE_THREAD_ENVIRONMENT = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 
 
 @contextlib.contextmanager
@@ -18,7 +18,7 @@ def out_of_the_terminals_reach(*more: signal.Signals) -> Iterator[None]:
     `more`: SIGTERM, which systemd sends to a whole group, for a child that its parent ends in another way.
     """
     resource_tracker.ensure_running()  # its start, at the first child, would unblock them again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (*TERMINAL, *more))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (*TERMINAL_SIGNALS, *more))
     try:
         yield
     finally:

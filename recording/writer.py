@@ -25,8 +25,8 @@ from recording.clock import mono_ns, mono_s
 from recording.content import Attachment
 from recording.errors import RecordingError
 from recording.foxglove import (
-    STRING_NAME,
     STRING_SCHEMA,
+    STRING_SCHEMA_NAME,
     FramePose,
     calibration_message,
     description_json,
@@ -35,26 +35,26 @@ from recording.foxglove import (
     log_message,
     transforms_message,
 )
-from recording.messages import CODECS
+from recording.messages import ROW_CODEC_BY_TOPIC
 from recording.rows import Row
 from recording.run import RunInfo, run_to_toml
 
-QUEUE_ENTRIES = 50_000  # minutes of numbers
-IMAGES_MAX = 16  # waiting images; a disk that is further behind loses images
+QUEUE_ENTRIES_MAX = 50_000  # minutes of numbers
+QUEUED_IMAGES_MAX = 16  # waiting images; a disk that is further behind loses images
 CHUNK_BYTES = 256 * 1024
-OPEN_S = 30.0
-FLUSH_S = 1.0  # at most this much is lost when the process is killed
-CLOSE_S = 30.0
-RECOVERABLE = "the rows written so far can be recovered"
-PUT_S = 0.5  # between two looks at whether the thread that empties the queue is still there
-TIME_MOST_NS = 2**64 - 1  # what MCAP's times hold
+OPEN_TIMEOUT_S = 30.0
+FLUSH_PERIOD_S = 1.0  # at most this much is lost when the process is killed
+CLOSE_TIMEOUT_S = 30.0
+RECOVERABLE_ROWS_HINT = "the rows written so far can be recovered"
+QUEUE_PUT_TIMEOUT_S = 0.5  # between two looks at whether the thread that empties the queue is still there
+MCAP_TIME_MAX_NS = 2**64 - 1  # what MCAP's times hold
 
 IMAGE_TOPIC = "/camera/left"
 CALIBRATION_TOPIC = "/camera/left/calibration"
 TRANSFORM_TOPIC = "/tf"
 LOG_TOPIC = "/log"
 JOINT_TOPIC = "/joint_states"
-ROBOT_TOPIC = "/robot_description"
+ROBOT_DESCRIPTION_TOPIC = "/robot_description"
 
 _log = logging.getLogger(__name__)
 
@@ -72,7 +72,7 @@ class WriterReport:
     """What became of a run's file."""
 
     path: Path
-    messages: int
+    n_messages: int
     images_dropped: int
     error: str  # empty when everything was written
 
@@ -95,11 +95,11 @@ class RunWriter:
         mono_to_utc_ns: int | None = None,
         *,
         patient: bool = False,
-        open_wait_s: float = OPEN_S,
+        open_wait_s: float = OPEN_TIMEOUT_S,
     ) -> None:
         self.path, self._patient = path, patient
         self._mono_to_utc_ns = time.time_ns() - mono_ns() if mono_to_utc_ns is None else mono_to_utc_ns
-        self._queue: queue.Queue[_QueuedMessage | None] = queue.Queue(QUEUE_ENTRIES)  # None: nothing but a wake-up
+        self._queue: queue.Queue[_QueuedMessage | None] = queue.Queue(QUEUE_ENTRIES_MAX)  # None: nothing but a wake-up
         self._closing = threading.Event()
         self._final_run: RunInfo | None = None
         self._images_waiting = 0
@@ -157,7 +157,7 @@ class RunWriter:
 
     def robot(self, urdf: str, t_mono_ns: int) -> None:
         """Write the robot's description, for viewers that draw it."""
-        self._put_number(ROBOT_TOPIC, description_json(urdf), t_mono_ns)
+        self._put_number(ROBOT_DESCRIPTION_TOPIC, description_json(urdf), t_mono_ns)
 
     def log(self, level: str, text: str, t_mono_ns: int) -> None:
         """Write one line of the log; level is debug, info, warning or error."""
@@ -171,7 +171,7 @@ class RunWriter:
     def image(self, jpeg: bytes, t_mono_ns: int, t_source_mono_ns: int) -> bool:
         """Write the left image unless the writer is behind; whether it was taken."""
         with self._lock:
-            taken = self._images_waiting < IMAGES_MAX and self._queue.qsize() < QUEUE_ENTRIES // 2
+            taken = self._images_waiting < QUEUED_IMAGES_MAX and self._queue.qsize() < QUEUE_ENTRIES_MAX // 2
             if not taken:
                 self.images_dropped += 1
                 return False
@@ -191,7 +191,7 @@ class RunWriter:
         """Whether nothing more comes into the file: after `close`, and after a wait that was too short once it did."""
         return not self._thread.is_alive()
 
-    def close(self, run: RunInfo | None = None, wait_s: float = CLOSE_S) -> WriterReport:
+    def close(self, run: RunInfo | None = None, wait_s: float = CLOSE_TIMEOUT_S) -> WriterReport:
         """Write what waits, the final run.toml and the index. The file is complete afterwards.
 
         A disk may take longer than `wait_s`: the report says so then, the file is written to its end all the same, and
@@ -250,14 +250,16 @@ class RunWriter:
             self._queue.put_nowait(entry)
         except queue.Full:
             self._set_first_error(
-                RecordingError(f"{QUEUE_ENTRIES} entries wait for the disk, and no more are accepted: free disk space")
+                RecordingError(
+                    f"{QUEUE_ENTRIES_MAX} entries wait for the disk, and no more are accepted: free disk space"
+                )
             )
 
     def _enqueue_entry(self, entry: _QueuedMessage) -> None:
         """Wait for room as long as the writer thread runs."""
         while self._thread.is_alive():
             try:
-                return self._queue.put(entry, timeout=PUT_S)
+                return self._queue.put(entry, timeout=QUEUE_PUT_TIMEOUT_S)
             except queue.Full:
                 continue
 
@@ -282,12 +284,12 @@ class RunWriter:
 
     def _process_next_entry(self, flushed_s: float) -> float:
         try:
-            entry = self._queue.get(timeout=FLUSH_S)
+            entry = self._queue.get(timeout=FLUSH_PERIOD_S)
         except queue.Empty:
             entry = None
         try:
             self._write_unless_failed(entry)
-            if mono_s() - flushed_s >= FLUSH_S and not self._error:
+            if mono_s() - flushed_s >= FLUSH_PERIOD_S and not self._error:
                 flushed_s = mono_s()
                 self._writer.flush()
                 self._require_name()
@@ -308,16 +310,16 @@ class RunWriter:
         if self._error:
             return  # what came first is the cause
         why = error.strerror if isinstance(error, OSError) else str(error)
-        self._error = f"recording {self.path}: {why or repr(error)}; {RECOVERABLE}"
+        self._error = f"recording {self.path}: {why or repr(error)}; {RECOVERABLE_ROWS_HINT}"
         _log.error(self._error)
 
     def _write(self, entry: _QueuedMessage) -> None:
         content = entry.content
         data = _bytes_of(entry.topic, content)
-        if not 0 <= entry.log_ns <= TIME_MOST_NS:
-            limits = f"outside 0 .. {TIME_MOST_NS} ns since 1970"
+        if not 0 <= entry.log_ns <= MCAP_TIME_MAX_NS:
+            limits = f"outside 0 .. {MCAP_TIME_MAX_NS} ns since 1970"
             raise RecordingError(f"channel {entry.topic}: log time {entry.log_ns} ns is {limits}; set the PC's clock")
-        stamped = 0 <= entry.publish_ns <= TIME_MOST_NS  # MCAP: a stamp that is not known is the log time
+        stamped = 0 <= entry.publish_ns <= MCAP_TIME_MAX_NS  # MCAP: a stamp that is not known is the log time
         number = self._sequence.get(entry.topic, 0)
         self._sequence[entry.topic] = number + 1
         self._writer.add_message(
@@ -345,13 +347,13 @@ class RunWriter:
 def _bytes_of(topic: str, content: Row | Message | str) -> bytes:
     if isinstance(content, str):
         return content.encode()
-    return CODECS[topic].encode(content) if isinstance(content, Row) else content.SerializeToString()
+    return ROW_CODEC_BY_TOPIC[topic].encode(content) if isinstance(content, Row) else content.SerializeToString()
 
 
 def _schema_of(topic: str, content: Row | Message | str) -> tuple[str, bytes]:
     if isinstance(content, str):
-        return STRING_NAME, STRING_SCHEMA
+        return STRING_SCHEMA_NAME, STRING_SCHEMA
     if isinstance(content, Row):
-        codec = CODECS[topic]
+        codec = ROW_CODEC_BY_TOPIC[topic]
         return codec.schema_name, codec.schema
     return content.DESCRIPTOR.full_name, build_file_descriptor_set(type(content)).SerializeToString()

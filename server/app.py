@@ -19,7 +19,7 @@ from server.access.gatekeeper import Gatekeeper
 from server.access.hosts import is_loopback
 from server.access.keys import KeyRing
 from server.api.application import RestServices, create_application
-from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog, PatientProtocol
+from server.api.connection_limit import ACCEPTS_PER_TURN_MAX, LISTEN_BACKLOG, ExhaustionLog, PatientProtocol
 from server.api.hold_rule import why_not_commissioned
 from server.api.panel import install_panel
 from server.api.state import why_not_ready
@@ -28,8 +28,8 @@ from server.camera.client import VisionClient
 from server.errors import SettingsError
 from server.faces.foxglove import check_foxglove, foxglove_face
 from server.faces.opcua import check_opcua, opcua_face
-from server.inner_faults import PART_FAILED
-from server.jobs.calibration_store import FILE_NAME, CalibrationStore
+from server.inner_faults import SERVER_PART_FAILED_FAULT_ID
+from server.jobs.calibration_store import CALIBRATION_FILE_NAME, CalibrationStore
 from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.keeper import Keeper
@@ -51,8 +51,10 @@ DATABASE_NAME = "longreach.sqlite3"
 # Control is kept alive every 5 s (a third of its time to live), and 5 s are also uvicorn's default: a renewal could
 # meet a connection just closing. PatientProtocol ends an idle one after 10 to 20 s; this is the outer bound.
 KEEP_ALIVE_S = 20
-NUMERICS_LOAD = "the server is starting: it loads its numerics; where they are not compiled yet, this takes minutes"
-STOP_S = 5.0  # longest wait for a running job's end before everything else is closed
+NUMERICS_LOADING_TEXT = (
+    "the server is starting: it loads its numerics; where they are not compiled yet, this takes minutes"
+)
+JOB_END_TIMEOUT_S = 5.0  # longest wait for a running job's end before everything else is closed
 
 
 def build_cell(settings: ServerSettings) -> Cell:
@@ -101,8 +103,10 @@ def build_app(settings: ServerSettings) -> FastAPI:
     engine = JobEngine(performer)
     keeper.on_restored(engine.restore)
     keeper.restore()
-    service = JobService(cell, engine, CalibrationStore(folder / FILE_NAME), keeper)
-    service.inner_faults.watch(PART_FAILED, lambda: cell.link.listener_problem or cell.vision.listener_problem)
+    service = JobService(cell, engine, CalibrationStore(folder / CALIBRATION_FILE_NAME), keeper)
+    service.inner_faults.watch(
+        SERVER_PART_FAILED_FAULT_ID, lambda: cell.link.listener_problem or cell.vision.listener_problem
+    )
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
@@ -148,14 +152,14 @@ def build_app(settings: ServerSettings) -> FastAPI:
 
 async def prepare_numerics(cell: Cell) -> None:
     """Numerics loaded, or compiled, while the panel already answers; until then no job begins."""
-    cell.starting = NUMERICS_LOAD
+    cell.startup_note = NUMERICS_LOADING_TEXT
     try:
         await warmed_up(cell.machine, cell.chain)
     except Exception as error:  # without it a job would compile, or fail, during a motion
         log.exception("the numerics could not be prepared")
-        cell.starting = f"the numerics could not be prepared ({error}); see the server's log, then start it again"
+        cell.startup_note = f"the numerics could not be prepared ({error}); see the server's log, then start it again"
     else:
-        cell.starting = ""
+        cell.startup_note = ""
     gc.collect()
     gc.freeze()  # a quarter of a million things that stay: looking through them held every answer for 0.2 s
 
@@ -236,7 +240,7 @@ class StoppingServer(uvicorn.Server):
         for server in self.servers:
             for listening in server.sockets:
                 with listening.dup() as same:
-                    same.listen(QUEUE)
+                    same.listen(LISTEN_BACKLOG)
         if self.started:
             self._listening()
             self._manager.ready()
@@ -246,7 +250,7 @@ class StoppingServer(uvicorn.Server):
         """While the machine ramps down every caller is still answered."""
         self._manager.stopping()
         try:
-            async with asyncio.timeout(STOP_S):
+            async with asyncio.timeout(JOB_END_TIMEOUT_S):
                 await self._stop_motion()
         except Exception as error:  # the link process ends the motion, too, when it is closed
             log.warning("stop was not confirmed: %r; the PLC ramps by its own watchdog", error)
@@ -263,7 +267,7 @@ def config_of(app: FastAPI, http: HttpSettings) -> uvicorn.Config:
         log_level="warning",
         access_log=False,  # its lines would hold lease ids
         http=PatientProtocol,
-        backlog=BACKLOG,
+        backlog=ACCEPTS_PER_TURN_MAX,
         proxy_headers=http.behind_proxy,
         server_header=False,
         timeout_keep_alive=KEEP_ALIVE_S,

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 DISK_LOW_BYTES = 10**9  # half an hour of recording with pictures
-LOOK_S = 5.0  # a look costs a system call, which a network disk may hold up
+DISK_CHECK_PERIOD_S = 5.0  # a look costs a system call, which a network disk may hold up
 
 
 class DiskSpace:
@@ -20,7 +20,7 @@ class DiskSpace:
     def free_bytes(self) -> int | None:
         """Left on the disk of that folder, or of the nearest parent that exists; None when it cannot be read."""
         now_s = time.monotonic()
-        if now_s - self._looked_s >= LOOK_S:
+        if now_s - self._looked_s >= DISK_CHECK_PERIOD_S:
             self._looked_s, self._free_bytes = now_s, _free_bytes(self._folder)
         return self._free_bytes
 

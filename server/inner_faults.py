@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
-KEYS_UNREADABLE = "keys_unreadable"
-PART_FAILED = "server_part_failed"
+KEYS_UNREADABLE_FAULT_ID = "keys_unreadable"
+SERVER_PART_FAILED_FAULT_ID = "server_part_failed"
 
 
 class InnerFaults:

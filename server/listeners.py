@@ -7,7 +7,7 @@ from typing import Generic, ParamSpec
 
 log = logging.getLogger(__name__)
 P = ParamSpec("P")
-WELL_S = 10.0  # as of a supervised task: without another failure it is reported no more
+FAILURE_REPORT_DURATION_S = 10.0  # as of a supervised task: without another failure it is reported no more
 
 
 class Listeners(Generic[P]):
@@ -38,4 +38,4 @@ class Listeners(Generic[P]):
     @property
     def recent_failure(self) -> str:
         """What failed within the last WELL_S; empty when all is well."""
-        return self._problem if time.monotonic() - self._failed_s < WELL_S else ""
+        return self._problem if time.monotonic() - self._failed_s < FAILURE_REPORT_DURATION_S else ""

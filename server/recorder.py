@@ -29,10 +29,10 @@ from server.version import __version__, library_versions
 from server.vision.contracts import Look
 
 TRANSFORM_PERIOD_NS = 100_000_000
-CLOCK_RESTART_NS = 1_000_000_000  # a PLC stamp that falls back by more is of a PLC that was switched off and on
+PLC_CLOCK_RESTART_MIN_NS = 1_000_000_000  # a PLC stamp that falls back by more is of a PLC that was switched off and on
 IMAGE_PERIOD_NS = 100_000_000
 DISK_WAIT_S = 0.5  # longest that a slow disk may hold the event loop at a run's begin, and at its end
-CAMERA_PERIOD_NS = 1_000_000_000  # the camera's intrinsics are repeated, so that a reader may start anywhere
+CAMERA_INTRINSICS_PERIOD_NS = 1_000_000_000  # the camera's intrinsics are repeated, so that a reader may start anywhere
 
 _log = logging.getLogger(__name__)
 P = ParamSpec("P")
@@ -139,7 +139,7 @@ class Recorder:
     @_give_up_on_error
     def sample(self, sample: PlcSample) -> None:
         """A PLC state."""
-        restarted = sample.t_plc_ns < self._last_plc_ns - CLOCK_RESTART_NS
+        restarted = sample.t_plc_ns < self._last_plc_ns - PLC_CLOCK_RESTART_MIN_NS
         writer = self._writer
         if restarted and writer is not None:
             self._begin_again()
@@ -180,7 +180,7 @@ class Recorder:
             return
         self._image_ns = report.t_receive_mono_ns
         writer.image(jpeg, report.t_receive_mono_ns, report.t_exposure_mapped_ns)
-        if report.t_receive_mono_ns - self._camera_ns >= CAMERA_PERIOD_NS:
+        if report.t_receive_mono_ns - self._camera_ns >= CAMERA_INTRINSICS_PERIOD_NS:
             self._camera_ns = report.t_receive_mono_ns
             writer.camera(self._machine.camera, report.preview_width_px, report.t_receive_mono_ns)
 

@@ -10,7 +10,7 @@ import numpy as np
 from machine.chain import Chain
 from machine.kinematics import link_poses
 from machine.rotations import Array, quat_wxyz_from_rotation
-from recording.foxglove import LEFT_FRAME, FramePose
+from recording.foxglove import LEFT_CAMERA_FRAME_ID, FramePose
 from recording.rows import (
     NAN,
     CalibrationRow,
@@ -69,14 +69,14 @@ def report_rows(report: FrameReport) -> list[Row]:
             sequence=report.sequence,
             fps_hz=report.fps,
             process_ms=report.process_ms,
-            skipped=report.skipped,
+            skipped=report.n_skipped,
             sharpness=report.sharpness,
             warnings="; ".join((*report.warnings, *observation.warnings)),
         ),
         _marker_pose(observation.tool, t_camera_s),
         _marker_pose(observation.ooi, t_camera_s),
     ]
-    for view in observation.views:
+    for view in observation.marker_views:
         for eye, corners in (("left", view.corners_left_px), ("right", view.corners_right_px)):
             if corners is not None:
                 rows.append(_marker_corners_row(view, eye, corners, t_camera_s))
@@ -96,7 +96,7 @@ def _marker_pose(pose: ObjectPose, t_camera_s: float) -> MarkerPose:
     sigma = () if pose.covariance is None else _flattened_floats(np.sqrt(np.diag(pose.covariance)))
     return MarkerPose(
         t_camera_s=t_camera_s,
-        on=pose.on,
+        on=pose.object_name,
         status=pose.status.value,
         reason=pose.reason,
         T_cam_object=_flattened_floats(pose.T_cam_object),
@@ -206,7 +206,7 @@ def frame_poses(chain: Chain, T_tcp_cam_left: Array, q_rad: Floats) -> list[Fram
         edges.append(_frame_pose_row(parent, child, np.linalg.inv(poses[number - 1]) @ poses[number]))
         parent = child
     edges.append(_frame_pose_row(parent, "tcp", chain.T_flange_tcp))
-    edges.append(_frame_pose_row("tcp", LEFT_FRAME, T_tcp_cam_left))
+    edges.append(_frame_pose_row("tcp", LEFT_CAMERA_FRAME_ID, T_tcp_cam_left))
     return edges
 
 

@@ -7,7 +7,7 @@ import socket
 from collections.abc import Callable, MutableMapping
 
 log = logging.getLogger(__name__)
-STATUS_S = 5.0  # between two reports where no watchdog requires a shorter time
+STATUS_PERIOD_MAX_S = 5.0  # between two reports where no watchdog requires a shorter time
 
 
 class ServiceManager:
@@ -38,7 +38,7 @@ class ServiceManager:
 
     async def keep_alive(self) -> None:
         """From the event loop, at least twice in a watchdog period: systemd restarts a server whose loop hangs."""
-        period_s = STATUS_S if self._watchdog_s is None else min(STATUS_S, 0.5 * self._watchdog_s)
+        period_s = STATUS_PERIOD_MAX_S if self._watchdog_s is None else min(STATUS_PERIOD_MAX_S, 0.5 * self._watchdog_s)
         while self._address:
             self._send("WATCHDOG=1")
             if not self._stopping:

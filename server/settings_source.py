@@ -4,7 +4,7 @@ import re
 from dataclasses import replace
 
 from machine.description import Machine, StereoCamera
-from machine.lens import PRINCIPAL_OFF_MAX_FRAC, principal_off_frac
+from machine.lens import PRINCIPAL_OFFSET_MAX_FRAC, principal_off_frac
 from server.camera.rectification import rectification_of
 from server.camera.rectification_reading import read_calibration
 from server.camera.sources.settings import (
@@ -79,7 +79,7 @@ def machine_text_with_camera(text: str, camera: StereoCamera) -> str:
         "rectified": "true" if camera.rectified else "false",
     }
     off_frac = principal_off_frac((camera.cx_px, camera.cy_px), (camera.width_px, camera.height_px))
-    if off_frac > PRINCIPAL_OFF_MAX_FRAC:
+    if off_frac > PRINCIPAL_OFFSET_MAX_FRAC:
         values["off_centre"] = "true"
     begin = re.search(r"^\[camera\][^\n]*$", text, re.MULTILINE)
     if begin is None:

@@ -8,7 +8,7 @@ from recording.clock import mono_s
 
 log = logging.getLogger(__name__)
 FIRST_S, MAX_S = 0.1, 2.0  # back-off: a defect at every start must not fill the log, nor leave a gap of minutes
-WELL_S = 10.0  # after so long without another failure it is no longer reported
+FAILURE_REPORT_DURATION_S = 10.0  # after so long without another failure it is no longer reported
 
 Loop = Callable[[], Awaitable[None]]
 
@@ -33,7 +33,7 @@ class SupervisedTasks:
     @property
     def recent_failure(self) -> str:
         """Which of them failed within the last WELL_S, and how; empty when all is well."""
-        since_s = mono_s() - WELL_S
+        since_s = mono_s() - FAILURE_REPORT_DURATION_S
         return "; ".join(text for failed_s, text in self._failed.values() if failed_s > since_s)
 
     def start(self, name: str, loop: Loop, on_failure: Loop | None = None) -> None:
@@ -56,7 +56,7 @@ class SupervisedTasks:
             self._failed[name] = ended_s, f"{name} failed ({why}) and was restarted; see the server's log"
             if on_failure is not None:
                 await _run_until_ended(f"what follows a failure of {name}", on_failure)
-            wait_s = FIRST_S if ended_s - begun_s > WELL_S else wait_s
+            wait_s = FIRST_S if ended_s - begun_s > FAILURE_REPORT_DURATION_S else wait_s
             await asyncio.sleep(wait_s)
             wait_s = min(2.0 * wait_s, MAX_S)
 

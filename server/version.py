@@ -7,13 +7,13 @@ try:
 except PackageNotFoundError:  # run from a tree that was never installed
     __version__ = "0.0.0+source"
 
-NUMERIC = ("numpy", "scipy", "numba", "opencv-contrib-python-headless")
+NUMERIC_PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless")
 
 
 def library_versions() -> list[tuple[str, str]]:
     """Name and version of each library that computes; "absent" where it is not installed."""
     found = []
-    for name in NUMERIC:
+    for name in NUMERIC_PACKAGES:
         try:
             found.append((name, version(name)))
         except PackageNotFoundError:

@@ -78,7 +78,7 @@ def warm_up(machine: Machine, chain: Chain) -> None:
     prior = prior_from_tool_marker(machine.T_tcp_tool[:3, :3], T_cam_tool[:3, :3], 0.03)
     estimate_camera_rotation(camera, EncoderTrack(times, Ts_base_tcp), machine.T_tcp_cam_left, prior)
     model = error_model(machine)
-    tcp_poses_with_errors(model, motion.q, model.mean)
+    tcp_poses_with_errors(model, motion.q, model.prior_mean)
 
 
 def _nonsingular_posture(chain: Chain) -> Array:

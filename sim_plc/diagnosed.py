@@ -12,7 +12,7 @@ from machine.rotations import rotation_from_rotvec
 from sim_plc.presets import PresetError
 from sim_plc.world import World
 
-SPRUNG = {2: 0, 3: 2}  # joints (1-based) with a spring about their own axis, and its number
+SPRING_INDEX_BY_JOINT = {2: 0, 3: 2}  # joints (1-based) with a spring about their own axis, and its number
 Change = Callable[[World, EffectEntry], World]
 
 
@@ -23,7 +23,7 @@ def not_simulated(machine: Machine) -> tuple[str, ...]:
 
 
 def _bends_elsewhere(entry: EffectEntry) -> bool:
-    return entry.name == "gravity_sag" and entry.joint not in SPRUNG
+    return entry.name == "gravity_sag" and entry.joint not in SPRING_INDEX_BY_JOINT
 
 
 def with_effects(world: World) -> World:
@@ -99,10 +99,10 @@ def _apply_length_error(world: World, entry: EffectEntry) -> World:
 
 def _apply_gravity_sag(world: World, entry: EffectEntry) -> World:
     _oil_only(world, entry)
-    if entry.joint not in SPRUNG:
+    if entry.joint not in SPRING_INDEX_BY_JOINT:
         raise PresetError(f"effect gravity_sag, joint {entry.joint}: the plant bends at joints 2 and 3 only")
     stiffness = np.array(world.plant.flex.stiffness_nm_rad, dtype=float)
-    k = SPRUNG[entry.joint]
+    k = SPRING_INDEX_BY_JOINT[entry.joint]
     stiffness[k] = 1.0 / (1.0 / stiffness[k] + entry.value("compliance_rad_nm"))
     return replace(world, plant=replace(world.plant, flex=replace(world.plant.flex, stiffness_nm_rad=stiffness)))
 

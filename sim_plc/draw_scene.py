@@ -17,7 +17,7 @@ from sim_plc.world import SceneTruth, StructureTruth, World, rng_for
 
 WALL_OFFSET_M = 0.06  # the wall's mean plane behind the OOI's origin
 _ELBOW_LINK = 2  # the lift boom ends where the tilt boom begins
-NOMINAL_SIDE_MM = 150.0  # to which the printing error refers
+NOMINAL_MARKER_SIDE_MM = 150.0  # to which the printing error refers
 
 
 def draw_posture(machine: Machine, preset: str, rng: np.random.Generator) -> Array | None:
@@ -141,7 +141,7 @@ def _draw_true_marker(marker: Marker, preset: str, seed: int, laid_out: bool) ->
     """A marker as it truly is: its printed side, and for the OOI its place against the measured layout."""
     key = f"_{marker.marker_id}"
     side_mm = spread_of(preset, "marker_size").draw(rng_for(seed, "marker_size" + key))[0]
-    side_m = marker.side_m * (1.0 + side_mm / NOMINAL_SIDE_MM)
+    side_m = marker.side_m * (1.0 + side_mm / NOMINAL_MARKER_SIDE_MM)
     if not laid_out:
         return replace(marker, side_m=side_m)
     shift = 1e-3 * spread_of(preset, "layout_position").draw(rng_for(seed, "layout_position" + key), 3)

@@ -24,13 +24,13 @@ STAND_OFF_M = 0.100  # of the goal the scene is judged by
 JOINT_MARGIN_RAD = np.deg2rad(3.0)
 THETA5_MIN_RAD = np.deg2rad(15.0)
 START_THETA5_RAD = np.deg2rad([20.0, 90.0])
-LOOK_ELEVATION_MAX = np.sin(np.deg2rad(20.0))
+LOOK_ELEVATION_SINE_MAX = np.sin(np.deg2rad(20.0))
 TOOL_HEIGHT_MIN_M = 0.4  # above the floor at the start
-EXCURSION_M = 0.2  # sideways, for a calibration path
+CALIBRATION_EXCURSION_M = 0.2  # sideways, for a calibration path
 VIEW_MARGIN_START_PX, VIEW_MARGIN_GOAL_PX = 30.0, 10.0
 WALL_CLEARANCE_M = 0.05
 JOINT_STEP_MAX_RAD = np.deg2rad(30.0)  # between neighbouring poses: more means another branch
-ATTEMPTS_MAX = 2000
+SCENE_DRAWS_MAX = 2000
 
 
 def draw_world(machine: Machine, preset: str, seed: int) -> World:
@@ -43,7 +43,7 @@ def draw_world(machine: Machine, preset: str, seed: int) -> World:
     plant = draw_plant(machine, preset, seed)
     streams = {name: rng_for(seed, name) for name in ("posture", "start", "mount", "tool_marker")}
     refused: dict[str, int] = {}
-    for _ in range(ATTEMPTS_MAX):
+    for _ in range(SCENE_DRAWS_MAX):
         q_start = draw_posture(machine, preset, streams["posture"])
         T_ooi_tool = draw_start(preset, streams["start"])
         T_tcp_cam_left = draw_mount(machine, preset, streams["mount"])
@@ -59,7 +59,7 @@ def draw_world(machine: Machine, preset: str, seed: int) -> World:
                 return World(machine, preset, seed, plant, camera, scene, q_start)
         refused[str(reason)] = refused.get(str(reason), 0) + 1
     raise PresetError(
-        f"no usable scene in {ATTEMPTS_MAX} draws of preset '{preset}', seed {seed}; refused for {refused}"
+        f"no usable scene in {SCENE_DRAWS_MAX} draws of preset '{preset}', seed {seed}; refused for {refused}"
     )
 
 
@@ -73,7 +73,7 @@ def posture_fault(machine: Machine, q_start: Array | None) -> str | None:
     if not START_THETA5_RAD[0] <= abs(q_start[4]) <= START_THETA5_RAD[1]:
         return "wrist angle at the start"
     T_base_tcp = tcp_pose(chain, q_start)
-    if abs(T_base_tcp[2, 2]) > LOOK_ELEVATION_MAX:
+    if abs(T_base_tcp[2, 2]) > LOOK_ELEVATION_SINE_MAX:
         return "tool not level"
     return "tool too low" if T_base_tcp[2, 3] < TOOL_HEIGHT_MIN_M else None
 
@@ -105,7 +105,7 @@ def tool_stations(T_ooi_start: Array, T_ooi_goal: Array) -> list[Array]:
     stations = [T_ooi_start]
     for base in (T_ooi_start, upright):
         for dx, dy in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)):
-            sideways = base[:3, :3] @ np.array([dx * EXCURSION_M, dy * EXCURSION_M, 0.0])
+            sideways = base[:3, :3] @ np.array([dx * CALIBRATION_EXCURSION_M, dy * CALIBRATION_EXCURSION_M, 0.0])
             stations.append(pose(base[:3, :3], base[:3, 3] + sideways))
             stations.append(base)
     for share in np.linspace(0.2, 1.0, 5):
@@ -118,13 +118,13 @@ def inverse_fault(chain: Chain, Ts_base_tcp: list[Array], q_start: Array) -> str
     q = q_start
     for T_base_tcp in Ts_base_tcp:
         found = inverse_nearest(chain, T_base_tcp, q)
-        if found.status is not InverseStatus.OK or found.q is None:
+        if found.status is not InverseStatus.OK or found.q_rad is None:
             return f"inverse: {found.status.value}"
-        if abs(found.q[4]) < THETA5_MIN_RAD:
+        if abs(found.q_rad[4]) < THETA5_MIN_RAD:
             return "wrist singularity"
-        if np.max(np.abs(found.q - q)) > JOINT_STEP_MAX_RAD:
+        if np.max(np.abs(found.q_rad - q)) > JOINT_STEP_MAX_RAD:
             return "branch change"
-        q = found.q
+        q = found.q_rad
     return None
 
 

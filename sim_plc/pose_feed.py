@@ -13,7 +13,7 @@ import numpy as np
 from machine.poses import pose
 from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation
 
-SLOTS = 8192  # 8 s at 1 kHz: a camera process that was delayed for so long restarts
+N_RING_SLOTS = 8192  # 8 s at 1 kHz: a camera process that was delayed for so long restarts
 _MARGIN = 64  # entries at the old end that are about to be overwritten
 _RETRIES = 100
 _HEAD = struct.Struct("<Qq")  # entries written so far; PLC clock minus the PC's clock [ns]
@@ -42,7 +42,7 @@ class PoseFeed:
     @classmethod
     def create(cls, epoch_offset_ns: int = 0) -> Self:
         """A new, empty feed."""
-        memory = shared_memory.SharedMemory(create=True, size=_FIRST_SLOT + SLOTS * _SLOT_SIZE)
+        memory = shared_memory.SharedMemory(create=True, size=_FIRST_SLOT + N_RING_SLOTS * _SLOT_SIZE)
         _HEAD.pack_into(_buffer_of(memory), 0, 0, epoch_offset_ns)
         return cls(memory, owner=True)
 
@@ -64,7 +64,7 @@ class PoseFeed:
     def publish(self, t_plc_ns: int, T_base_tcp: Array) -> None:
         """Add one pose; times must increase."""
         number = self._count
-        offset = _FIRST_SLOT + number % SLOTS * _SLOT_SIZE
+        offset = _FIRST_SLOT + number % N_RING_SLOTS * _SLOT_SIZE
         _COUNT.pack_into(self._buffer, offset, 2 * number + 1)
         _ENTRY.pack_into(self._buffer, offset + 8, t_plc_ns, *T_base_tcp[:3].ravel().tolist())
         _COUNT.pack_into(self._buffer, offset, 2 * number + 2)
@@ -104,7 +104,7 @@ class PoseFeed:
     def _entries_around_time(self, t_plc_ns: int) -> tuple[tuple[int, Array], tuple[int, Array]] | None:
         """The neighbours of a time; None when an entry was torn or overwritten under our hands."""
         count = _COUNT.unpack_from(self._buffer, 0)[0]
-        low, high = max(0, count - SLOTS + _MARGIN), count - 1
+        low, high = max(0, count - N_RING_SLOTS + _MARGIN), count - 1
         if count < 2:
             raise PoseFeedError("pose feed is empty; the PLC process has not started")
         first, last = self._read(low), self._read(high)
@@ -125,7 +125,7 @@ class PoseFeed:
 
     def _read(self, number: int) -> tuple[int, Array] | None:
         """One entry, or None if it is not whole or no longer that one."""
-        offset = _FIRST_SLOT + number % SLOTS * _SLOT_SIZE
+        offset = _FIRST_SLOT + number % N_RING_SLOTS * _SLOT_SIZE
         if _COUNT.unpack_from(self._buffer, offset)[0] != 2 * number + 2:
             return None
         t_ns, *values = _ENTRY.unpack_from(self._buffer, offset + 8)

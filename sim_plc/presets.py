@@ -31,11 +31,11 @@ class Exact:
 class Normal:
     """Zero mean, standard deviation `sd`."""
 
-    sd: float
+    standard_deviation: float
 
     def draw(self, rng: np.random.Generator, n: int = 1) -> Array:
         """n independent samples."""
-        return self.sd * rng.standard_normal(n)
+        return self.standard_deviation * rng.standard_normal(n)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +59,9 @@ class Row:
 
     name: str
     unit: str
-    ideal: Spread
-    realistic: Spread
-    paper: Spread | None
+    ideal_spread: Spread
+    realistic_spread: Spread
+    paper_spread: Spread | None
     source: str
 
 
@@ -122,14 +122,14 @@ PRESET_TABLE: tuple[Row, ...] = (
 )
 # fmt: on
 
-STIFF = Exact(3e7)  # N m/rad: 1 mm of the tip, where real booms give 30
+NEAR_RIGID_SPRING_NM_RAD = Exact(3e7)  # N m/rad: 1 mm of the tip, where real booms give 30
 #: Where the nominal model with oil and structure differs from `ideal`: the plant for a machine file's own effects.
 NOMINAL: dict[str, Spread] = {
     "rigid": Exact(0.0),
-    "spring_lift": STIFF,
-    "spring_tilt": STIFF,
-    "spring_lateral": STIFF,
-    "spring_wrist_mount": STIFF,
+    "spring_lift": NEAR_RIGID_SPRING_NM_RAD,
+    "spring_tilt": NEAR_RIGID_SPRING_NM_RAD,
+    "spring_lateral": NEAR_RIGID_SPRING_NM_RAD,
+    "spring_wrist_mount": NEAR_RIGID_SPRING_NM_RAD,
     "friction_scale": Exact(0.2),  # without any the oil sets the slew swinging, and nothing comes to rest
 }
 
@@ -140,10 +140,10 @@ def spread_of(preset: str, name: str) -> Spread:
     """What a preset draws for one number. Raises: PresetError: no such preset. KeyError: no such number."""
     row, checked = _ROWS[name], checked_preset(preset)
     if checked == "nominal":
-        return NOMINAL.get(name, row.ideal)
+        return NOMINAL.get(name, row.ideal_spread)
     if checked == "ideal":
-        return row.ideal
-    return row.realistic if checked == "realistic" or row.paper is None else row.paper
+        return row.ideal_spread
+    return row.realistic_spread if checked == "realistic" or row.paper_spread is None else row.paper_spread
 
 
 def checked_preset(preset: str) -> str:

@@ -49,8 +49,8 @@ _CAMERA_STOP_S = 3.0
 
 # What to simulate and where it listens.
 
-FRAMINGS = ("raw", "eap")
-ENABLES = ("auto", "panel")
+FRAMING_CHOICES = ("raw", "eap")
+ENABLE_CHOICES = ("auto", "panel")
 STRUCTURE_FRAC_MAX = 0.4  # so high are the beams that a camera near the tip sees
 
 
@@ -87,7 +87,10 @@ class SimSettings:
     stand_off_m: float = 0.1  # of the goal that the truth log measures against
 
     def __post_init__(self) -> None:
-        for name, value, choices in (("framing", self.framing, FRAMINGS), ("enable", self.enable, ENABLES)):
+        for name, value, choices in (
+            ("framing", self.framing, FRAMING_CHOICES),
+            ("enable", self.enable, ENABLE_CHOICES),
+        ):
             if value not in choices:
                 raise SimSettingsError(f"{name} = '{value}': must be one of {', '.join(choices)}")
         for name, port in (("plc_port", self.plc_port), ("camera_port", self.camera_port)):

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from recording.clock import mono_ns
 from sim_plc.machine_loop import MS, MachineLoop
 
-WAKE_NS = 2 * MS
-BATCH_NS = 20 * MS  # at most this much is caught up before the socket is looked at again
-GIVE_UP_NS = 2000 * MS  # a pause of this computer is not one of the PLC: up to this much is caught up, more is skipped
+WAKE_PERIOD_NS = 2 * MS
+CATCH_UP_BATCH_MAX_NS = 20 * MS  # at most this much is caught up before the socket is looked at again
+CATCH_UP_MAX_NS = (
+    2000 * MS
+)  # a pause of this computer is not one of the PLC: up to this much is caught up, more is skipped
 _DRAIN = 64  # datagrams a wake, so that a flood cannot keep the plant from its cycles
 _MAX_DATAGRAM = 4096
 
@@ -20,13 +22,13 @@ _MAX_DATAGRAM = 4096
 class LoopHealth:
     """How well the loop keeps up with the clock."""
 
-    cycles: int = 0
-    wakes: int = 0
+    n_cycles: int = 0
+    n_wakes: int = 0
     catch_ups: int = 0  # wakes that found more than 20 ms to do
     lost_ms: int = 0  # let go, because the loop was more than 2 s behind
     behind_max_ms: float = 0.0
-    datagrams: int = 0
-    states: int = 0
+    n_datagrams_received: int = 0
+    n_states_sent: int = 0
 
 
 class UdpPort:
@@ -83,7 +85,7 @@ class RealTimeLoop:
             if left_ns > 0:
                 deadline_ns = self._clock()
                 continue
-            deadline_ns = max(deadline_ns + WAKE_NS, self._clock() - WAKE_NS)
+            deadline_ns = max(deadline_ns + WAKE_PERIOD_NS, self._clock() - WAKE_PERIOD_NS)
             time.sleep(max(deadline_ns - self._clock(), 0) * 1e-9)
 
     def run_due_cycles(self) -> int:
@@ -92,15 +94,15 @@ class RealTimeLoop:
         now_ns = self._clock() + self._offset_ns
         self._receive_waiting_datagrams(now_ns)
         behind_ns = now_ns - machine.t_plc_ns
-        health.wakes += 1
+        health.n_wakes += 1
         health.behind_max_ms = max(health.behind_max_ms, behind_ns / MS)
-        if behind_ns > BATCH_NS:
+        if behind_ns > CATCH_UP_BATCH_MAX_NS:
             health.catch_ups += 1
-        if behind_ns > GIVE_UP_NS:
-            let_go = (behind_ns - BATCH_NS) // machine.cycle_ns
+        if behind_ns > CATCH_UP_MAX_NS:
+            let_go = (behind_ns - CATCH_UP_BATCH_MAX_NS) // machine.cycle_ns
             machine.t_plc_ns += let_go * machine.cycle_ns
             health.lost_ms += let_go * machine.cycle_ns // MS
-        until_ns = min(now_ns, machine.t_plc_ns + BATCH_NS - machine.cycle_ns)
+        until_ns = min(now_ns, machine.t_plc_ns + CATCH_UP_BATCH_MAX_NS - machine.cycle_ns)
         while machine.t_plc_ns <= until_ns:
             self._run_cycle()
         return max(now_ns - machine.t_plc_ns, 0)
@@ -108,10 +110,10 @@ class RealTimeLoop:
     def _run_cycle(self) -> None:
         machine = self._machine
         datagram = machine.run_cycle()
-        self.health.cycles += 1
+        self.health.n_cycles += 1
         if datagram is None:
             return
-        self.health.states += 1
+        self.health.n_states_sent += 1
         for receiver in machine.plc.link.receivers():
             if isinstance(receiver, tuple):
                 self._udp.send(datagram, (receiver[0], receiver[1]))
@@ -121,5 +123,5 @@ class RealTimeLoop:
             arrived = self._udp.receive()
             if arrived is None:
                 return
-            self.health.datagrams += 1
+            self.health.n_datagrams_received += 1
             self._machine.plc.receive(arrived[0], now_ns, arrived[1])

@@ -12,11 +12,11 @@ from machine.poses import inverse_pose, pose
 from machine.rotations import Array, geodesic_angle, quat_wxyz_from_rotation
 from sim_plc.world import World
 
-PERIOD_NS = 20_000_000
+TRUTH_LOG_PERIOD_NS = 20_000_000
 FLUSH_ROWS = 25
 _LISTED = 64  # longer arrays (actuator tables) are derived from shorter ones and only named
 # fmt: off
-COLUMNS = [
+TRUTH_CSV_COLUMNS = [
     "t_plc_s", "t_plc_ns", "x_ooi_tool_m", "y_ooi_tool_m", "z_ooi_tool_m", "qw_ooi_tool", "qx_ooi_tool", "qy_ooi_tool",
     "qz_ooi_tool", "error_x_mm", "error_y_mm", "error_z_mm", "error_rotation_deg", "x_base_tcp_m", "y_base_tcp_m",
     "z_base_tcp_m",
@@ -38,7 +38,9 @@ class TruthLog:
         self._file = (folder / "truth.csv").open("w", encoding="utf-8", newline="")
         self._rows = csv.writer(self._file)
         joints = range(1, len(world.nominal.joints) + 1)
-        self._rows.writerow([*COLUMNS, *(f"q_true_{j}_rad" for j in joints), *(f"q_encoder_{j}_rad" for j in joints)])
+        self._rows.writerow(
+            [*TRUTH_CSV_COLUMNS, *(f"q_true_{j}_rad" for j in joints), *(f"q_encoder_{j}_rad" for j in joints)]
+        )
         self._T_ooi_base = inverse_pose(world.scene.T_base_ooi)
         self._T_tcp_tool = world.scene.T_tcp_tool
         self._T_ooi_goal = pose(np.eye(3), np.array([0.0, 0.0, stand_off_m]))
@@ -51,7 +53,7 @@ class TruthLog:
 
     def write(self, t_plc_ns: int, T_base_tcp: Array, q_true_rad: Array, q_encoder_rad: Array) -> None:
         """One row; q_true is behind the play, q_encoder what the PLC reads."""
-        self._next_ns = t_plc_ns + PERIOD_NS
+        self._next_ns = t_plc_ns + TRUTH_LOG_PERIOD_NS
         T_ooi_tool = self._T_ooi_base @ T_base_tcp @ self._T_tcp_tool
         position, quat_wxyz = T_ooi_tool[:3, 3], quat_wxyz_from_rotation(T_ooi_tool[:3, :3])
         error_mm = (position - self._T_ooi_goal[:3, 3]) * 1e3

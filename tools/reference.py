@@ -16,7 +16,7 @@ from longreach.setting_fields import code, settings, table
 from protocol.codes import FaultBit, RejectCode, reject_text
 from server.access.roles import ANYBODY, Role, roles_needed
 from server.api.panel_alarm_catalogue import CATALOGUE
-from server.api.problems import HTTP_CODES, status_of
+from server.api.problems import PROBLEM_CODE_BY_HTTP_STATUS, status_of
 from server.app import build_app
 from server.errors import ServerError
 from server.settings import RecordingSettings, ServerSettings
@@ -62,7 +62,7 @@ def error_codes() -> str:
 
 
 def _http_codes() -> Iterator[tuple[int, str]]:
-    yield from HTTP_CODES.items()
+    yield from PROBLEM_CODE_BY_HTTP_STATUS.items()
     yield 422, "invalid_request"
 
 

@@ -90,7 +90,7 @@ def _judge(track: str, sequence: Any) -> SequenceResult:
     started = time.perf_counter()
     found = _ours(sequence)
     seconds = time.perf_counter() - started
-    errors = None if found.X is None else calibration_errors(found.X, sequence.X)
+    errors = None if found.T_hand_cam is None else calibration_errors(found.T_hand_cam, sequence.X)
     return SequenceResult(
         track=track,
         sequence=str(sequence.id),
@@ -114,8 +114,8 @@ def _ours(sequence: Any) -> HandEyeEstimate:
 def _chi2(found: HandEyeEstimate, X_true: Any) -> float | None:
     from scipy.spatial.transform import Rotation
 
-    if found.X is None or found.covariance is None:
+    if found.T_hand_cam is None or found.covariance is None:
         return None
-    turned = Rotation.from_matrix(X_true[:3, :3] @ found.X[:3, :3].T).as_rotvec()
-    error = np.concatenate((turned, X_true[:3, 3] - found.X[:3, 3]))
+    turned = Rotation.from_matrix(X_true[:3, :3] @ found.T_hand_cam[:3, :3].T).as_rotvec()
+    error = np.concatenate((turned, X_true[:3, 3] - found.T_hand_cam[:3, 3]))
     return float(error @ np.linalg.solve(found.covariance[:6, :6], error))

@@ -39,14 +39,14 @@ def hand_eye_residuals(folder: Path, name: str) -> PairResiduals:
     hand_stream, cam_stream = read_hand_eye(folder, name)
     Ts_cam_target = inverse_poses(cam_stream.Ts)
     found = estimate_hand_eye(hand_stream.t_s, hand_stream.Ts, cam_stream.t_s, Ts_cam_target)
-    if found.X is None or found.Y is None:
+    if found.T_hand_cam is None or found.T_base_target is None:
         raise RuntimeError(f"{name}: {found.reason}")
     hand = HandPoses(hand_stream.t_s, hand_stream.Ts, gap_max_s=0.2)
     inside = hand.covers_times(cam_stream.t_s + found.time_offset_s, 0.0)
     As = hand.poses_at(cam_stream.t_s[inside] + found.time_offset_s)
-    misses = inverse_poses(found.Y @ cam_stream.Ts[inside]) @ As @ found.X
+    misses = inverse_poses(found.T_base_target @ cam_stream.Ts[inside]) @ As @ found.T_hand_cam
     degrees = np.rad2deg(np.linalg.norm(rotation_vectors(misses[:, :3, :3]), axis=1))
-    seen = (inverse_poses(As @ found.X) @ found.Y)[:, :3, 3] - Ts_cam_target[inside][:, :3, 3]
+    seen = (inverse_poses(As @ found.T_hand_cam) @ found.T_base_target)[:, :3, 3] - Ts_cam_target[inside][:, :3, 3]
     base_mm = 1e3 * np.linalg.norm(misses[:, :3, 3], axis=1)
     return PairResiduals(
         estimate=found,
@@ -63,9 +63,9 @@ def hand_eye_residuals(folder: Path, name: str) -> PairResiduals:
 def _base_median_mm(hand: HandPoses, t_s: Array, Bs: Array) -> float:
     As = hand.poses_at(t_s)
     found = solve_ax_yb(As, Bs)
-    if found.X is None or found.Y is None:
+    if found.T_hand_cam is None or found.T_base_target is None:
         return float("nan")
-    return 1e3 * float(np.median(np.linalg.norm((As @ found.X - found.Y @ Bs)[:, :3, 3], axis=1)))
+    return 1e3 * float(np.median(np.linalg.norm((As @ found.T_hand_cam - found.T_base_target @ Bs)[:, :3, 3], axis=1)))
 
 
 @dataclass(frozen=True, slots=True)

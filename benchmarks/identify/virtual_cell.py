@@ -65,7 +65,7 @@ class RecordedCell(FastCell):
                 self._move(request)
                 self.segments += [
                     Segment(mark.name, mark.kind, start_s + mark.start_s, start_s + mark.end_s, mark.repeat_of)
-                    for mark in request.marks
+                    for mark in request.segment_marks
                 ]
                 return None
         return FastCell.perform(self, request)

@@ -37,7 +37,7 @@ class ServerUnderTest:
         self._starts += 1
         self._stack = Stack(
             ports,
-            runs=self._folder / "runs",
+            runs_folder=self._folder / "runs",
             settings_file=self._settings,
             log_folder=self._folder / f"server-{self._starts}",
         )

@@ -65,7 +65,7 @@ def run_case(preset: str, method: str, seed: int, folder: Path) -> Case:
         preset=preset,
         seed=seed,
         truth_log=truth_folder,
-        runs=case_folder / "runs",
+        runs_folder=case_folder / "runs",
         log_folder=case_folder / "logs",
     )
     started = time.monotonic()

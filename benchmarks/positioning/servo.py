@@ -83,7 +83,7 @@ def run_case(preset: str, seed: int, folder: Path, settings: Path, retract_mm: f
         seed=seed,
         camera_rate_hz=rate_hz,
         truth_log=truth,
-        runs=folder / "runs",
+        runs_folder=folder / "runs",
         settings_file=settings,
         log_folder=folder / "logs",
     )

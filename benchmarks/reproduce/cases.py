@@ -112,9 +112,9 @@ def fast_matching_run(
     except ServerError as error:
         return FastRun(Case(seed, kind, "refused", str(error), (), start), cell, ctx)
     steps = tuple(_step(cell, ctx, name, taken) for name, taken in looks)
-    track = ctx.knowledge.runs[-1]
-    encoder = EncoderTrack(track.joints.t_s, tcp_poses(ctx.chain, track.joints.qs))
-    sets = matched_sets(track.camera, encoder, machine.T_tcp_cam_left[:3, :3])
+    track = ctx.knowledge.odometry_runs[-1]
+    encoder = EncoderTrack(track.joint_track.t_s, tcp_poses(ctx.chain, track.joint_track.qs))
+    sets = matched_sets(track.camera_track, encoder, machine.T_tcp_cam_left[:3, :3])
     return FastRun(Case(seed, kind, "done", "", steps, start, sets.notes()), cell, ctx, reference[0], sets)
 
 

@@ -11,7 +11,7 @@ from benchmarks.reproduce.true_error import euler_deg
 from machine.chain import chain_of
 from machine.kinematics import tcp_poses
 from machine.rotations import Array
-from server.jobs.requests import USABLE
+from server.jobs.requests import USABLE_POSE_STATUSES
 
 RATE_HZ = 5.0
 
@@ -55,7 +55,12 @@ def error_series(run: FastRun, t_from_s: float, t_to_s: float) -> ErrorSeries:
     for row, k in enumerate(picks):
         pair = cell.camera.pair(trace.Ts_base_tcp[k], "mono", 0)
         tool, ooi = pair.tool.T_cam_object, pair.ooi.T_cam_object
-        if pair.tool.status in USABLE and pair.ooi.status in USABLE and tool is not None and ooi is not None:
+        if (
+            pair.tool.status in USABLE_POSE_STATUSES
+            and pair.ooi.status in USABLE_POSE_STATUSES
+            and tool is not None
+            and ooi is not None
+        ):
             vectors[row], turns[row] = 1e3 * (ooi[:3, 3] - tool[:3, 3]), euler_deg(tool[:3, :3], ooi[:3, :3])
             found[row] = True
     inputs = tuple(t - t_from_s for t in look_times_s(run) if t_from_s <= t < last - 1.0)

@@ -29,7 +29,7 @@ class FastCamera:
         machine = world.nominal
         self._camera = machine.camera
         self._markers = markers_by_object(machine)
-        self._settings = ArucoSettings().pose
+        self._settings = ArucoSettings().pose_estimation
         self._mono = MonoArucoPoseSource(machine)
         own = rng_for(world.seed, "tool corner bias")
         self._bias: Lasting = {

@@ -133,7 +133,7 @@ class FastCell:
     def _look(self, request: TakeLook) -> Look:
         T_base_tcp = self.machine.T_base_tcp()
         self.true_looks[self.clock_ns] = T_base_tcp
-        look = self.camera.look(T_base_tcp, request.pairs, request.source, self.spread_max_mm)
+        look = self.camera.look(T_base_tcp, request.n_pairs, request.source, self.spread_max_mm)
         self.looks[self.clock_ns] = look
         return look
 

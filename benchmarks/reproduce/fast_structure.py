@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from machine.rotations import Array
 from sim_plc.plant.aba import joint_frames
-from sim_plc.plant.tree import FLEXES, MOTORS, Tree, build_tree
+from sim_plc.plant.tree import FLEX_JOINT_INDICES, MOTOR_JOINT_INDICES, Tree, build_tree
 from sim_plc.plant.truth import PlantTruth
 
 _ROUNDS = 8  # each round shrinks the error about tenfold
@@ -28,8 +28,8 @@ class Structure:
         outputs = np.ascontiguousarray(np.atleast_2d(q_output), dtype=float)
         Ts = np.zeros((len(motors), 4, 4))
         _tcp_poses(
-            np.ascontiguousarray(tree.tree_R), np.ascontiguousarray(tree.tree_p), tree.mass,
-            np.ascontiguousarray(tree.com), self._gravity, self._compliance, MOTORS, FLEXES,
+            np.ascontiguousarray(tree.tree_R), np.ascontiguousarray(tree.tree_p), tree.mass_kg,
+            np.ascontiguousarray(tree.com_m), self._gravity, self._compliance, MOTOR_JOINT_INDICES, FLEX_JOINT_INDICES,
             np.ascontiguousarray(tree.T_last_tcp), motors, outputs, Ts,
         )  # fmt: skip
         return Ts

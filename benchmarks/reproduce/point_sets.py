@@ -9,7 +9,7 @@ from machine.rotations import Array
 from server.calibration.chords import positions_at
 from server.calibration.contracts import CameraTrack, EncoderTrack
 from server.calibration.hybrid_mixture import register_poses
-from server.calibration.trajectory_matching_paper import DEFAULT_SETTINGS, coarse_frame_alignment, evenly_along
+from server.calibration.trajectory_matching_paper import DEFAULT_MIXTURE_SETTINGS, coarse_frame_alignment, evenly_along
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ def matched_sets(camera: CameraTrack, encoder: EncoderTrack, R_tcp_cam_assumed: 
         Rs_x=Ts_tcp[picks_tcp, :3, :3] @ R_tcp_cam_assumed,
         points_y=Ts_vo[picks_vo, :3, 3] @ R_cfa.T,
         Rs_y=R_cfa @ Ts_vo[picks_vo, :3, :3],
-        settings=DEFAULT_SETTINGS,
+        settings=DEFAULT_MIXTURE_SETTINGS,
     )
     matched = Ts_vo[:, :3, 3] @ (match.R_x_y @ R_cfa).T + match.t_x_y
     at_stamps, inside = positions_at(camera.t_s, encoder.t_s, Ts_tcp[:, :3, 3])

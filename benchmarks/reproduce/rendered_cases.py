@@ -64,7 +64,7 @@ def _run(seed: int, set_up: SetUp, body: dict[str, Any], own: Path) -> Finished:
         preset=PRESET,
         seed=seed,
         truth_log=own / "truth",
-        runs=own / "runs",
+        runs_folder=own / "runs",
         settings_file=settings,
         log_folder=own / "logs",
         set_up=set_up,

@@ -39,7 +39,7 @@ def _run(
     command = np.zeros(6)
     for n in range(q_ref.shape[0]):
         for j in range(6):
-            q = np.round(state.q[par.motors[j]] / resolution[j]) * resolution[j]
+            q = np.round(state.q[par.motor_joints[j]] / resolution[j]) * resolution[j]
             q_out[n, j] = q
             u = kp[j] * (q_ref[n, j] - q)
             if tau[j] > 0.0:
@@ -49,7 +49,7 @@ def _run(
         for i in range(state.q.shape[0]):
             angles_out[n, i] = state.q[i]
         for j in range(6):
-            angles_out[n, par.motors[j]] = state.joint[j, OUTPUT]
+            angles_out[n, par.motor_joints[j]] = state.joint_states[j, OUTPUT]
         advance(par, state, command, 1)  # what was computed in the last cycle: one cycle of delay
         command[:] = u_out[n]
 

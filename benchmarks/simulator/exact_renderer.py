@@ -135,10 +135,10 @@ def reference_window(
         keys,
         board_keys,
         sides,
-        tuple(board.cells for board in boards),
-        relief.heights,
+        tuple(board.cell_greys for board in boards),
+        relief.heights_m,
         relief.mean_z_m,
-        level.image,
+        level.grey_image,
         level.texel_x_m,
         level.texel_y_m,
     )

@@ -44,7 +44,7 @@ class VirtualMachine:
         draws = rng_for(world.seed, "nonce")
         framing = RawFraming()
         self.machine = MachineLoop(world, framing, T_START_NS, lambda: int(draws.integers(1, 1 << 32)))
-        self.client = ClientLink(self.machine.plc.settings.table, framing, session=1)
+        self.client = ClientLink(self.machine.plc.settings.limit_table, framing, session=1)
         self._events: list[ClientEvent] = []
         self._traj_id = 0
         self._rows: list[tuple[float, Array, Array, Array, Array, Array, PlcState]] = []
@@ -59,7 +59,7 @@ class VirtualMachine:
         machine, client = self.machine, self.client
         for _ in range(n_ms):
             t_ns = machine.t_plc_ns
-            if t_ns % COMMAND_PERIOD.ns == 0:
+            if t_ns % COMMAND_PERIOD.duration_ns == 0:
                 self._events += client.poll(t_ns)
                 datagram = client.send(t_ns)
                 if datagram is not None:

@@ -70,7 +70,7 @@ def point_case(machine: Machine, seed: int, folder: Path) -> PointCase:
         preset=PRESET,
         seed=seed,
         truth_log=own / "truth",
-        runs=own / "runs",
+        runs_folder=own / "runs",
         settings_file=settings,
         log_folder=own / "logs",
         camera_rate_hz=CAMERA_HZ,

@@ -53,7 +53,7 @@ def true_target(relief: Relief, camera: StereoCamera, T_ooi_cam: Array, pixel: t
     def hit(place: Array) -> Array:
         ray = T_ooi_cam[:3, :3] @ np.append(undistort_to_rays(camera, place[None])[0], 1.0)
         dx, dy, dz = ray
-        x, y, height = wall_hit(relief.heights, relief.mean_z_m, 0.0, T_ooi_cam[:3, 3].copy(), dx, dy, dz, HIT_STEPS)
+        x, y, height = wall_hit(relief.heights_m, relief.mean_z_m, 0.0, T_ooi_cam[:3, 3].copy(), dx, dy, dz, HIT_STEPS)
         return np.array([x, y, relief.mean_z_m + height])
 
     at, step = np.array(pixel), np.diag([NORMAL_BASE_PX, NORMAL_BASE_PX])

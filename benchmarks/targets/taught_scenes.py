@@ -21,7 +21,7 @@ from server.targets.taught import ObjectBox, TaughtObject, TaughtView, teach_obj
 from server.targets.taught_tracking import TaughtTracker
 from server.vision.aruco_source import ArucoPoseSource
 from server.vision.contracts import Image, PairObservation
-from sim_plc.camera.fixtures import PLATE_M
+from sim_plc.camera.fixtures import BOLT_PLATE_SIZE_M
 from sim_plc.camera.renderer import StereoRenderer
 from sim_plc.draw_scene import with_bare_rock
 from sim_plc.draw_world import draw_world
@@ -29,7 +29,7 @@ from sim_plc.presets import PresetError
 from sim_plc.world import FixtureTruth, World
 
 CENTRE_M = (0.55, 0.1, 0.0)  # of the plate against the markers, while it is taught
-BOX_M = (PLATE_M[0] + 0.02, PLATE_M[1] + 0.02, 0.14)
+BOX_M = (BOLT_PLATE_SIZE_M[0] + 0.02, BOLT_PLATE_SIZE_M[1] + 0.02, 0.14)
 TEACH_FROM_M = ((0.0, 0.0), (0.2, -0.15), (0.3, -0.1), (0.1, -0.25))  # of the tool, across the markers
 COVER_FRAC = 0.3
 LIGHT_FRAC, GRADIENT_FRAC = (0.5, 1.4), 0.4  # of the light while teaching; darker to one side of the image

@@ -17,7 +17,7 @@ from server.vision.contracts import Array, Image, OdometryStatus
 from server.vision.edge_fit import SideFit
 from server.vision.errors import VisionError
 from server.vision.marker_search import (
-    SIDE_MIN_PX,
+    IMAGE_SIDE_MIN_PX,
     FoundMarker,
     detect_markers,
     dictionary_by_name,
@@ -42,7 +42,7 @@ def find_all_markers(
     image: Image, dictionary: "cv2.aruco.Dictionary", perimeter_min_px: float = 20.0
 ) -> tuple[FoundMarker, ...]:
     """As `find_markers`, slow and thorough: more thresholds, and a second pass at twice the size for cells of 2 px."""
-    if min(image.shape) < SIDE_MIN_PX:
+    if min(image.shape) < IMAGE_SIDE_MIN_PX:
         return ()
     thorough = search_parameters(2 * max(image.shape), perimeter_min_px)
     thorough.adaptiveThreshWinSizeStep = 4
@@ -185,7 +185,7 @@ def grid_figures(image: Image, n_expected: int, dictionary_name: str = "DICT_6X6
     found = find_markers(image, dictionary, perimeter_min_px=max(32.0, 0.015 * max(image.shape)))
     ids = [marker.marker_id for marker in found]
     expected = set(range(n_expected))
-    clean = sum(refined_marker(marker, image, dictionary, None).fit is SideFit.CLEAN for marker in found)
+    clean = sum(refined_marker(marker, image, dictionary, None).side_fit is SideFit.CLEAN for marker in found)
     return GridFigures(
         n_expected=n_expected,
         n_found=len(expected & set(ids)),

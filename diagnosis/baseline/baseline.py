@@ -20,10 +20,10 @@ from diagnosis.baseline.left_over import (
 )
 from diagnosis.cells.behind import join_cells
 from diagnosis.errors import DiagnosisError
-from diagnosis.known.days import JUDGED_ENOUGH
-from diagnosis.known.form import TOGETHER_MIN
+from diagnosis.known.days import JUDGING_RECORDINGS_TARGET
+from diagnosis.known.form import FORM_RECORDINGS_MIN
 from diagnosis.reading.read import Read
-from diagnosis.search.cell import DRIVEN_STAGES, Cell
+from diagnosis.search.cell import DYNAMIC_STAGES, Cell
 from diagnosis.search.fit import Fit, entries_of, fit_hypothesis
 from diagnosis.whole_model.linear import EffectTerm, linearise_terms
 from diagnosis.whole_model.parts import library_of
@@ -42,11 +42,11 @@ def usual_gains(checked: list[Read]) -> Gains:
     """
     most: Gains = {}
     for cell in (cell for whole in checked for cell in cells_of(whole)):
-        terms = tuple(EffectTerm(effect, np.zeros(len(effect.slots)), False) for effect in library_of(cell))
+        terms = tuple(EffectTerm(effect, np.zeros(len(effect.parameter_slots)), False) for effect in library_of(cell))
         lin = linearise_terms(cell, terms)
         problem = lin.choice_problem(trusted_rows(cell, ()))
         none = problem.score(np.zeros(len(terms), dtype=bool))
-        place = cell.stage, cell.joint if cell.stage in DRIVEN_STAGES else None
+        place = cell.stage, cell.joint if cell.stage in DYNAMIC_STAGES else None
         gains = most.setdefault(place, {})
         for k, term in enumerate(terms):
             gain = problem.score(np.arange(len(terms)) == k) - none - float(problem.log_odds[k])
@@ -54,10 +54,10 @@ def usual_gains(checked: list[Read]) -> Gains:
     return most
 
 
-PASSES = 3  # at most, each by the floor that the one before it left
-CHECKED_MIN = 2  # recordings that the baseline is judged on
-ROUNDS = 5  # of a fit of the sizes
-FOLDS = 3  # of the recordings, each judged by the form of the others
+MAX_SELECTION_PASSES = 3  # at most, each by the floor that the one before it left
+JUDGING_RECORDINGS_MIN = 2  # recordings that the baseline is judged on
+MAX_ITERATIONS = 5  # of a fit of the sizes
+CROSS_VALIDATION_FOLDS = 3  # of the recordings, each judged by the form of the others
 Progress = Callable[[str], None]
 
 
@@ -65,10 +65,10 @@ Progress = Callable[[str], None]
 class CellBaseline:
     """What was found for one cell: RMS in floors before and with the effects, on recordings not used for the fit."""
 
-    label: str
+    cell_label: str
     effects: tuple[EffectEntry, ...]
-    before: float
-    after: float
+    rms_without_effects: float
+    rms_with_effects: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Baseline:
 
     effects: tuple[EffectEntry, ...]
     remainders: tuple[Remainder, ...]
-    cells: tuple[CellBaseline, ...]
+    cell_baselines: tuple[CellBaseline, ...]
 
 
 def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = lambda _text: None) -> Baseline:
@@ -86,10 +86,11 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     Raises: DiagnosisError: fewer than one recording to fit or two to judge, or nothing in them to replay.
     """
     wholes = [*fitted, *checked]
-    if not fitted or len(checked) < CHECKED_MIN:
+    if not fitted or len(checked) < JUDGING_RECORDINGS_MIN:
         raise DiagnosisError(
-            f"a baseline from {len(wholes)} recordings: give at least {1 + CHECKED_MIN}, of which 1 is fitted and "
-            f"{CHECKED_MIN} judge"
+            f"a baseline from {len(wholes)} recordings: give at least {1 + JUDGING_RECORDINGS_MIN}, of which 1 is "
+            "fitted and "
+            f"{JUDGING_RECORDINGS_MIN} judge"
         )
     entries = _refit_effect_sizes(wholes, _fit_until_effects_stable(fitted, progress), progress)
     progress("what the model is wrong by on all recordings alike")
@@ -114,13 +115,13 @@ def with_usual(remainders: tuple[Remainder, ...], gains: Gains, days: int) -> tu
     out = []
     for remainder in remainders:
         joints = [joint for stage, joint in gains if stage == remainder.stage and remainder.on == ""]
-        if days >= JUDGED_ENOUGH and remainder.joint in joints:
+        if days >= JUDGING_RECORDINGS_TARGET and remainder.joint in joints:
             joints = [remainder.joint]
         most: dict[str, float] = {}
         for own in (gains[remainder.stage, joint] for joint in joints):
             most = {name: max(nats, most.get(name, 0.0)) for name, nats in {**most, **own}.items()}
         out.append(replace(remainder, usual=tuple(most.items())))
-    behind = [(stage, own) for (stage, _), own in gains.items() if stage not in DRIVEN_STAGES]
+    behind = [(stage, own) for (stage, _), own in gains.items() if stage not in DYNAMIC_STAGES]
     return (*out, *(Remainder(stage, None, "", 0.0, 0.0, usual=tuple(own.items())) for stage, own in behind))
 
 
@@ -138,13 +139,15 @@ def _cross_validated_forms(
     Why: a form has some hundred numbers, and what it leaves of the recordings that it was fitted to is less than of
     the next one.
     """
-    if len(wholes) < FOLDS * TOGETHER_MIN:
+    if len(wholes) < CROSS_VALIDATION_FOLDS * FORM_RECORDINGS_MIN:
         return [forms for _ in wholes]
     apart = [
-        _common_remainder_forms([recording for k, recording in enumerate(wholes) if k % FOLDS != fold], entries)
-        for fold in range(FOLDS)
+        _common_remainder_forms(
+            [recording for k, recording in enumerate(wholes) if k % CROSS_VALIDATION_FOLDS != fold], entries
+        )
+        for fold in range(CROSS_VALIDATION_FOLDS)
     ]
-    return [apart[k % FOLDS] for k in range(len(wholes))]
+    return [apart[k % CROSS_VALIDATION_FOLDS] for k in range(len(wholes))]
 
 
 def _with_predicted(
@@ -176,13 +179,13 @@ def _fit_until_effects_stable(fitted: list[Read], progress: Progress) -> dict[st
     entries: tuple[EffectEntry, ...] = ()
     remainders: tuple[Remainder, ...] = ()
     found: dict[str, Fit] = {}
-    for number in range(1, PASSES + 1):
+    for number in range(1, MAX_SELECTION_PASSES + 1):
         before = [(effect.name, effect.joint) for effect in entries]
         groups = _cells_by_label([with_baseline(recording, (), remainders) for recording in fitted])
         if not groups:
             raise DiagnosisError("no stage of these recordings can be replayed; see `longreach recording check`")
         for label, cell in groups.items():
-            progress(f"fitting {label}, pass {number} of at most {PASSES}")
+            progress(f"fitting {label}, pass {number} of at most {MAX_SELECTION_PASSES}")
             found[label] = _fit_all_effects(cell)
         entries = tuple(entry for fitting in found.values() for entry in entries_of(fitting))
         if [(effect.name, effect.joint) for effect in entries] == before:
@@ -193,8 +196,8 @@ def _fit_until_effects_stable(fitted: list[Read], progress: Progress) -> dict[st
 
 def _fit_all_effects(cell: Cell) -> Fit:
     """All effects of a cell together, pruned."""
-    best = fit_and_prune(cell, library_of(cell)).best
-    return fit_of(best.current_terms, best.lin)
+    best = fit_and_prune(cell, library_of(cell)).best_fit
+    return fit_of(best.current_terms, best.linear_model)
 
 
 def _refit_effect_sizes(wholes: list[Read], fits: dict[str, Fit], progress: Progress) -> tuple[EffectEntry, ...]:
@@ -209,7 +212,7 @@ def _refit_effect_sizes(wholes: list[Read], fits: dict[str, Fit], progress: Prog
     for label, cell in _cells_by_label([with_baseline(recording, (), remainders) for recording in wholes]).items():
         if label in fits and fits[label].hypothesis:
             progress(f"sizes of {label} on {len(wholes)} recordings")
-            found += entries_of(fit_hypothesis(cell, fits[label].hypothesis, fits[label].theta, ROUNDS))
+            found += entries_of(fit_hypothesis(cell, fits[label].hypothesis, fits[label].theta, MAX_ITERATIONS))
     return tuple(found)
 
 

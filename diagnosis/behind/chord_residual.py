@@ -21,8 +21,8 @@ class ChordResidual:
     (m,) as odometry has it.
     """
 
-    nominal: Nominal
-    paths: tuple[Path, ...]
+    nominal_machine: Nominal
+    encoder_paths: tuple[Path, ...]
     at: NDArray[np.int64]
     start_s: Array
     end_s: Array
@@ -39,14 +39,14 @@ class ChordResidual:
     def predicted_lengths(self, sets: ParameterSets, plain: ParameterSets, k: int) -> Array:
         """Lengths (m,) [m] that one set foresees."""
         ends = [self._camera_positions(sets, plain, k, t) for t in (self.start_s, self.end_s)]
-        scale = 1.0 + float(sets.machine[k, ODOMETRY_SCALE])
+        scale = 1.0 + float(sets.machine_parameters[k, ODOMETRY_SCALE])
         return scale * np.linalg.norm(ends[1] - ends[0], axis=1)
 
     def _camera_positions(self, sets: ParameterSets, plain: ParameterSets, k: int, stamps_s: Array) -> Array:
         """The camera in the base (m, 3)."""
-        arm, mount = self.nominal.arm, self.nominal.T_tcp_cam_left
+        arm, mount = self.nominal_machine.arm, self.nominal_machine.T_tcp_cam_left
         if arm is None or mount is None:
             return np.zeros((len(stamps_s), 3))
         t = true_times(sets, stamps_s, self.t_start_s, k)
-        Ts_base_tcp = tcp_poses(arm, plain, link_angles(self.paths, sets, k, self.at, t), k)
+        Ts_base_tcp = tcp_poses(arm, plain, link_angles(self.encoder_paths, sets, k, self.at, t), k)
         return (Ts_base_tcp @ camera_mount(sets, mount, k))[:, :3, 3]

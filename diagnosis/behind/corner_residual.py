@@ -10,15 +10,17 @@ from diagnosis.behind.link_angles import Path, link_angles, without_encoders
 from diagnosis.log.nominal import Nominal
 from diagnosis.noise.of_a_day import DayNoise, day_noise
 from diagnosis.noise.of_corners import CornerNoise, groups_of
-from machine.effects.layout import CAMERA_COLUMNS, READOUT, ParameterSets
+from machine.effects.layout import CAMERA_PARAMETER_COLUMNS, READOUT, ParameterSets
 from machine.effects.seen import camera_mount, seen_corners, tool_place, true_times
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array, rotation_from_rotvec
 from machine.targets import Marker
 
-NUDGE = 1e-4
-FAR_PX = 1e3
-OF_PLACE = 1e-3  # of a column: what is left of one below it is what a step of the object's place is wrong by
+FINITE_DIFFERENCE_STEP = 1e-4
+RESIDUAL_CLIP_PX = 1e3
+PROJECTED_COLUMN_MIN_FRAC = (
+    1e-3  # of a column: what is left of one below it is what a step of the object's place is wrong by
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,14 +31,14 @@ class Frames:
     """
 
     t_s: Array
-    pixels: Array
+    corners_px: Array
     markers: tuple[Marker, ...]
-    groups: NDArray[np.int64]
+    frame_axis_group: NDArray[np.int64]
 
     @property
     def frame_of_each(self) -> NDArray[np.int64]:
         """The frame of each number that was seen (N,)."""
-        return np.nonzero(np.isfinite(self.pixels))[0]
+        return np.nonzero(np.isfinite(self.corners_px))[0]
 
     @classmethod
     def with_groups(cls, t_s: Array, pixels: Array, markers: tuple[Marker, ...]) -> Self:
@@ -52,71 +54,73 @@ class CornerResidual:
     noise of the markers' places on their object by `layout_m` each, the same in all frames.
     """
 
-    nominal: Nominal
-    frames: Frames
-    on: Literal["tool", "ooi"]
-    paths: tuple[Path, ...]
-    at: NDArray[np.int64]
+    nominal_machine: Nominal
+    camera_frames: Frames
+    marker_carrier: Literal["tool", "ooi"]
+    encoder_paths: tuple[Path, ...]
+    path_index: NDArray[np.int64]
     t_start_s: float
     T_base_ooi: Array
-    nuisance: Array
+    nuisance_jacobian: Array
     noise: CornerNoise
-    untimed: bool = False
+    fits_clock_offset: bool = False
     layout_m: float = 0.0
-    layout: DayNoise | None = None
+    layout_noise: DayNoise | None = None
 
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
         plain = without_encoders(sets)
-        white = self.noise.whiten(self.nuisance.T, self.frames.groups).T
+        white = self.noise.whiten(self.nuisance_jacobian.T, self.camera_frames.frame_axis_group).T
         arms: dict[bytes, Array] = {}
         rows = [self._unwhitened_residual(sets, plain, k, white, arms) for k in range(sets.set_count)]
-        out = self.noise.whiten(np.array(rows), self.frames.groups)
-        return out if self.layout is None else self.layout.whiten(out)
+        out = self.noise.whiten(np.array(rows), self.camera_frames.frame_axis_group)
+        return out if self.layout_noise is None else self.layout_noise.whiten(out)
 
     def with_layout(self, base: ParameterSets) -> Self:
         """With markers that are each off their place by `layout_m`, and turned by that over half a side."""
         if self.layout_m == 0.0:
             return self
-        plain, markers = without_encoders(base), self.frames.markers
+        plain, markers = without_encoders(base), self.camera_frames.markers
         Ts = self.poses(base, plain, 0, 0.0)
         here = self.corner_differences_px(plain, 0, Ts, None, self.T_base_ooi)
         columns = []
         for k, marker in enumerate(markers):
             for row in np.diag(np.repeat((self.layout_m, 2.0 * self.layout_m / marker.side_m), 3)):
                 moved = replace(marker, T_on_marker=marker.T_on_marker @ small_motion(row))
-                other = replace(self, frames=replace(self.frames, markers=(*markers[:k], moved, *markers[k + 1 :])))
+                other = replace(
+                    self, camera_frames=replace(self.camera_frames, markers=(*markers[:k], moved, *markers[k + 1 :]))
+                )
                 columns.append(other.corner_differences_px(plain, 0, Ts, None, self.T_base_ooi) - here)
-        return replace(self, layout=day_noise(self.placement_free_columns(np.array(columns).T)))
+        return replace(self, layout_noise=day_noise(self.placement_free_columns(np.array(columns).T)))
 
     def _unwhitened_residual(
         self, sets: ParameterSets, plain: ParameterSets, k: int, white: Array, arms: dict[bytes, Array]
     ) -> Array:
         """Not yet whitened (N,); `white`: the whitened nuisance (N, 6 or 7), which the parameters do not change."""
-        later = bool(sets.machine[k, READOUT])
+        later = bool(sets.machine_parameters[k, READOUT])
         T = self.poses(sets, plain, k, 0.0, arms=arms)
         T_later = self.poses(sets, plain, k, 0.01, arms=arms) if later else None
-        if self.on == "tool":
+        if self.marker_carrier == "tool":
             return self.corner_differences_px(plain, k, T, T_later, tool_place(sets, self.T_base_ooi, k))
         residual = self.corner_differences_px(plain, k, T, T_later, self.T_base_ooi)
-        if self.nuisance.shape[1] == 0:
+        if self.nuisance_jacobian.shape[1] == 0:
             return residual
         moved = self.T_base_ooi @ small_motion(-self._best_nuisance_change(white, residual)[:6])
         residual = self.corner_differences_px(plain, k, T, T_later, moved)
-        return np.asarray(residual - self.nuisance @ self._best_nuisance_change(white, residual), dtype=float)
+        return np.asarray(residual - self.nuisance_jacobian @ self._best_nuisance_change(white, residual), dtype=float)
 
     def _best_nuisance_change(self, white: Array, residual: Array) -> Array:
         """Change of the OOI's place, and of the clock (6 or 7,), that explains most of a residual (N,) [px]."""
-        return least_squares(white, self.noise.whiten(residual[None], self.frames.groups)[0])
+        return least_squares(white, self.noise.whiten(residual[None], self.camera_frames.frame_axis_group)[0])
 
     def placement_free_columns(self, columns: Array) -> Array:
         """Columns (N, k) [px, by any number], white as the residual, without what a change of the OOI's place does."""
-        white = self.noise.whiten(columns.T, self.frames.groups).T
-        if self.on == "tool" or self.nuisance.shape[1] == 0:
+        white = self.noise.whiten(columns.T, self.camera_frames.frame_axis_group).T
+        if self.marker_carrier == "tool" or self.nuisance_jacobian.shape[1] == 0:
             return white
-        own = self.noise.whiten(self.nuisance.T, self.frames.groups).T
+        own = self.noise.whiten(self.nuisance_jacobian.T, self.camera_frames.frame_axis_group).T
         left = white - own @ np.linalg.lstsq(own, white, rcond=None)[0]
-        return left * (np.linalg.norm(left, axis=0) > OF_PLACE * np.linalg.norm(white, axis=0))
+        return left * (np.linalg.norm(left, axis=0) > PROJECTED_COLUMN_MIN_FRAC * np.linalg.norm(white, axis=0))
 
     def poses(
         self,
@@ -131,20 +135,20 @@ class CornerResidual:
 
         `arms`: Ts_tcp_base that were computed for other sets, which most sets share: they differ in the camera only.
         """
-        mount = self.nominal.T_tcp_cam_left
-        if mount is None or self.nominal.arm is None:
-            return np.tile(np.eye(4), (len(self.frames.t_s), 1, 1))
+        mount = self.nominal_machine.T_tcp_cam_left
+        if mount is None or self.nominal_machine.arm is None:
+            return np.tile(np.eye(4), (len(self.camera_frames.t_s), 1, 1))
         T_cam_tcp = np.asarray(np.linalg.inv(camera_mount(sets, mount, k)), dtype=float)
-        if self.on == "tool":
-            return np.tile(T_cam_tcp, (len(self.frames.t_s), 1, 1))
-        machine = sets.machine[k].copy()
-        machine[CAMERA_COLUMNS] = 0.0
-        key = sets.joint[k].tobytes() + machine.tobytes() + np.float64(later_s).tobytes()
+        if self.marker_carrier == "tool":
+            return np.tile(T_cam_tcp, (len(self.camera_frames.t_s), 1, 1))
+        machine = sets.machine_parameters[k].copy()
+        machine[CAMERA_PARAMETER_COLUMNS] = 0.0
+        key = sets.joint_parameters[k].tobytes() + machine.tobytes() + np.float64(later_s).tobytes()
         Ts_tcp_base = None if arms is None else arms.get(key)
         if Ts_tcp_base is None:
-            t = true_times(sets, self.frames.t_s, self.t_start_s, k) + later_s
-            q = link_angles(self.paths, sets, k, self.at, t) + more_rad
-            Ts_tcp_base = np.asarray(np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k)), dtype=float)
+            t = true_times(sets, self.camera_frames.t_s, self.t_start_s, k) + later_s
+            q = link_angles(self.encoder_paths, sets, k, self.path_index, t) + more_rad
+            Ts_tcp_base = np.asarray(np.linalg.inv(tcp_poses(self.nominal_machine.arm, plain, q, k)), dtype=float)
             if arms is not None:
                 arms[key] = Ts_tcp_base
         return np.asarray(T_cam_tcp @ Ts_tcp_base, dtype=float)
@@ -159,20 +163,27 @@ class CornerResidual:
             )
 
         here = left(0.0)
-        return np.array([here - left(more_rad) for more_rad in NUDGE * np.eye(self.nominal.n)]) / NUDGE
+        return (
+            np.array([here - left(more_rad) for more_rad in FINITE_DIFFERENCE_STEP * np.eye(self.nominal_machine.n)])
+            / FINITE_DIFFERENCE_STEP
+        )
 
     def corner_differences_px(
         self, plain: ParameterSets, k: int, Ts: Array, later: Array | None, T_object: Array
     ) -> Array:
         """Measured less foreseen of the corners that were seen (N,) [px]."""
-        camera = self.nominal.camera
+        camera = self.nominal_machine.camera
         if camera is None:
             return np.zeros(0)
         after = None if later is None else later @ T_object
-        corners = seen_corners(plain, camera, self.frames.markers, Ts @ T_object, after, 0.01, k)
-        foreseen = np.stack([corners.left, corners.right], axis=1)
-        seen = np.isfinite(self.frames.pixels)
-        return np.clip(np.nan_to_num((self.frames.pixels - foreseen)[seen], nan=FAR_PX), -FAR_PX, FAR_PX)
+        corners = seen_corners(plain, camera, self.camera_frames.markers, Ts @ T_object, after, 0.01, k)
+        foreseen = np.stack([corners.left_px, corners.right_px], axis=1)
+        seen = np.isfinite(self.camera_frames.corners_px)
+        return np.clip(
+            np.nan_to_num((self.camera_frames.corners_px - foreseen)[seen], nan=RESIDUAL_CLIP_PX),
+            -RESIDUAL_CLIP_PX,
+            RESIDUAL_CLIP_PX,
+        )
 
 
 def least_squares(A: Array, r: Array) -> Array:
@@ -195,11 +206,13 @@ def nuisance_of(placed: CornerResidual, base: ParameterSets) -> Array:
     Ts = placed.poses(base, plain, 0, 0.0)
     at = placed.corner_differences_px(plain, 0, Ts, None, placed.T_base_ooi)
     steps = [
-        placed.corner_differences_px(plain, 0, Ts, None, placed.T_base_ooi @ small_motion(NUDGE * row))
+        placed.corner_differences_px(plain, 0, Ts, None, placed.T_base_ooi @ small_motion(FINITE_DIFFERENCE_STEP * row))
         for row in np.eye(6)
     ]
-    if placed.untimed:
+    if placed.fits_clock_offset:
         steps.append(
-            placed.corner_differences_px(plain, 0, placed.poses(base, plain, 0, NUDGE), None, placed.T_base_ooi)
+            placed.corner_differences_px(
+                plain, 0, placed.poses(base, plain, 0, FINITE_DIFFERENCE_STEP), None, placed.T_base_ooi
+            )
         )
-    return np.array([(step - at) / NUDGE for step in steps]).T
+    return np.array([(step - at) / FINITE_DIFFERENCE_STEP for step in steps]).T

@@ -7,8 +7,8 @@ from numba import njit
 
 from machine.rotations import Array
 
-FLAT = 1e-10  # of the largest curvature: along less than that nothing is known, and nothing is changed
-ENOUGH_RAD = 1e-11
+CURVATURE_MIN_FRAC = 1e-10  # of the largest curvature: along less than that nothing is known, and nothing is changed
+CONVERGENCE_STEP_RAD = 1e-11
 
 
 @njit(cache=True)
@@ -45,7 +45,7 @@ def gauss_newton_rotations(Q: Array, g: Array, starts: Array, steps: int) -> tup
                             row += Q[i, j] * J[j, b]
                         A[a, b] += J[i, a] * row
                     A[b, a] = A[a, b]
-            ridge = max(damping, FLAT) * ((A[0, 0] + A[1, 1] + A[2, 2]) / 3.0 + 1e-300)
+            ridge = max(damping, CURVATURE_MIN_FRAC) * ((A[0, 0] + A[1, 1] + A[2, 2]) / 3.0 + 1e-300)
             for a in range(3):
                 A[a, a] += ridge
             x, y, z = _solve_symmetric_3x3(A, slope)
@@ -56,7 +56,7 @@ def gauss_newton_rotations(Q: Array, g: Array, starts: Array, steps: int) -> tup
                 value, pull, damping = new, new_pull, 0.1 * damping
             else:
                 damping *= 10.0
-            if max(abs(x), abs(y), abs(z)) < ENOUGH_RAD:
+            if max(abs(x), abs(y), abs(z)) < CONVERGENCE_STEP_RAD:
                 break
         values[s] = value
     return found, values

@@ -12,13 +12,13 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.behind.frame_descent import FLAT, gauss_newton_rotations
+from diagnosis.behind.frame_descent import CURVATURE_MIN_FRAC, gauss_newton_rotations
 from machine.poses import pose
 from machine.rotations import Array, rotation_from_rotvec, skew
 
 TRIED, SETTLED = 8, 40  # steps from every start, and from the best of them
-POLISHED = 3
-GENERATORS = np.array([skew(axis) for axis in np.eye(3)])
+POLISH_ITERATIONS = 3
+ROTATION_GENERATORS = np.array([skew(axis) for axis in np.eye(3)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ def frame_and_places(
         H -= n * D.T @ D
         b -= n * D.T @ e
         on_link[int(k)] = (D, e)
-    tt = np.linalg.pinv(H[9:, 9:], rcond=FLAT, hermitian=True)
+    tt = np.linalg.pinv(H[9:, 9:], rcond=CURVATURE_MIN_FRAC, hermitian=True)
     form = QuadraticForm(H[:9, :9] - H[:9, 9:] @ tt @ H[9:, :9], b[:9] - H[:9, 9:] @ tt @ b[9:])
     found = best_rotation(form)
     r = found.T.ravel()
@@ -70,7 +70,7 @@ def frame_and_places(
 
 def best_rotation(form: QuadraticForm) -> Array:
     """The rotation (3, 3) of the least sum of squares: damped Gauss-Newton from the cube's 24, the best to its end."""
-    R, value = gauss_newton_rotations(form.Q, form.g, STARTS, TRIED)
+    R, value = gauss_newton_rotations(form.Q, form.g, START_ROTATIONS, TRIED)
     best, _ = gauss_newton_rotations(form.Q, form.g, R[np.argmin(value)][None], SETTLED)
     return _refine_by_newton(form, best[0])
 
@@ -80,13 +80,13 @@ def _refine_by_newton(form: QuadraticForm, R: Array) -> Array:
 
     Why: a residual that is left makes Gauss-Newton slow, and derivatives of the fit are taken by small differences.
     """
-    twice = np.einsum("aij,bjk->abik", GENERATORS, GENERATORS)
+    twice = np.einsum("aij,bjk->abik", ROTATION_GENERATORS, ROTATION_GENERATORS)
     twice = 0.5 * (twice + twice.transpose(1, 0, 2, 3))
-    for _ in range(POLISHED):
-        J = np.einsum("aij,jk->kia", GENERATORS, R).reshape(9, 3)
+    for _ in range(POLISH_ITERATIONS):
+        J = np.einsum("aij,jk->kia", ROTATION_GENERATORS, R).reshape(9, 3)
         pull = form.Q @ R.T.ravel() - form.g
         A = J.T @ form.Q @ J + np.einsum("ik,abij,jk->ab", pull.reshape(3, 3).T, twice, R)
-        if np.linalg.eigvalsh(A)[0] <= FLAT * np.trace(A):
+        if np.linalg.eigvalsh(A)[0] <= CURVATURE_MIN_FRAC * np.trace(A):
             break
         R = rotation_from_rotvec(-np.linalg.solve(A, J.T @ pull)) @ R
     return R
@@ -104,4 +104,4 @@ def _cube_rotations() -> Array:
     return np.array(found)
 
 
-STARTS = _cube_rotations()
+START_ROTATIONS = _cube_rotations()

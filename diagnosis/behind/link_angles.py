@@ -10,24 +10,24 @@ from diagnosis.behind.quiet_encoders import smooth_encoders
 from diagnosis.behind.stairs import smooth_encoder_steps, steps_visible_at_tip
 from diagnosis.log.tables import fill_gaps
 from diagnosis.replay.stretches import Stretch
-from diagnosis.search.candidates import SWINGS, Candidate, arm_candidates
+from diagnosis.search.candidates import OSCILLATION_EFFECTS, Candidate, arm_candidates
 from machine.effects import kernel
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-COURSE_COLUMNS = [
+LINK_ANGLE_PARAMETER_COLUMNS = [
     kernel.BACKLASH,
     *(kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE, kernel.ECC_ORDER, kernel.ECC_PHASE),
     *(kernel.FLEX_GAIN, kernel.FLEX_HZ, kernel.FLEX_DAMPING),
     *(kernel.KNOWN_GAIN, kernel.KNOWN_HZ, kernel.KNOWN_DAMPING),
 ]
-REMEMBERED = 36  # of a joint: both sides of its play, too
-CROSSED = 2.0  # of a play, that a joint goes for its first side to be a matter of where it began
-SIDES = (-1.0, 0.0, 1.0)
-COURSE_S = 0.01  # between two angles of a course: between them 0.01 mm of the tip at 0.2 rad/s^2
-FOLLOWED_S = 0.1  # between logged rows: a longer one shows neither play's reversals nor an oscillation
-ENCODER_COLUMNS = (kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE)
+CACHE_ENTRIES_PER_JOINT = 36  # of a joint: both sides of its play, too
+BACKLASH_TRAVEL_RATIO_MIN = 2.0  # of a play, that a joint goes for its first side to be a matter of where it began
+BACKLASH_SIDES = (-1.0, 0.0, 1.0)
+PATH_SAMPLE_PERIOD_S = 0.01  # between two angles of a course: between them 0.01 mm of the tip at 0.2 rad/s^2
+DYNAMICS_ROW_PERIOD_MAX_S = 0.1  # between logged rows: a longer one shows neither play's reversals nor an oscillation
+ENCODER_PARAMETER_COLUMNS = (kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +38,11 @@ class Path:
     """
 
     t_s: Array
-    enc: Array
+    encoder_angles: Array
     step_s: float | None
     coarse_rad: tuple[float, ...] = ()
     # Link-side angles, behind play and oscillation.
-    courses: dict[tuple[int, float, bytes], Array] = field(default_factory=dict, compare=False)
+    link_angle_cache: dict[tuple[int, float, bytes], Array] = field(default_factory=dict, compare=False)
 
 
 def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
@@ -51,8 +51,8 @@ def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
     for stretch in stretches:
         if stretch.enc is None or not np.isfinite(stretch.enc).any(axis=0).all():
             continue
-        skip = max(1, int(COURSE_S / stretch.dt_s + 1e-9))
-        step_s = stretch.dt_s * skip if stretch.dt_s <= FOLLOWED_S else None
+        skip = max(1, int(PATH_SAMPLE_PERIOD_S / stretch.dt_s + 1e-9))
+        step_s = stretch.dt_s * skip if stretch.dt_s <= DYNAMICS_ROW_PERIOD_MAX_S else None
         coarse = steps_visible_at_tip(np.zeros(stretch.enc.shape[1]) if stretch.enc_step is None else stretch.enc_step)
         quiet = np.ascontiguousarray(
             smooth_encoders(smooth_encoder_steps(fill_gaps(stretch.enc), coarse, stretch.dt_s), stretch.dt_s)[::skip]
@@ -81,7 +81,7 @@ def candidates_behind(joints: tuple[int, ...], paths: tuple[Path, ...]) -> tuple
     return tuple(
         candidate
         for candidate in arm_candidates(joints, is_logged_densely(paths))
-        if candidate.name not in SWINGS or candidate.joint not in coarse
+        if candidate.name not in OSCILLATION_EFFECTS or candidate.joint not in coarse
     )
 
 
@@ -100,18 +100,20 @@ def link_angles(
 
     `side`: of its play, on which every joint stands that moves later, where its course begins: -1, 0 (the middle) or 1.
     """
-    n = sets.joint.shape[1]
+    n = sets.joint_parameters.shape[1]
     out, times = np.zeros((len(t_s), n)), np.ascontiguousarray(t_s, dtype=float)
     encoders = np.ones((len(paths), n), dtype=bool)
-    loose = np.any(sets.joint[which][:, [kernel.BACKLASH, kernel.FLEX_GAIN, kernel.KNOWN_GAIN]], axis=1)
-    keys = [sets.joint[which, j, COURSE_COLUMNS].tobytes() if loose[j] else b"" for j in range(n)]
+    loose = np.any(sets.joint_parameters[which][:, [kernel.BACKLASH, kernel.FLEX_GAIN, kernel.KNOWN_GAIN]], axis=1)
+    keys = [
+        sets.joint_parameters[which, j, LINK_ANGLE_PARAMETER_COLUMNS].tobytes() if loose[j] else b"" for j in range(n)
+    ]
     for k in np.unique(at):
         path = paths[k]
         for j in range(n):
             encoders[k, j] = path.step_s is None or not loose[j]
             values = path.enc[:, j]
             if path.step_s is not None and loose[j]:
-                values = _behind_joint(path, path.step_s, sets.joint[which, j], j, keys[j], side)
+                values = _behind_joint(path, path.step_s, sets.joint_parameters[which, j], j, keys[j], side)
             _interpolate_cubic(path.t_s, values, at, k, times, out[:, j])
     rows = encoders[at]
     # the encoders' map is smooth: after the interpolation it costs a tenth
@@ -147,19 +149,19 @@ def _behind_joint(path: Path, step_s: float, effects: Array, j: int, key: bytes,
     """Link-side angles of joint j (0-based), which has play or oscillates, at the path's rows (m,); joint by joint,
     since most sets differ in one.
     """
-    if side and np.ptp(path.enc[:, j]) < CROSSED * effects[kernel.BACKLASH]:
+    if side and np.ptp(path.encoder_angles[:, j]) < BACKLASH_TRAVEL_RATIO_MIN * effects[kernel.BACKLASH]:
         side = 0.0
-    if (j, side, key) not in path.courses:
-        if len(path.courses) >= REMEMBERED * path.enc.shape[1]:
-            path.courses.pop(next(iter(path.courses)))
-        path.courses[j, side, key] = kernel.link_side_course(
-            effects, np.ascontiguousarray(path.enc[:, j]), step_s, side
+    if (j, side, key) not in path.link_angle_cache:
+        if len(path.link_angle_cache) >= CACHE_ENTRIES_PER_JOINT * path.encoder_angles.shape[1]:
+            path.link_angle_cache.pop(next(iter(path.link_angle_cache)))
+        path.link_angle_cache[j, side, key] = kernel.link_side_course(
+            effects, np.ascontiguousarray(path.encoder_angles[:, j]), step_s, side
         )
-    return path.courses[j, side, key]
+    return path.link_angle_cache[j, side, key]
 
 
 def without_encoders(sets: ParameterSets) -> ParameterSets:
     """The sets with true encoders, for angles that are the link's already."""
-    joint = sets.joint.copy()
-    joint[..., list(ENCODER_COLUMNS)] = 0.0
-    return ParameterSets(joint, sets.machine)
+    joint = sets.joint_parameters.copy()
+    joint[..., list(ENCODER_PARAMETER_COLUMNS)] = 0.0
+    return ParameterSets(joint, sets.machine_parameters)

@@ -10,10 +10,10 @@ import numpy as np
 
 from machine.rotations import Array
 
-OWN_TIMES = 5.0  # what each corner shows by itself
-COMMON_SHARE = 0.3  # of what all markers do together: seen in perspective, that is not the same for all
-LEAST_PX = 0.5
-LOOKS_MIN = 4
+CORNER_NOISE_RATIO_MIN = 5.0  # what each corner shows by itself
+SHARED_MOTION_FRAC_MIN = 0.3  # of what all markers do together: seen in perspective, that is not the same for all
+MARKER_MOTION_MIN_PX = 0.5
+MARKER_VIEWS_MIN = 4
 MARKERS_MIN = 3  # two alone turn and grow as a camera that moves shows them
 
 
@@ -21,7 +21,7 @@ MARKERS_MIN = 3  # two alone turn and grow as a camera that moves shows them
 class LooseMarker:
     """Which marker (its number), how far it goes by itself, and the noise of each corner, standard deviations [px]."""
 
-    number: int
+    marker_index: int
     moved_px: float
     own_px: float
 
@@ -49,11 +49,11 @@ def loose_marker(visits: list[Array], markers: int) -> LooseMarker | None:
             by_marker[seen] += np.stack(
                 [((means[seen] - centre) ** 2).sum(axis=1), np.full(int(seen.sum()), 2.0)], axis=1
             )
-    enough = by_marker[:, 1] >= 2.0 * LOOKS_MIN
+    enough = by_marker[:, 1] >= 2.0 * MARKER_VIEWS_MIN
     if int(enough.sum()) < MARKERS_MIN:
         return None
     own_px, common_px = float(np.sqrt(own[0] / own[1])), float(np.sqrt(common[0] / common[1]))
     moved = np.sqrt(by_marker[:, 0] / np.maximum(by_marker[:, 1], 1.0)) * enough
     worst = int(np.argmax(moved))
-    least = max(OWN_TIMES * own_px, COMMON_SHARE * common_px, LEAST_PX)
+    least = max(CORNER_NOISE_RATIO_MIN * own_px, SHARED_MOTION_FRAC_MIN * common_px, MARKER_MOTION_MIN_PX)
     return LooseMarker(worst, float(moved[worst]), own_px) if moved[worst] > least else None

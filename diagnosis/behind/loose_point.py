@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from machine.rotations import Array
 
-TIMES = 5.0  # what the other points show
-LEAST_M = 2e-4
+SCATTER_RATIO_MIN = 5.0  # what the other points show
+POINT_MOTION_MIN_M = 2e-4
 LINK_POINTS_MIN, SEEN_MIN = 3, 8
-AGAIN_MIN = 3  # times that a point was measured again
+REPEAT_MEASUREMENTS_MIN = 3  # times that a point was measured again
 
 
 def loose_point(squares: Array, again: NDArray[np.int64], joints: Sequence[int], names: Sequence[str]) -> str:
@@ -24,12 +24,12 @@ def loose_point(squares: Array, again: NDArray[np.int64], joints: Sequence[int],
           axes; `again` (k,) how often that was; the joint whose link carries it, and its name.
     """
     rms = np.sqrt(squares / np.maximum(3 * again, 1))
-    known = again >= AGAIN_MIN
+    known = again >= REPEAT_MEASUREMENTS_MIN
     at = np.asarray(joints)
     for k in np.argsort(-rms):
         beyond = known & (at >= at[k])
         beyond[k] = False
-        if known[k] and beyond.any() and rms[k] > max(TIMES * float(rms[beyond].max()), LEAST_M):
+        if known[k] and beyond.any() and rms[k] > max(SCATTER_RATIO_MIN * float(rms[beyond].max()), POINT_MOTION_MIN_M):
             sizes = f"{1e3 * rms[k]:.2g} mm, the others {1e3 * float(rms[beyond].max()):.2g} mm"
             return f"goes with point {names[k]!r}, which moves against the others ({sizes}): fasten it"
     return ""
@@ -53,7 +53,7 @@ def off_its_link(xyz: Array, which: NDArray[np.int64], when: Array, joints: Sequ
             own = np.delete(scatter[k], k)
             rest = np.delete(np.delete(scatter, k, axis=0), k, axis=1)
             others = float(rest[np.triu_indices(len(rest), 1)].max())
-            if np.isfinite(scatter).all() and own.min() > max(TIMES * others, LEAST_M):
+            if np.isfinite(scatter).all() and own.min() > max(SCATTER_RATIO_MIN * others, POINT_MOTION_MIN_M):
                 sizes = f"{1e3 * own.min():.2g} mm, theirs {1e3 * others:.2g} mm"
                 text = f"goes with point {names[point]!r}, whose distances to the others on its link vary"
                 return f"{text} ({sizes}): fasten it"

@@ -10,11 +10,11 @@ from diagnosis.behind.point_residual import PointResidual
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-SAME_POSE_RAD = 2e-3
-DIRECTION_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is not noise
+SAME_POSTURE_TOLERANCE_RAD = 2e-3
+MOTION_DIRECTION_WINDOW_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is not noise
 FEW_AT_REST, FEW_IN_MOTION = 4, 8  # points measured again for a floor at all: in motion some are so by chance
-ENOUGH = 12  # for one of each axis
-MOST_SHARED = 0.9  # of a pose's variance, by all its points: some of it is each one's own
+PER_AXIS_SIGMA_DOF_MIN = 12  # for one of each axis
+SHARED_VARIANCE_MAX_FRAC = 0.9  # of a pose's variance, by all its points: some of it is each one's own
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,35 +24,35 @@ class MeasuredAgain:
     point moved by itself, in words.
     """
 
-    sigma: Array
+    sigma_m: Array
     common_m: float
-    squares: int
-    points: int
-    loose: str
+    sigma_dof: int
+    pointwise_dof: int
+    loose_target_text: str
 
     @property
     def own_offset(self) -> Array:
         """What is each point's own (3,) [m]."""
-        return np.sqrt(self.sigma**2 - self.common_m**2)
+        return np.sqrt(self.sigma_m**2 - self.common_m**2)
 
 
 def measured_again(rough: PointResidual, base: ParameterSets) -> MeasuredAgain | None:
     """From deviations of the residual where one point was measured again in the same pose; None if it hardly was."""
     residual = rough(base)[0].reshape(-1, 3)
     direction = _motion_directions(rough)
-    points = rough.nominal.points
+    points = rough.nominal_machine.tracked_points
     of_point, again = np.zeros((len(points), 3)), np.zeros(len(points), dtype=np.int64)
     deviation = np.zeros_like(residual)
     repeated = np.zeros(len(residual), dtype=bool)
     left = set(range(len(residual)))
     while left:
         first = left.pop()
-        q, which = rough.data.q[first], rough.data.which[first]
+        q, which = rough.measured_points.q[first], rough.measured_points.point_index[first]
         same = [
             k
             for k in left
-            if rough.data.which[k] == which
-            and np.abs(rough.data.q[k] - q).max() < SAME_POSE_RAD
+            if rough.measured_points.point_index[k] == which
+            and np.abs(rough.measured_points.q[k] - q).max() < SAME_POSTURE_TOLERANCE_RAD
             and bool((direction[k] == direction[first]).all())
         ]
         left -= set(same)
@@ -62,12 +62,12 @@ def measured_again(rough: PointResidual, base: ParameterSets) -> MeasuredAgain |
         of_point[which] += (deviation[group] ** 2).sum(axis=0)
         again[which] += len(same)
     squares, dof = of_point.sum(axis=0), int(again.sum())
-    if dof < (FEW_IN_MOTION if rough.paths else FEW_AT_REST):
+    if dof < (FEW_IN_MOTION if rough.encoder_paths else FEW_AT_REST):
         return None
     places = [(point.joint, point.name) for point in points]
-    loose = "" if rough.paths else loose_point(of_point.sum(axis=1), again, *zip(*places, strict=True))
-    sigma = np.sqrt(squares / dof if dof >= ENOUGH else np.full(3, squares.mean() / dof))
-    together = 0.0 if loose else _shared_variance_fraction(deviation[repeated], rough.noise.instants[repeated])
+    loose = "" if rough.encoder_paths else loose_point(of_point.sum(axis=1), again, *zip(*places, strict=True))
+    sigma = np.sqrt(squares / dof if dof >= PER_AXIS_SIGMA_DOF_MIN else np.full(3, squares.mean() / dof))
+    together = 0.0 if loose else _shared_variance_fraction(deviation[repeated], rough.noise.instant_index[repeated])
     per_pose = dof / float(again.max())  # points measured in a pose
     common_m = float(np.sqrt(together) * sigma.min())
     independent = 3.0 * dof / (1.0 + (per_pose - 1.0) * together)
@@ -86,16 +86,18 @@ def _shared_variance_fraction(deviation: Array, instants: NDArray[np.int64]) -> 
     if pairs == 0.0:
         return 0.0
     products = sum(float((np.bincount(number, weights=x) ** 2).sum() - x @ x) for x in deviation.T)
-    return float(np.clip(products / pairs / np.mean(deviation**2), 0.0, MOST_SHARED))
+    return float(np.clip(products / pairs / np.mean(deviation**2), 0.0, SHARED_VARIANCE_MAX_FRAC))
 
 
 def _motion_directions(rough: PointResidual) -> Array:
     """Sign of each joint's motion (m, n); 0 for poses at rest."""
-    out = np.zeros_like(rough.data.q)
-    for k, path in enumerate(rough.paths):
-        rows = rough.at == k
-        t = rough.data.when[rows]
+    out = np.zeros_like(rough.measured_points.q)
+    for k, path in enumerate(rough.encoder_paths):
+        rows = rough.path_index == k
+        t = rough.measured_points.time_or_pose_index[rows]
         for j in range(out.shape[1]):
-            now, before = (np.interp(when, path.t_s, path.enc[:, j]) for when in (t, t - DIRECTION_S))
+            now, before = (
+                np.interp(when, path.t_s, path.encoder_angles[:, j]) for when in (t, t - MOTION_DIRECTION_WINDOW_S)
+            )
             out[rows, j] = np.sign(np.where(np.abs(now - before) > 1e-3, now - before, 0.0))
     return out

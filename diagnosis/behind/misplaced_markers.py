@@ -15,8 +15,10 @@ from machine.poses import transform_points
 from machine.rotations import Array
 
 LOOKS_MIN, LOOKS_MAX = 5, 60
-APART_M = 0.03  # of a print: no object bends so far
-TIMES = 3.0  # how much nearer the corners have to lie by the correction stated: a stereo pair's depth is noisy
+MISPLACEMENT_MIN_M = 0.03  # of a print: no object bends so far
+IMPROVEMENT_RATIO_MIN = (
+    3.0  # how much nearer the corners have to lie by the correction stated: a stereo pair's depth is noisy
+)
 
 Layout = dict[int, Array]
 
@@ -32,7 +34,7 @@ def _findings_on_object(tables: Tables, nominal: Nominal, on: Literal["tool", "o
     if len(looks) < LOOKS_MIN:
         return []
     as_written = _off_m(looks, layout)
-    if as_written < APART_M:
+    if as_written < MISPLACEMENT_MIN_M:
         return []
     seen = sorted({number for numbers, _ in looks for number in numbers})
     ways = [
@@ -47,7 +49,7 @@ def _findings_on_object(tables: Tables, nominal: Nominal, on: Literal["tool", "o
         for first in (1, 2, 3)
     ]
     away, code, what = min(ways)
-    if TIMES * away > as_written:
+    if IMPROVEMENT_RATIO_MIN * away > as_written:
         return []
     text = f"{what}: as written the corners on the {on} lie {1e3 * as_written:.3g} mm from where the machine file has "
     return [Finding(code, "fatal", "markers.csv", f"{text}them, the other way {1e3 * away:.3g} mm")]

@@ -20,38 +20,48 @@ from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-MIXED_SHARE = 0.25  # of the numbers: a mixture of more directions may follow any point
-TIMES = 20.0  # the others' own scatter about the mixture
-TIMES_TYPICAL = 0.3  # the others' distance from the nominal model: what is small against it may be mere curvature
-LEAST_M = 2e-4
+MIXTURE_DIRECTIONS_MAX_FRAC = 0.25  # of the numbers: a mixture of more directions may follow any point
+OUTLIER_SIGMAS = 20.0  # the others' own scatter about the mixture
+OUTLIER_MEDIAN_DISTANCE_RATIO = (
+    0.3  # the others' distance from the nominal model: what is small against it may be mere curvature
+)
+OUTLIER_MIN_M = 2e-4
 SCATTER_MIN_M = 1e-6
 POINTS_MIN = 20
-SHARE_MAX = 0.05  # of the points: if more are outside, it is the model that is wrong
-AT_ONCE = 0.5  # of the farthest: what is nearer may only have been moved by it
-ALONE = 2.0  # times the farthest that stays: nearer ones are the tail of what all poses share, play say
-ROUNDS = 12
-REWEIGHED = 12
-MEDIAN_OF_THREE = 1.538  # median length of three normal numbers
-NAMED = 3
+OUTLIER_MAX_FRAC = 0.05  # of the points: if more are outside, it is the model that is wrong
+OUTLIER_BATCH_DISTANCE_FRAC = 0.5  # of the farthest: what is nearer may only have been moved by it
+OUTLIER_TO_INLIER_RATIO_MIN = (
+    2.0  # times the farthest that stays: nearer ones are the tail of what all poses share, play say
+)
+MAX_ITERATIONS = 12
+REWEIGHTING_ITERATIONS = 12
+NORMAL_3D_MEDIAN_NORM = 1.538  # median length of three normal numbers
+OUTLIERS_NAMED_MAX = 3
 
 
 @dataclass(frozen=True, slots=True)
 class _MixtureDistances:
     """How far each point (m,) is from the nearest mixture, the scatter of the others, and their distance [m]."""
 
-    away: Array
-    scatter: float
-    typical: float
+    distance_m: Array
+    scatter_sigma_m: float
+    nominal_distance_median_m: float
 
     @property
     def outlying_points(self) -> NDArray[np.bool_]:
         """Which points are no scatter (m,), the farthest ones first."""
-        least = max(TIMES * self.scatter, TIMES_TYPICAL * self.typical, LEAST_M)
-        return self.away > max(least, AT_ONCE * float(self.away.max()))
+        least = max(
+            OUTLIER_SIGMAS * self.scatter_sigma_m,
+            OUTLIER_MEDIAN_DISTANCE_RATIO * self.nominal_distance_median_m,
+            OUTLIER_MIN_M,
+        )
+        return self.distance_m > max(least, OUTLIER_BATCH_DISTANCE_FRAC * float(self.distance_m.max()))
 
     def are_far_from(self, rest: "_MixtureDistances") -> bool:
         """Whether the outside points are far from all that stay; `rest` describes these."""
-        return float(self.away[self.outlying_points].min()) > ALONE * float(rest.away.max())
+        return float(self.distance_m[self.outlying_points].min()) > OUTLIER_TO_INLIER_RATIO_MIN * float(
+            rest.distance_m.max()
+        )
 
 
 def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, list[Finding]]:
@@ -64,11 +74,11 @@ def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, l
     """
     rounds, left, away = [], table, np.zeros(len(table.xyz))
     off = _static_point_outliers(nominal, left)
-    while left.q is not None and off is not None and off.outlying_points.any() and len(rounds) < ROUNDS:
+    while left.q is not None and off is not None and off.outlying_points.any() and len(rounds) < MAX_ITERATIONS:
         rows = np.nonzero(usable_rows(nominal, left, left.q))[0][off.outlying_points]
         further = away.copy()
-        further[rows] = off.away[off.outlying_points]
-        if (further > 0.0).sum() > SHARE_MAX * len(off.away):
+        further[rows] = off.distance_m[off.outlying_points]
+        if (further > 0.0).sum() > OUTLIER_MAX_FRAC * len(off.distance_m):
             break
         rounds.append((left, away, off))
         left, away = left.without_rows(rows), further
@@ -91,25 +101,29 @@ def _unexplained_distances(nominal: Nominal, data: PointData) -> _MixtureDistanc
     def residual(sets: ParameterSets) -> Array:
         turned = (replace(data, q=true_angles(sets, data.q, k)) for k in range(sets.set_count))
         plain = without_encoders(sets)
-        return np.array([fit_points(nominal, plain, points, k).residual.ravel() for k, points in enumerate(turned)])
+        return np.array([fit_points(nominal, plain, points, k).residual_m.ravel() for k, points in enumerate(turned)])
 
     joints = tuple(range(1, nominal.n + 1))
-    r0, u = mixture_directions(residual, pack_under(nominal.baseline, nominal.n), arm_candidates(joints, moving=False))
-    u = u[:, : int(MIXED_SHARE * len(r0))]
+    r0, u = mixture_directions(
+        residual, pack_under(nominal.baseline_effects, nominal.n), arm_candidates(joints, moving=False)
+    )
+    u = u[:, : int(MIXTURE_DIRECTIONS_MAX_FRAC * len(r0))]
     weight, away, scatter = np.ones(len(data.xyz)), np.zeros(len(data.xyz)), 0.0
-    for _ in range(REWEIGHED):
+    for _ in range(REWEIGHTING_ITERATIONS):
         w = np.repeat(np.sqrt(weight), 3)
         step = np.linalg.lstsq(u * w[:, None], r0 * w, rcond=None)[0]
         away = np.linalg.norm((r0 - u @ step).reshape(-1, 3), axis=1)
-        scatter = float(np.median(away)) / MEDIAN_OF_THREE
+        scatter = float(np.median(away)) / NORMAL_3D_MEDIAN_NORM
         weight = 1.0 / (1.0 + (away / max(scatter, SCATTER_MIN_M)) ** 2)
     return _MixtureDistances(away, scatter, float(np.median(np.linalg.norm(r0.reshape(-1, 3), axis=1))))
 
 
 def _outlier_finding(table: PointTable, away: Array) -> Finding:
     worst = [k for k in np.argsort(-away, kind="stable") if away[k] > 0.0]
-    worst_points = ", ".join(f"{table.names[k]} in pose {table.t_s[k]:.0f} by {away[k]:.3g} m" for k in worst[:NAMED])
-    more = f" and {len(worst) - NAMED} more" if len(worst) > NAMED else ""
+    worst_points = ", ".join(
+        f"{table.point_names[k]} in pose {table.t_s[k]:.0f} by {away[k]:.3g} m" for k in worst[:OUTLIERS_NAMED_MAX]
+    )
+    more = f" and {len(worst) - OUTLIERS_NAMED_MAX} more" if len(worst) > OUTLIERS_NAMED_MAX else ""
     text = (
         f"{len(worst)} of {len(away)} points lie where no model of this arm puts them, beyond the others' scatter: "
         f"{worst_points}{more}; they are left out: measure those poses again"

@@ -16,7 +16,7 @@ from machine.effects.structure import link_poses
 from machine.poses import pose, transform_points
 from machine.rotations import Array
 
-ROWS_MIN = 6  # of points, for a cell of them
+POINT_ROWS_MIN = 6  # of points, for a cell of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,18 +26,18 @@ class PointData:
     """
 
     q: Array
-    which: NDArray[np.int64]
+    point_index: NDArray[np.int64]
     xyz: Array
-    when: Array
+    time_or_pose_index: Array
 
 
 @dataclass(frozen=True, slots=True)
 class PointFit:
     """Residual (m, 3) [m] in base axes, measured less modelled; the tracker's frame and the points' places used."""
 
-    residual: Array
+    residual_m: Array
     T_base_tracker: Array
-    places: Array
+    positions_in_link_m: Array
 
 
 def static_data(nominal: Nominal, table: PointTable) -> PointData | None:
@@ -76,8 +76,8 @@ def usable_rows(nominal: Nominal, table: PointTable, q: Array) -> NDArray[np.boo
 
 
 def _point_indices(nominal: Nominal, table: PointTable) -> NDArray[np.int64]:
-    index = {point.name: k for k, point in enumerate(nominal.points)}
-    return np.array([index.get(name, -1) for name in table.names], dtype=np.int64)
+    index = {point.name: k for k, point in enumerate(nominal.tracked_points)}
+    return np.array([index.get(name, -1) for name in table.point_names], dtype=np.int64)
 
 
 def _first_of_each(when: Array, xyz: Array) -> NDArray[np.bool_]:
@@ -95,22 +95,24 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
     Raises:  DiagnosisError: no arm, or too few points for an unknown frame.
     """
     T_base_link = _link_poses_of_points(nominal, sets, data, set_number)
-    known = np.array([point.xyz_m is not None for point in nominal.points])
-    places = np.array([point.xyz_m or (0.0, 0.0, 0.0) for point in nominal.points])
+    known = np.array([point.xyz_m is not None for point in nominal.tracked_points])
+    places = np.array([point.xyz_m or (0.0, 0.0, 0.0) for point in nominal.tracked_points])
     T = nominal.T_base_tracker
     if T is None:
         if len(data.xyz) < 4:
             raise DiagnosisError(f"{len(data.xyz)} measured points and no T_base_tracker; give 4 or more, or the frame")
-        T, places = frame_and_places(T_base_link[:, :3, :3], T_base_link[:, :3, 3], data.xyz, data.which, places, known)
+        T, places = frame_and_places(
+            T_base_link[:, :3, :3], T_base_link[:, :3, 3], data.xyz, data.point_index, places, known
+        )
     measured = transform_points(T, data.xyz)
     if nominal.T_base_tracker is not None:
-        places = _points_on_links(T_base_link, measured, data.which, places, known)
-    return PointFit(measured - _transform_points(T_base_link, places[data.which]), T, places)
+        places = _points_on_links(T_base_link, measured, data.point_index, places, known)
+    return PointFit(measured - _transform_points(T_base_link, places[data.point_index]), T, places)
 
 
 def modelled_points(nominal: Nominal, sets: ParameterSets, data: PointData, places: Array) -> Array:
     """Where the model puts points (m, 3) [m, base axes] at the first of the sets, by their places (k, 3) on links."""
-    return _transform_points(_link_poses_of_points(nominal, sets, data, 0), places[data.which])
+    return _transform_points(_link_poses_of_points(nominal, sets, data, 0), places[data.point_index])
 
 
 def _link_poses_of_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_number: int) -> Array:
@@ -118,7 +120,7 @@ def _link_poses_of_points(nominal: Nominal, sets: ParameterSets, data: PointData
     if nominal.arm is None:
         raise DiagnosisError(f"points need the arm's geometry; {nominal.why_absent('structure')}")
     links = link_poses(nominal.arm, sets, true_angles(sets, data.q, set_number), set_number)
-    joints = np.array([point.joint for point in nominal.points])[data.which]
+    joints = np.array([point.joint for point in nominal.tracked_points])[data.point_index]
     return links[np.arange(len(links)), joints]
 
 
@@ -128,7 +130,7 @@ def _transform_points(T_base_link: Array, on_link: Array) -> Array:
 
 def numbers_fitted(nominal: Nominal, data: PointData) -> int:
     """How many numbers `fit_points` takes from the data: an unknown frame's six, three a point of unknown place."""
-    places = sum(3 for k in np.unique(data.which) if nominal.points[k].xyz_m is None)
+    places = sum(3 for k in np.unique(data.point_index) if nominal.tracked_points[k].xyz_m is None)
     return places + (0 if nominal.T_base_tracker is not None else 6)
 
 

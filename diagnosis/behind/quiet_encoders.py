@@ -10,12 +10,12 @@ import numpy as np
 
 from machine.rotations import Array
 
-HALF_S = 0.025  # either side of a row
-ORDER = 2
-ROWS_MIN = 5  # of the window: a parabola through fewer takes no noise away
-DIFFERENCES = 4  # of them motion leaves nothing, white noise its own
-NORMAL_MAD = 1.4826
-SURE = 3.0  # standard errors
+SMOOTHING_HALF_WINDOW_S = 0.025  # either side of a row
+POLYNOMIAL_ORDER = 2
+SMOOTHING_WINDOW_ROWS_MIN = 5  # of the window: a parabola through fewer takes no noise away
+DIFFERENCE_ORDER = 4  # of them motion leaves nothing, white noise its own
+MAD_TO_SIGMA = 1.4826
+NOISE_LIMIT_SIGMAS = 3.0  # standard errors
 
 
 def smooth_encoders(enc: Array, dt_s: float) -> Array:
@@ -25,13 +25,13 @@ def smooth_encoders(enc: Array, dt_s: float) -> Array:
              by sqrt(2 (w - 3)) / w; a joint that changes its speed within the window leaves more, and keeps its rows.
     Source:  local least squares, Savitzky and Golay 1964.
     """
-    half = int(HALF_S / dt_s + 1e-9)
+    half = int(SMOOTHING_HALF_WINDOW_S / dt_s + 1e-9)
     window = 2 * half + 1
-    if window < ROWS_MIN or len(enc) < 2 * window:
+    if window < SMOOTHING_WINDOW_ROWS_MIN or len(enc) < 2 * window:
         return enc
-    weights = np.linalg.pinv(np.vander(np.arange(-half, half + 1), ORDER + 1, increasing=True))[0]
-    free = window - ORDER - 1
-    most = (free + SURE * np.sqrt(2.0 * free)) / window
+    weights = np.linalg.pinv(np.vander(np.arange(-half, half + 1), POLYNOMIAL_ORDER + 1, increasing=True))[0]
+    free = window - POLYNOMIAL_ORDER - 1
+    most = (free + NOISE_LIMIT_SIGMAS * np.sqrt(2.0 * free)) / window
     out = enc.copy()
     for j, raw in enumerate(enc.T):
         smooth = raw.copy()
@@ -44,5 +44,5 @@ def smooth_encoders(enc: Array, dt_s: float) -> Array:
 
 def _encoder_noise_sigma(raw: Array) -> float:
     """An encoder's own noise [rad], from differences that no motion shows."""
-    left = np.abs(np.diff(raw, n=DIFFERENCES))
-    return float(NORMAL_MAD * np.median(left) / np.sqrt(comb(2 * DIFFERENCES, DIFFERENCES)))
+    left = np.abs(np.diff(raw, n=DIFFERENCE_ORDER))
+    return float(MAD_TO_SIGMA * np.median(left) / np.sqrt(comb(2 * DIFFERENCE_ORDER, DIFFERENCE_ORDER)))

@@ -9,8 +9,8 @@ from diagnosis.search.candidates import Candidate, parameter_sets_with
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-DISTINCT = 1e-4  # of the strongest direction: a weaker one is rounding
-MIXED_SHARE = 0.5  # of the degrees of freedom, that a mixture may explain
+SINGULAR_VALUE_MIN_FRAC = 1e-4  # of the strongest direction: a weaker one is rounding
+MIXTURE_DIRECTIONS_MAX_FRAC = 0.5  # of the degrees of freedom, that a mixture may explain
 
 
 def saturated_noise(
@@ -50,7 +50,7 @@ def unexplained_by_mixtures(
     """
     r0, u = mixture_directions(residual, base, candidates)
     free = max(len(r0) - taken, 1)
-    u = u[:, : int(MIXED_SHARE * free)]
+    u = u[:, : int(MIXTURE_DIRECTIONS_MAX_FRAC * free)]
     return r0 - u @ (u.T @ r0), max(free - u.shape[1], 1)
 
 
@@ -61,12 +61,12 @@ def mixture_directions(
     r0 = residual(base)[0]
     columns = []
     for candidate in candidates:
-        theta = np.array([0.0 if slot.neutral == 0.0 else slot.start for slot in candidate.slots])
-        for k, slot in enumerate(candidate.slots):
-            theta[k] = 0.2 * slot.start if slot.neutral == 0.0 else slot.start
+        theta = np.array([0.0 if slot.neutral_value == 0.0 else slot.start_value for slot in candidate.parameter_slots])
+        for k, slot in enumerate(candidate.parameter_slots):
+            theta[k] = 0.2 * slot.start_value if slot.neutral_value == 0.0 else slot.start_value
             columns.append(residual(parameter_sets_with(base, (candidate,), theta[None]))[0] - r0)
-            theta[k] = 0.0 if slot.neutral == 0.0 else slot.start
+            theta[k] = 0.0 if slot.neutral_value == 0.0 else slot.start_value
     A = np.array(columns).T
     A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-15)
     u, s, _ = np.linalg.svd(A, full_matrices=False)
-    return r0, u[:, s > DISTINCT * s[0]] if len(s) else u
+    return r0, u[:, s > SINGULAR_VALUE_MIN_FRAC * s[0]] if len(s) else u

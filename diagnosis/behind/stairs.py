@@ -8,9 +8,11 @@ import numpy as np
 
 from machine.rotations import Array
 
-COARSE_RAD = 2e-4  # a finer one is next to nothing at any tip
-LEFT = 0.06  # of a step: RMS error of a ramp that repeats, which meet the same stairs, do not show; a stair has 0.29
-STANDS_S = 0.5  # between two changes: in a longer one it is unknown when the joint went on
+COARSE_ENCODER_STEP_MIN_RAD = 2e-4  # a finer one is next to nothing at any tip
+RAMP_ERROR_RMS_STEP_FRAC = (
+    0.06  # of a step: RMS error of a ramp that repeats, which meet the same stairs, do not show; a stair has 0.29
+)
+ENCODER_STEP_INTERVAL_MAX_S = 0.5  # between two changes: in a longer one it is unknown when the joint went on
 
 
 def smooth_encoder_steps(enc: Array, steps_rad: Array, dt_s: float) -> Array:
@@ -27,7 +29,7 @@ def smooth_encoder_steps(enc: Array, steps_rad: Array, dt_s: float) -> Array:
 
 def steps_visible_at_tip(steps_rad: Array) -> Array:
     """Those of the encoders' steps (n,) [rad] that are seen at the tip; 0 of finer ones."""
-    return np.where(steps_rad >= COARSE_RAD, steps_rad, 0.0)
+    return np.where(steps_rad >= COARSE_ENCODER_STEP_MIN_RAD, steps_rad, 0.0)
 
 
 def _replace_steps_by_ramps(raw: Array, dt_s: float) -> Array:
@@ -39,7 +41,7 @@ def _replace_steps_by_ramps(raw: Array, dt_s: float) -> Array:
     out = raw.copy()
     for k in range(len(at) - 1):
         between = slice(at[k] + 1, at[k + 1] + 1)
-        if (row[k + 1] - row[k]) * dt_s > STANDS_S or way[k] != way[k + 1]:
+        if (row[k + 1] - row[k]) * dt_s > ENCODER_STEP_INTERVAL_MAX_S or way[k] != way[k + 1]:
             continue
         share = (np.arange(between.start, between.stop) - row[k]) / (row[k + 1] - row[k])
         out[between] = edge[k] + share * (edge[k + 1] - edge[k])

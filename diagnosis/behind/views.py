@@ -17,7 +17,7 @@ from machine.effects.structure import tcp_poses
 from machine.markers import object_corners
 from machine.rotations import Array, rotvec_from_rotation
 
-DISPARITY_MIN = 1e-4  # of a focal length: farther than 1200 m at 0.12 m is not a marker
+DISPARITY_MIN_FOCAL_FRAC = 1e-4  # of a focal length: farther than 1200 m at 0.12 m is not a marker
 TIME_TOLERANCE_S = 1e-6
 
 
@@ -50,7 +50,7 @@ def pairs_of(table: MarkerTable, wanted: Collection[int]) -> Iterator[tuple[floa
     order = np.argsort(table.t_s, kind="stable")
     cuts = np.nonzero(np.diff(table.t_s[order]) > TIME_TOLERANCE_S)[0] + 1
     for rows in np.split(order, cuts):
-        seen = {(int(table.ids[k]), int(table.eye[k])): table.corners[k] for k in rows}
+        seen = {(int(table.marker_ids[k]), int(table.eye[k])): table.corners_px[k] for k in rows}
         both = [number for number in wanted if (number, 0) in seen and (number, 1) in seen]
         if both:
             left, right = (np.concatenate([seen[number, eye] for number in both]) for eye in (0, 1))
@@ -61,7 +61,7 @@ def triangulated(camera: StereoCamera, left: Array, right: Array) -> Array:
     """Points (m, 3) [m] in the left eye's frame from pixels (m, 2) in both eyes; NaN where the rays do not meet."""
     rays_left, rays_right = undistort_to_rays(camera, left), undistort_to_rays(camera, right)
     disparity = rays_left[:, 0] - rays_right[:, 0]
-    depth = camera.baseline_m / np.where(disparity > DISPARITY_MIN, disparity, np.nan)
+    depth = camera.baseline_m / np.where(disparity > DISPARITY_MIN_FOCAL_FRAC, disparity, np.nan)
     row = 0.5 * (rays_left[:, 1] + rays_right[:, 1])
     return np.stack([rays_left[:, 0] * depth, row * depth, depth], axis=1)
 

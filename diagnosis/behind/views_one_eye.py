@@ -17,17 +17,19 @@ def one_eye_views(nominal: Nominal, table: MarkerTable, on: Literal["tool", "ooi
     markers = {marker.marker_id: marker for marker in nominal.markers if marker.on == on}
     if nominal.camera is None or not markers:
         return Views(np.zeros(0), np.zeros((0, 4, 4)))
-    wanted = np.array([int(i) in markers for i in table.ids]) & (table.eye == 0) & np.isfinite(table.t_s)
-    rows = np.nonzero(wanted & np.isfinite(table.corners).all(axis=(1, 2)))[0]
+    wanted = np.array([int(i) in markers for i in table.marker_ids]) & (table.eye == 0) & np.isfinite(table.t_s)
+    rows = np.nonzero(wanted & np.isfinite(table.corners_px).all(axis=(1, 2)))[0]
     rows = rows[np.argsort(table.t_s[rows], kind="stable")]
     times: list[float] = []
     poses: list[Array] = []
     for group in np.split(rows, np.nonzero(np.diff(table.t_s[rows]) > TIME_TOLERANCE_S)[0] + 1):
         if not len(group):
             continue
-        row = max(group, key=lambda k: float(np.ptp(table.corners[k], axis=0).min()))
-        marker = markers[int(table.ids[row])]
-        T_cam_marker = planar_pose(marker_corners(marker.side_m), undistort_to_rays(nominal.camera, table.corners[row]))
+        row = max(group, key=lambda k: float(np.ptp(table.corners_px[k], axis=0).min()))
+        marker = markers[int(table.marker_ids[row])]
+        T_cam_marker = planar_pose(
+            marker_corners(marker.side_m), undistort_to_rays(nominal.camera, table.corners_px[row])
+        )
         times.append(float(table.t_s[row]))
         poses.append(T_cam_marker @ np.linalg.inv(marker.T_on_marker))
     return Views(np.array(times), np.array(poses).reshape(-1, 4, 4))

@@ -7,13 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.log.tables import fill_gaps
-from diagnosis.noise.floor import BLOCK_S, Floor, Whitener, block_means
+from diagnosis.noise.floor import BLOCK_DURATION_S, Floor, Whitener, block_means
 from diagnosis.replay.read_off import candidates_within_log, read_off
 from diagnosis.replay.replayer import PreparedStretch, Replayer, measured_output
 from diagnosis.replay.stage_floor import at_noise, stage_floor
-from diagnosis.replay.stage_replay import SKIPPED, Replay, StretchReplay, part_of, white_rows
+from diagnosis.replay.stage_replay import START_SKIPPED_INCREMENTS, Replay, StretchReplay, part_of, white_rows
 from diagnosis.replay.stretches import Stretch
-from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, candidates_of, candidates_of_effects
+from diagnosis.search.candidates import (
+    ENCODER_VISIBLE_EFFECTS,
+    SUPPLY_DROOP_EFFECT,
+    Candidate,
+    candidates_of,
+    candidates_of_effects,
+)
 from diagnosis.search.cell import Cell, ResidualRows, blocks_of, folds_of
 from diagnosis.sliding import unit_of
 from machine.effects.layout import ParameterSets
@@ -21,7 +27,7 @@ from machine.remainder import Remainder
 from machine.rotations import Array
 
 # What a remainder of the dynamic stages may go with: commands, motion, time, other joints.
-MOVES_RAD = 1e-4  # within a block
+BLOCK_MOTION_MIN_RAD = 1e-4  # within a block
 
 
 def regressors_of(
@@ -33,12 +39,12 @@ def regressors_of(
     for part, rows in zip(parts, rows_of, strict=True):
         one, dt = part.stretch, part.stretch.dt_s
         position = one.enc if one.enc is not None else one.ref
-        q = block_means(fill_gaps(position) if position is not None else part.measured, dt)
+        q = block_means(fill_gaps(position) if position is not None else part.measured_output, dt)
         u = block_means(fill_gaps(one.u), dt) if one.u is not None else np.zeros_like(q)
-        t = one.t_s[0] + max(BLOCK_S, dt) * np.arange(len(q))
+        t = one.t_s[0] + max(BLOCK_DURATION_S, dt) * np.arange(len(q))
         skip = 1 + order + skipped
         for j in joints:
-            moves = MOVES_RAD if one.enc_step is None else max(MOVES_RAD, float(one.enc_step[j]))
+            moves = BLOCK_MOTION_MIN_RAD if one.enc_step is None else max(BLOCK_MOTION_MIN_RAD, float(one.enc_step[j]))
             for name, values in _explanatory_signals(q, u, t - one.t_s[0], j, moves).items():
                 by_name.setdefault(name, []).append(values[skip : skip + rows])
             times.append(t[skip : skip + rows])
@@ -68,8 +74,8 @@ def _explanatory_signals(q: Array, u: Array, t: Array, j: int, moves: float) -> 
     }
 
 
-UNIT = {"link": "rad", "controller": "1", "actuator": "rad/s"}
-MIXED_UNIT = "noise floors"  # where some joints turn and others slide
+STAGE_UNITS = {"link": "rad", "controller": "1", "actuator": "rad/s"}
+MIXED_JOINTS_UNIT = "noise floors"  # where some joints turn and others slide
 
 
 def stage_cells(
@@ -80,27 +86,29 @@ def stage_cells(
     Args: course: what is known of the stages before, for the inputs' course between logged rows.
     """
     prepared = [replayer.prepare(stretch, course) for stretch in stretches]
-    some = [entry for entry in prepared if stage in entry.drives and measured_output(stage, entry.stretch) is not None]
+    some = [
+        entry for entry in prepared if stage in entry.stage_inputs and measured_output(stage, entry.stretch) is not None
+    ]
     if not some:
         return []
     floor = stage_floor(replayer, stage, some, base)
-    seen = [j for j in range(replayer.nominal.n) if all(_has_replay_signals(stage, entry, j) for entry in some)]
+    seen = [j for j in range(replayer.nominal_machine.n) if all(_has_replay_signals(stage, entry, j) for entry in some)]
     groups = [tuple(seen)] if stage == "link" else [(j,) for j in seen]
     cells = (cell_of(stage, joints, some, floor, base, replayer) for joints in groups if joints)
-    return [replace(cell, course=course) for cell in cells]
+    return [replace(cell, upstream_parameters=course) for cell in cells]
 
 
 def coupled_cell(
     replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets, course: ParameterSets
 ) -> Cell | None:
     """All joints' actuators together, for what couples them: the pump's sharing."""
-    some = [entry for entry in (replayer.prepare(s, course) for s in stretches) if "actuator" in entry.drives]
-    n = replayer.nominal.n
+    some = [entry for entry in (replayer.prepare(s, course) for s in stretches) if "actuator" in entry.stage_inputs]
+    n = replayer.nominal_machine.n
     if not some or n < 2 or not all(_has_replay_signals("actuator", entry, j) for entry in some for j in range(n)):
         return None
     floor = stage_floor(replayer, "actuator", some, base)
     cell = cell_of("actuator", tuple(range(n)), some, floor, base, replayer)
-    return replace(cell, candidates=candidates_of_effects((DROOP,), ()))
+    return replace(cell, candidates=candidates_of_effects((SUPPLY_DROOP_EFFECT,), ()))
 
 
 def _has_replay_signals(stage: str, one: PreparedStretch, j: int) -> bool:
@@ -126,7 +134,7 @@ def cell_of(
     white = floor.whitener.of_channels(chosen)
     parts = tuple(part_of(stage, entry, chosen, replayer) for entry in prepared)
     replay = Replay(stage, joints, parts, white)
-    kinds = [part.stretch.kind for part in parts]
+    kinds = [part.stretch.segment_kind for part in parts]
     per_channel = [white_rows(part, white.lag_count) for part in parts]
     blocks_by_part, folds_by_part = layout_of(kinds, per_channel)
     spread = [np.tile(numbers, len(chosen)) for numbers in blocks_by_part]
@@ -134,14 +142,14 @@ def cell_of(
     channel = [np.repeat(np.arange(len(chosen)), rows) for rows in per_channel]
     series = [k * len(chosen) + numbers for k, numbers in enumerate(channel)]
     rows = ResidualRows(*(np.concatenate(numbers).astype(np.int64) for numbers in (folds, spread, series, channel)))
-    per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
-    units = {unit_of(UNIT[stage], replayer.nominal.sliding, j) for j in joints}
+    per_second = 1.0 / BLOCK_DURATION_S if stage == "actuator" else 1.0
+    units = {unit_of(STAGE_UNITS[stage], replayer.nominal_machine.joint_slides, j) for j in joints}
     one_unit = len(units) == 1
     scale = (floor.increment_rms[chosen] * per_second)[rows.channel] if one_unit else np.ones(rows.row_count)
-    regressors, t_s = regressors_of(parts, chosen, white.lag_count, SKIPPED, per_channel)
+    regressors, t_s = regressors_of(parts, chosen, white.lag_count, START_SKIPPED_INCREMENTS, per_channel)
     one_based = tuple(j + 1 for j in joints)
     whole = stage == "link" or len(joints) > 1
-    known = [replayer.nominal.baseline_remainder(stage, j + 1) for j in joints]
+    known = [replayer.nominal_machine.baseline_remainder(stage, j + 1) for j in joints]
 
     def again(noise: Whitener) -> Cell:
         return cell_of(stage, joints, prepared, at_noise(floor, chosen, noise), base, replayer)
@@ -149,18 +157,18 @@ def cell_of(
     return Cell(
         stage=stage,
         joint=None if whole else one_based[0],
-        unit=units.pop() if one_unit else MIXED_UNIT,
+        unit=units.pop() if one_unit else MIXED_JOINTS_UNIT,
         candidates=_dynamic_candidates(stage, one_based, prepared, replayer),
-        base=base,
+        baseline_parameters=base,
         whitened=replay,
         rows=rows,
         scale=scale,
-        quiet=float(np.mean(floor.rms[chosen] ** 2)),
-        floor_known=floor.known,
+        quiet=float(np.mean(floor.deviation_rms[chosen] ** 2)),
+        floor_known=floor.is_measured,
         regressors=regressors,
         t_s=t_s,
-        usual=usual_of(known),
-        at_noise=None if floor.known or stage != "actuator" or any(known) else again,
+        baseline_gain_nats=usual_of(known),
+        at_noise=None if floor.is_measured or stage != "actuator" or any(known) else again,
     )
 
 
@@ -192,15 +200,15 @@ def _dynamic_candidates(
         plant = replayer.plant
         cycles = (plant.cycle_s, plant.transport_delay_s)
         found = tuple(
-            replace(candidate, cycles=cycles) if candidate.name == "transport_delay" else candidate
+            replace(candidate, cycle_and_delay_s=cycles) if candidate.name == "transport_delay" else candidate
             for candidate in found
         )
     if stage == "controller":
         found = candidates_within_log(found, tuple(entry.stretch for entry in prepared))
     if stage == "actuator":
-        found = tuple(candidate for candidate in found if candidate.name != DROOP) + candidates_of_effects(
-            SEEN_BY_ENCODER, joints
-        )
+        found = tuple(
+            candidate for candidate in found if candidate.name != SUPPLY_DROOP_EFFECT
+        ) + candidates_of_effects(ENCODER_VISIBLE_EFFECTS, joints)
     loaded = replayer.torque_reference
     return tuple(candidate for candidate in found if is_effect_possible(candidate, replayer, loaded))
 

@@ -10,7 +10,7 @@ from diagnosis.replay.merge import MergedStages, merge_of, merged_drives
 from diagnosis.replay.replayer import Replayer
 from diagnosis.replay.stage_floor import stage_floor
 from diagnosis.replay.stretches import Stretch
-from diagnosis.search.candidates import DROOP, Candidate, candidates_of, candidates_of_effects
+from diagnosis.search.candidates import SUPPLY_DROOP_EFFECT, Candidate, candidates_of, candidates_of_effects
 from diagnosis.search.cell import Cell
 from machine.effects.layout import ParameterSets
 
@@ -30,7 +30,7 @@ def merged_cells(
         made = cell_of("actuator", joints, prepared, floor, base, replayer)
         return replace(made, candidates=candidates)
 
-    everything, droop = tuple(range(replayer.nominal.n)), candidates_of_effects((DROOP,), ())
+    everything, droop = tuple(range(replayer.nominal_machine.n)), candidates_of_effects((SUPPLY_DROOP_EFFECT,), ())
     if "link" in merge.stages:
         return [cell(everything, (*_merged_candidates(merge, everything, replayer), *droop))], None
     found = [cell((j,), _merged_candidates(merge, (j,), replayer)) for j in everything]
@@ -47,5 +47,5 @@ def _merged_candidates(merge: MergedStages, joints: tuple[int, ...], replayer: R
     return tuple(
         candidate
         for candidate in found
-        if candidate.name != DROOP and is_effect_possible(candidate, replayer, replayer.torque_reference)
+        if candidate.name != SUPPLY_DROOP_EFFECT and is_effect_possible(candidate, replayer, replayer.torque_reference)
     )

@@ -21,10 +21,13 @@ from machine.effects.layout import ParameterSets
 
 CHORDS_MAX = 200
 CHORDS_MIN = 20
-CHORD_S = 1.0
-LONG_M = 0.05  # a chord far longer than odometry's noise has a length without bias
+CHORD_DURATION_S = 1.0
+CHORD_LENGTH_MIN_M = 0.05  # a chord far longer than odometry's noise has a length without bias
 SIGMA_MIN_M = 2e-5
-MOUNT = ("hand_eye_translation", "odometry_scale")  # of the camera's effects, those that change a path's length
+PATH_LENGTH_EFFECTS = (
+    "hand_eye_translation",
+    "odometry_scale",
+)  # of the camera's effects, those that change a path's length
 
 
 def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) -> list[Cell]:
@@ -32,13 +35,13 @@ def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) ->
 
     `paths`: the encoders' courses.
     """
-    nominal, tables = whole.nominal, whole.tables
+    nominal, tables = whole.nominal_machine, whole.tables
     if nominal is None or tables is None or tables.odometry is None or nominal.arm is None:
         return []
     if nominal.T_tcp_cam_left is None or not paths:
         return []
     rough = _odometry_chords(nominal, tables.odometry, camera_to_plc_s(tables), paths)
-    long = rough.length_m > LONG_M
+    long = rough.length_m > CHORD_LENGTH_MIN_M
     if int(long.sum()) < CHORDS_MIN:
         return []
     cut = {name: getattr(rough, name)[long] for name in ("at", "start_s", "end_s", "length_m")}
@@ -53,7 +56,7 @@ def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) ->
             joint=None,
             unit="m",
             candidates=candidates,
-            base=base,
+            baseline_parameters=base,
             whitened=replace(rough, sigma_m=sigma, length_m=rough.length_m - sigma**2 / rough.length_m),
             rows=rows_of(count, 1),
             scale=np.full(count, sigma),
@@ -67,17 +70,23 @@ def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) ->
 
 def _odometry_chords(nominal: Nominal, table: OdometryTable, to_plc_s: float, paths: tuple[Path, ...]) -> ChordResidual:
     """At most 200 chords of a second, evenly spread over what lies within stretches."""
-    good = np.isfinite(table.t_s) & np.isfinite(table.position).all(axis=1)
+    good = np.isfinite(table.t_s) & np.isfinite(table.position_m).all(axis=1)
     order = np.argsort(table.t_s[good], kind="stable")
-    t, places = table.t_s[good][order] + to_plc_s, table.position[good][order]
-    end = np.minimum(np.searchsorted(t, t + CHORD_S), len(t) - 1)
+    t, places = table.t_s[good][order] + to_plc_s, table.position_m[good][order]
+    end = np.minimum(np.searchsorted(t, t + CHORD_DURATION_S), len(t) - 1)
     start_in, end_in = path_index(paths, t), path_index(paths, t[end])
     lasted = t[end] - t
-    usable = np.nonzero((start_in >= 0) & (start_in == end_in) & (lasted > 0.8 * CHORD_S) & (lasted < 1.2 * CHORD_S))[0]
+    usable = np.nonzero(
+        (start_in >= 0) & (start_in == end_in) & (lasted > 0.8 * CHORD_DURATION_S) & (lasted < 1.2 * CHORD_DURATION_S)
+    )[0]
     some = usable[np.unique(np.linspace(0, len(usable) - 1, CHORDS_MAX).astype(int))] if len(usable) else usable
     length = np.linalg.norm(places[end[some]] - places[some], axis=1)
     return ChordResidual(nominal, paths, start_in[some], t[some], t[end[some]], length, float(paths[0].t_s[0]))
 
 
 def _odometry_candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
-    return arm_candidates(joints, moving) + candidates_of_effects(MOUNT, joints) + candidates_of("time", joints, True)
+    return (
+        arm_candidates(joints, moving)
+        + candidates_of_effects(PATH_LENGTH_EFFECTS, joints)
+        + candidates_of("time", joints, True)
+    )

@@ -11,53 +11,67 @@ import numpy as np
 from diagnosis.cells.dynamic import stage_cells
 from diagnosis.noise.floor import block_increments
 from diagnosis.replay.replayer import Replayer
-from diagnosis.replay.stage_replay import SKIPPED, Replay, by_steps, part_increments, row_weights, whiten_sets
+from diagnosis.replay.stage_replay import (
+    START_SKIPPED_INCREMENTS,
+    Replay,
+    by_steps,
+    part_increments,
+    row_weights,
+    whiten_sets,
+)
 from diagnosis.replay.stretches import Stretch
 from diagnosis.search.cell import Cell
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-CLEAN = 1.5  # mean square: what more is left has another cause, too
-GRID = np.linspace(0.0, 1.0, 1001)
-SURE = 0.1  # standard error, without a measured noise
-PAST = 0.3  # beyond the ends, by which chance may take a share
+RESIDUAL_MEAN_SQUARE_MAX = 1.5  # mean square: what more is left has another cause, too
+STEP_REFINEMENT_GRID = np.linspace(0.0, 1.0, 1001)
+STEP_REFINEMENT_SIGMA_MAX = 0.1  # standard error, without a measured noise
+STEP_REFINEMENT_MARGIN = 0.3  # beyond the ends, by which chance may take a share
 
 
 @dataclass(frozen=True, slots=True)
 class StepShare:
     """A joint's share of the way to endlessly many steps, its standard error, and the mean square that is left."""
 
-    value: float
-    sigma: float
-    left: float
+    refinement_frac: float
+    refinement_sigma: float
+    residual_mean_square: float
 
 
 def at_its_step(replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets) -> Replayer:
     """The replayer with the machine's own step, as far as its joints without a fault show it for sure."""
-    if all(replayer.baseline_knows("actuator", j) for j in range(replayer.nominal.n)):
+    if all(replayer.baseline_knows("actuator", j) for j in range(replayer.nominal_machine.n)):
         return replayer
     cells = stage_cells("actuator", replayer, stretches, base, base)
     shares = [
         share_of(cell) for cell in cells if cell.joint and not replayer.baseline_knows("actuator", cell.joint - 1)
     ]
-    return replace(replayer, finer=agreed_share([share for share in shares if share is not None]))
+    return replace(replayer, step_refinement_frac=agreed_share([share for share in shares if share is not None]))
 
 
 def agreed_share(shares: list[StepShare]) -> float:
     """What joints say together: the median by what each knows, as far as it is believed; 0 where none is clean."""
-    clean = [share for share in shares if share.left < CLEAN and -PAST <= share.value <= 1.0 + PAST]
+    clean = [
+        share
+        for share in shares
+        if share.residual_mean_square < RESIDUAL_MEAN_SQUARE_MAX
+        and -STEP_REFINEMENT_MARGIN <= share.refinement_frac <= 1.0 + STEP_REFINEMENT_MARGIN
+    ]
     if not clean:
         return 0.0
-    clean.sort(key=lambda one: one.value)
-    known = np.cumsum([share.sigma**-2 for share in clean])
+    clean.sort(key=lambda one: one.refinement_frac)
+    known = np.cumsum([share.refinement_sigma**-2 for share in clean])
     return expected_share(clean[int(np.searchsorted(known, known[-1] / 2.0))])
 
 
 def expected_share(share: StepShare) -> float:
     """The mean of what a share may be; 0 where that is likelier: half of all simulators step as the model does."""
-    likely = np.exp(-0.5 * ((GRID - np.clip(share.value, 0.0, 1.0)) / share.sigma) ** 2)
+    likely = np.exp(
+        -0.5 * ((STEP_REFINEMENT_GRID - np.clip(share.refinement_frac, 0.0, 1.0)) / share.refinement_sigma) ** 2
+    )
     none, finer = float(likely[0]), float(np.mean(likely))
-    return 0.0 if none >= finer else float(np.mean(GRID * likely)) / (none + finer)
+    return 0.0 if none >= finer else float(np.mean(STEP_REFINEMENT_GRID * likely)) / (none + finer)
 
 
 def share_of(cell: Cell) -> StepShare | None:
@@ -69,14 +83,20 @@ def share_of(cell: Cell) -> StepShare | None:
     replay = cell.whitened
     if not isinstance(replay, Replay):
         return None
-    sets = replace(cell.base, joint=np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]))
+    sets = replace(
+        cell.baseline_parameters,
+        joint_parameters=np.ascontiguousarray(cell.baseline_parameters.joint_parameters[:, list(replay.joints)]),
+    )
     both, own, energy, free = 0.0, 0.0, 0.0, -1
-    for part in replay.parts:
+    for part in replay.stretch_replays:
         steps, shift = part_increments("actuator", part, sets)
         column = block_increments(by_steps(part), part.stretch.dt_s)[None]
         rows = min(steps.shape[1], column.shape[1])
-        signals = [signal[:, :rows] for signal in (steps, column, shift, *(course[None] for course in part.between))]
-        white = [whiten_sets(replay.whitener, signal)[:, SKIPPED:] for signal in signals]
+        signals = [
+            signal[:, :rows]
+            for signal in (steps, column, shift, *(course[None] for course in part.input_guess_differences))
+        ]
+        white = [whiten_sets(replay.whitener, signal)[:, START_SKIPPED_INCREMENTS:] for signal in signals]
         left, along, *nuisance = ((signal * row_weights(part, replay.whitener))[0, :, 0] for signal in white)
         if len(left) <= len(nuisance):
             continue
@@ -89,7 +109,7 @@ def share_of(cell: Cell) -> StepShare | None:
     share = StepShare(both / own, float(np.sqrt(rest / own)), rest)
     if cell.floor_known:
         return share
-    return replace(share, left=1.0) if share.sigma < SURE else None
+    return replace(share, residual_mean_square=1.0) if share.refinement_sigma < STEP_REFINEMENT_SIGMA_MAX else None
 
 
 def _project_out_columns(signals: Array, columns: Array) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.datagrams.lost import (
-    EPS_S,
+    TIME_TOLERANCE_S,
     Mask,
     Numbered,
     late_enough,
@@ -22,19 +22,21 @@ from diagnosis.datagrams.lost import (
 )
 from machine.rotations import Array
 
-ALLOWED_S = 5e-4  # a steady delay below it is not one, but the wait for the next cycle
-FINE_CYCLE_S = 1.5e-3  # where each cycle is logged and longer than this, rows themselves show when a datagram came
-RATE_MAX = 2e-4  # by which two clocks may run apart
-DRIFT_USUAL = 1.5e-4  # of two crystals
-DRIFTS = 20  # tried to either side
-LESS = 0.78  # of the rows that a steady delay contradicts
-NOW_AND_THEN = 2e-3  # of the datagrams: what is late more often is a fault, or a drift of the clocks
-MISSES = 0.01  # of the rows, that may contradict a line more than they contradict the best one
-ROWS_MIN = 50
-SEARCHED_ROWS = 4000
-RATES_MAX = 500  # tried to either side: one stamp a year away is not a drift
-FINER = 8
-WIDER = 1.5
+STEADY_DELAY_TOLERANCE_S = 5e-4  # a steady delay below it is not one, but the wait for the next cycle
+RESOLVED_CYCLE_MIN_S = (
+    1.5e-3  # where each cycle is logged and longer than this, rows themselves show when a datagram came
+)
+CLOCK_DRIFT_RATE_MAX = 2e-4  # by which two clocks may run apart
+TYPICAL_CLOCK_DRIFT_RATE = 1.5e-4  # of two crystals
+CLOCK_DRIFT_TRIALS_PER_SIDE = 20  # tried to either side
+DRIFT_CONTRADICTION_RATIO_MAX = 0.78  # of the rows that a steady delay contradicts
+LATE_DATAGRAM_MAX_FRAC = 2e-3  # of the datagrams: what is late more often is a fault, or a drift of the clocks
+CONTRADICTED_ROWS_MAX_FRAC = 0.01  # of the rows, that may contradict a line more than they contradict the best one
+MATCHED_ROWS_MIN = 50
+DELAY_SEARCH_ROWS_MAX = 4000
+CLOCK_DRIFT_TRIALS_MAX = 500  # tried to either side: one stamp a year away is not a drift
+DRIFT_GRID_REFINEMENT = 8
+ROW_PERIOD_RATIO_MAX = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +53,10 @@ class Arrivals:
     t_s: Array
     earliest_s: Array
     latest_s: Array
-    lost: Mask | None
-    judged: Mask | None
+    datagram_lost: Mask | None
+    loss_observable: Mask | None
     jitter_s: float = 0.0
-    rate: float = 0.0
+    clock_drift_rate: float = 0.0
     unsure_s: float = 0.0
 
 
@@ -63,14 +65,14 @@ class _DelayBounds:
     """Rows that show a datagram: when (m,), which (m,), and between which delays that lies: low < delay <= high."""
 
     t_s: Array
-    shown: NDArray[np.int64]
-    low: Array
-    high: Array
+    datagram_index: NDArray[np.int64]
+    delay_low_s: Array
+    delay_high_s: Array
 
     def with_clock_drift(self, rate: float) -> Self:
         """As they would be, had the clocks run apart by `rate` from the middle of the rows on."""
         off = rate * (self.t_s - self.middle_s)
-        return type(self)(self.t_s, self.shown, self.low - off, self.high - off)
+        return type(self)(self.t_s, self.datagram_index, self.delay_low_s - off, self.delay_high_s - off)
 
     @property
     def middle_s(self) -> float:
@@ -85,7 +87,9 @@ class _DelayBounds:
     def subsample_rows(self, most: int) -> Self:
         """About so many of the rows, spread over all."""
         every = slice(None, None, max(1, len(self.t_s) // most))
-        return type(self)(self.t_s[every], self.shown[every], self.low[every], self.high[every])
+        return type(self)(
+            self.t_s[every], self.datagram_index[every], self.delay_low_s[every], self.delay_high_s[every]
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +98,8 @@ class _DelayInterval:
 
     least_s: float
     most_s: float
-    misses: float
-    rate: float = 0.0
+    contradicted_rows_frac: float
+    clock_drift_rate: float = 0.0
 
     def nearest(self, to_s: float) -> float:
         """The one nearest to a given delay."""
@@ -124,29 +128,33 @@ def arrival_times(
     if bounds is None:
         return known
     period_s = float(np.median(np.diff(sent[0])))
-    if cycle_s > FINE_CYCLE_S and float(np.median(np.diff(rows[0]))) < WIDER * cycle_s:
+    if cycle_s > RESOLVED_CYCLE_MIN_S and float(np.median(np.diff(rows[0]))) < ROW_PERIOD_RATIO_MAX * cycle_s:
         return _now_and_then(known, bounds, cycle_s, nominal_s)
     most_s = cycle_s + period_s
     delay = _steady_or_drifting_delay(bounds, nominal_s, most_s)
-    if clock_known and delay.rate == 0.0 and abs(delay.nearest(nominal_s) - nominal_s) > ALLOWED_S:
+    if (
+        clock_known
+        and delay.clock_drift_rate == 0.0
+        and abs(delay.nearest(nominal_s) - nominal_s) > STEADY_DELAY_TOLERANCE_S
+    ):
         delay = _least_drift_delay(bounds, nominal_s, delay)
-    off = delay.rate * (sent[0] - bounds.middle_s)
-    ends = np.array([-0.5, 0.5]) * delay.rate * bounds.span_s
+    off = delay.clock_drift_rate * (sent[0] - bounds.middle_s)
+    ends = np.array([-0.5, 0.5]) * delay.clock_drift_rate * bounds.span_s
     near = delay.nearest(nominal_s)
     away = near - nominal_s + ends
     named = 0.0
     if not clock_known:
         near = delay.least_s
-    elif away.min() > ALLOWED_S or away.max() < -ALLOWED_S:
+    elif away.min() > STEADY_DELAY_TOLERANCE_S or away.max() < -STEADY_DELAY_TOLERANCE_S:
         near = 0.5 * (delay.least_s + delay.most_s)
         named = float(near - nominal_s + ends[np.argmin(np.abs(near - nominal_s + ends))])
     came = sent[0] + near + off
-    lost, judged = known.lost, known.judged
+    lost, judged = known.datagram_lost, known.loss_observable
     if lost is None:
-        lost, judged = never_came(came, (bounds.t_s, bounds.shown))
+        lost, judged = never_came(came, (bounds.t_s, bounds.datagram_index))
     with_next = np.zeros(len(came), dtype=bool)
-    if known.lost is not None and late_enough(known.lost, came, (bounds.t_s, bounds.shown)):
-        lost, with_next = with_next, known.lost
+    if known.datagram_lost is not None and late_enough(known.datagram_lost, came, (bounds.t_s, bounds.datagram_index)):
+        lost, with_next = with_next, known.datagram_lost
     earliest, latest = _rows_around(bounds, len(came), cycle_s)
     moved = _correction_into_rows(earliest, latest, came)
     moved[(np.abs(moved) > most_s) & ~with_next] = 0.0
@@ -156,12 +164,12 @@ def arrival_times(
         named += float(np.median(moved))
     t_s = np.maximum.accumulate(came + moved - nominal_s - named)
     waited = _cycle_of(came + moved, bounds, cycle_s) - _cycle_of(came, bounds, cycle_s)
-    some = np.mean(waited != 0.0) > MISSES  # a segment's first datagram may have been there before
+    some = np.mean(waited != 0.0) > CONTRADICTED_ROWS_MAX_FRAC  # a segment's first datagram may have been there before
     jitter_s = cycle_s * float(np.sqrt(np.mean(waited**2))) if some else 0.0
     share = float(np.mean(lost[judged])) if lost is not None and judged is not None and judged.any() else 0.0
     # Each waits up to one cycle for the next, punctual or not: what a network adds is often a tenth of a millisecond.
     unsure_s = float(np.linalg.norm([jitter_s, cycle_s, np.sqrt(share * (1.0 - share)) * period_s]))
-    return Arrivals(t_s, earliest, latest, lost, judged, jitter_s, delay.rate, unsure_s)
+    return Arrivals(t_s, earliest, latest, lost, judged, jitter_s, delay.clock_drift_rate, unsure_s)
 
 
 def on_schedule(sent: Numbered, rows: Numbered) -> Arrivals:
@@ -176,25 +184,25 @@ def _now_and_then(known: Arrivals, bounds: _DelayBounds, cycle_s: float, nominal
     Counted in rows, whatever their stamps are. One that no row shows is lost, or came with the next one: not late.
     """
     delay = _least_missed(bounds, nominal_s)
-    if delay.most_s < nominal_s - EPS_S:  # no fault of a link makes it faster
+    if delay.most_s < nominal_s - TIME_TOLERANCE_S:  # no fault of a link makes it faster
         delay = _least_drift_delay(bounds, nominal_s, delay)
-        if delay.rate:
-            drifted = known.t_s + delay.least_s - nominal_s + delay.rate * (known.t_s - bounds.middle_s)
+        if delay.clock_drift_rate:
+            drifted = known.t_s + delay.least_s - nominal_s + delay.clock_drift_rate * (known.t_s - bounds.middle_s)
             _, shown_s = _rows_around(bounds, len(drifted), cycle_s)
             taken = np.where(np.abs(shown_s - drifted - nominal_s) < cycle_s, shown_s - nominal_s, drifted)
-            known = replace(known, t_s=np.maximum.accumulate(taken), rate=delay.rate)
+            known = replace(known, t_s=np.maximum.accumulate(taken), clock_drift_rate=delay.clock_drift_rate)
             delay = replace(delay, least_s=nominal_s, most_s=nominal_s)
     inside = delay.least_s <= nominal_s <= delay.most_s
     came = known.t_s + (nominal_s if inside else 0.5 * (delay.least_s + delay.most_s))
-    shown, first = np.unique(bounds.shown, return_index=True)
+    shown, first = np.unique(bounds.datagram_index, return_index=True)
     late = np.zeros(len(came), dtype=bool)
-    late[shown] = first - np.searchsorted(bounds.t_s, came[shown] - EPS_S) == 1
-    if np.mean(late) > NOW_AND_THEN:
+    late[shown] = first - np.searchsorted(bounds.t_s, came[shown] - TIME_TOLERANCE_S) == 1
+    if np.mean(late) > LATE_DATAGRAM_MAX_FRAC:
         return known
-    if known.lost is None:
-        lost, judged = never_came(came, (bounds.t_s, bounds.shown))
+    if known.datagram_lost is None:
+        lost, judged = never_came(came, (bounds.t_s, bounds.datagram_index))
         if lost is not None and judged is not None and lost_rather_than_late(lost, judged, int(late.sum())):
-            known = replace(known, lost=lost, judged=judged)
+            known = replace(known, datagram_lost=lost, loss_observable=judged)
     return replace(known, t_s=np.maximum.accumulate(known.t_s + cycle_s * late))
 
 
@@ -210,9 +218,9 @@ def _delay_bounds(sent: Numbered, rows: Numbered) -> _DelayBounds | None:
     there = np.isfinite(t_row) & (seq >= 0) & (at < len(number))
     there[there] &= number[at[there]] == seq[there]
     t, shown = t_row[there], at[there].astype(np.int64)
-    if len(t) < ROWS_MIN or (np.diff(t) <= 0.0).any() or (np.diff(shown) < 0).any():
+    if len(t) < MATCHED_ROWS_MIN or (np.diff(t) <= 0.0).any() or (np.diff(shown) < 0).any():
         return None
-    as_frequent = float(np.median(np.diff(t))) <= float(np.median(np.diff(t_sent))) + EPS_S
+    as_frequent = float(np.median(np.diff(t))) <= float(np.median(np.diff(t_sent))) + TIME_TOLERANCE_S
     following = _next_shown(t_sent, shown) if as_frequent else np.append(t_sent, np.inf)[shown + 1]
     return _DelayBounds(t, shown, t - following, t - t_sent[shown])
 
@@ -229,16 +237,20 @@ def _steady_or_drifting_delay(bounds: _DelayBounds, nominal_s: float, most_s: fl
     Rates are tried that lie half of most_s apart at the ends.
     """
     steady = _least_missed(bounds, nominal_s)
-    if steady.misses <= MISSES:
+    if steady.contradicted_rows_frac <= CONTRADICTED_ROWS_MAX_FRAC:
         return steady
-    some = bounds.subsample_rows(SEARCHED_ROWS)
-    step = min(0.5 * most_s / max(bounds.span_s, most_s), 0.25 * RATE_MAX)
-    steps = min(int(RATE_MAX / step), RATES_MAX)
+    some = bounds.subsample_rows(DELAY_SEARCH_ROWS_MAX)
+    step = min(0.5 * most_s / max(bounds.span_s, most_s), 0.25 * CLOCK_DRIFT_RATE_MAX)
+    steps = min(int(CLOCK_DRIFT_RATE_MAX / step), CLOCK_DRIFT_TRIALS_MAX)
     best = _least_rate(some, nominal_s, [step * k for k in range(-steps, steps + 1)])
-    best = _least_rate(some, nominal_s, [best + step * k / FINER for k in range(-FINER, FINER + 1)])
+    best = _least_rate(
+        some,
+        nominal_s,
+        [best + step * k / DRIFT_GRID_REFINEMENT for k in range(-DRIFT_GRID_REFINEMENT, DRIFT_GRID_REFINEMENT + 1)],
+    )
     found = _least_missed(bounds.with_clock_drift(best), nominal_s)
-    better = found.misses < 0.5 * steady.misses
-    return _DelayInterval(found.least_s, found.most_s, found.misses, best) if better else steady
+    better = found.contradicted_rows_frac < 0.5 * steady.contradicted_rows_frac
+    return _DelayInterval(found.least_s, found.most_s, found.contradicted_rows_frac, best) if better else steady
 
 
 def _least_drift_delay(bounds: _DelayBounds, nominal_s: float, steady: _DelayInterval) -> _DelayInterval:
@@ -248,32 +260,36 @@ def _least_drift_delay(bounds: _DelayBounds, nominal_s: float, steady: _DelayInt
     Why: two clocks that run apart by seventy millionths are five milliseconds apart after a minute, and every 20 ms a
          datagram shows no more: that was taken for a delay.
     """
-    step = DRIFT_USUAL / DRIFTS
-    for rate in sorted((step * k for k in range(-DRIFTS, DRIFTS + 1) if k), key=abs):
+    step = TYPICAL_CLOCK_DRIFT_RATE / CLOCK_DRIFT_TRIALS_PER_SIDE
+    for rate in sorted(
+        (step * k for k in range(-CLOCK_DRIFT_TRIALS_PER_SIDE, CLOCK_DRIFT_TRIALS_PER_SIDE + 1) if k), key=abs
+    ):
         leaning = bounds.with_clock_drift(rate)
         for near in (nominal_s + 0.5 * rate * bounds.span_s, nominal_s - 0.5 * rate * bounds.span_s):
-            early, late = leaning.low + EPS_S - near, near - leaning.high - EPS_S
+            early, late = leaning.delay_low_s + TIME_TOLERANCE_S - near, near - leaning.delay_high_s - TIME_TOLERANCE_S
             misses = float(np.mean((early > 0.0) | (late > 0.0)))
-            if misses <= max(MISSES, LESS * steady.misses):
+            if misses <= max(CONTRADICTED_ROWS_MAX_FRAC, DRIFT_CONTRADICTION_RATIO_MAX * steady.contradicted_rows_frac):
                 return _DelayInterval(near, near, misses, rate)
     return steady
 
 
 def _least_rate(bounds: _DelayBounds, nominal_s: float, rates: list[float]) -> float:
     """Of the rates that contradict about the fewest rows, the one in the middle."""
-    misses = np.array([_least_missed(bounds.with_clock_drift(rate), nominal_s).misses for rate in rates])
-    return float(np.mean(np.array(rates)[misses <= misses.min() + MISSES]))
+    misses = np.array(
+        [_least_missed(bounds.with_clock_drift(rate), nominal_s).contradicted_rows_frac for rate in rates]
+    )
+    return float(np.mean(np.array(rates)[misses <= misses.min() + CONTRADICTED_ROWS_MAX_FRAC]))
 
 
 def _least_missed(bounds: _DelayBounds, nominal_s: float) -> _DelayInterval:
     """The range of steady delays that contradict about the fewest rows."""
-    low, high = np.sort(bounds.low + EPS_S), np.sort(bounds.high)
+    low, high = np.sort(bounds.delay_low_s + TIME_TOLERANCE_S), np.sort(bounds.delay_high_s)
     low_end = np.unique(np.round(np.concatenate([low, high, [nominal_s]]), 7))
     tried = low_end[np.isfinite(low_end)]
-    too_early = len(low) - np.searchsorted(low - 0.5 * EPS_S, tried, side="right")
-    too_late = np.searchsorted(high + 0.5 * EPS_S, tried, side="left")
+    too_early = len(low) - np.searchsorted(low - 0.5 * TIME_TOLERANCE_S, tried, side="right")
+    too_late = np.searchsorted(high + 0.5 * TIME_TOLERANCE_S, tried, side="left")
     misses = (too_early + too_late) / len(low)
-    good = misses <= misses.min() + MISSES
+    good = misses <= misses.min() + CONTRADICTED_ROWS_MAX_FRAC
     best = int(np.argmin(np.where(good, np.abs(tried - nominal_s), np.inf)))
     first, last = best, best
     while first > 0 and good[first - 1]:
@@ -285,7 +301,7 @@ def _least_missed(bounds: _DelayBounds, nominal_s: float) -> _DelayInterval:
 
 def _cycle_of(t_s: Array, bounds: _DelayBounds, cycle_s: float) -> Array:
     """The cycle (k,) that takes what comes at t_s (k,)."""
-    return np.ceil((t_s - bounds.t_s[0] - 0.1 * EPS_S) / cycle_s)
+    return np.ceil((t_s - bounds.t_s[0] - 0.1 * TIME_TOLERANCE_S) / cycle_s)
 
 
 def _rows_around(bounds: _DelayBounds, count: int, cycle_s: float) -> tuple[Array, Array]:
@@ -293,7 +309,7 @@ def _rows_around(bounds: _DelayBounds, count: int, cycle_s: float) -> tuple[Arra
 
     Infinite where there is none.
     """
-    first = np.searchsorted(bounds.shown, np.arange(count), side="left")
+    first = np.searchsorted(bounds.datagram_index, np.arange(count), side="left")
     hi = np.append(bounds.t_s, np.inf)[first]
     lo = np.append(-np.inf, bounds.t_s)[first] + cycle_s
     return np.minimum(lo, hi), hi
@@ -302,5 +318,5 @@ def _rows_around(bounds: _DelayBounds, count: int, cycle_s: float) -> tuple[Arra
 def _correction_into_rows(earliest: Array, latest: Array, came: Array) -> Array:
     """By how much each arrival (k,) lies outside the two rows between which the log saw it appear."""
     moved = np.where(np.isfinite(earliest + latest), np.clip(came, earliest, latest) - came, 0.0)
-    moved[np.abs(moved) < EPS_S] = 0.0
+    moved[np.abs(moved) < TIME_TOLERANCE_S] = 0.0
     return moved

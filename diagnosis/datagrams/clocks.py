@@ -11,12 +11,12 @@ from diagnosis.log.tables import Tables
 
 def is_offset_guessed(tables: Tables) -> bool:
     """Whether the offset between PLC and PC is not given, and numbers of datagrams give it but for a constant."""
-    return tables.run.plc_to_pc_offset_s is None and sent_clock(tables, []) is not None
+    return tables.run_info.plc_to_pc_offset_s is None and sent_clock(tables, []) is not None
 
 
 def plc_to_pc_s(tables: Tables) -> float:
     """t_pc = t_plc + this, as well as is known; 0 where nothing shows it."""
-    given = tables.run.plc_to_pc_offset_s
+    given = tables.run_info.plc_to_pc_offset_s
     if given is not None:
         return given
     clock = sent_clock(tables, [])
@@ -25,4 +25,4 @@ def plc_to_pc_s(tables: Tables) -> float:
 
 def camera_to_plc_s(tables: Tables) -> float:
     """t_plc = t_camera + this, as well as is known; 0 where nothing shows it."""
-    return (tables.run.camera_to_pc_offset_s or 0.0) - plc_to_pc_s(tables)
+    return (tables.run_info.camera_to_pc_offset_s or 0.0) - plc_to_pc_s(tables)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.log.findings import Finding
-from diagnosis.log.quality import ROWS_MIN
+from diagnosis.log.quality import LOG_ROWS_MIN
 from diagnosis.log.tables import Tables
 
-FOUND_MIN = 0.99  # of the rows between the first and the last that have a datagram of sent.csv
+MATCHED_ROWS_MIN_FRAC = 0.99  # of the rows between the first and the last that have a datagram of sent.csv
 
 
 def with_reference(tables: Tables) -> tuple[Tables, list[Finding]]:
@@ -26,7 +26,7 @@ def with_reference(tables: Tables) -> tuple[Tables, list[Finding]]:
     at = np.minimum(np.searchsorted(numbers, plc.seq), len(numbers) - 1)
     found = numbers[at] == plc.seq
     rows = np.nonzero(found)[0]
-    if len(rows) < ROWS_MIN or len(rows) < FOUND_MIN * (rows[-1] - rows[0] + 1):
+    if len(rows) < LOG_ROWS_MIN or len(rows) < MATCHED_ROWS_MIN_FRAC * (rows[-1] - rows[0] + 1):
         return tables, []
     ref = np.full((len(plc.t_s), sent.q.shape[1]), np.nan)
     ref[rows] = sent.q[known[first[at[rows]]]]

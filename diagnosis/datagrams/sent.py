@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 from diagnosis.datagrams.arrivals import Arrivals, arrival_times, on_schedule
 from diagnosis.log.findings import Finding
-from diagnosis.log.quality import ROWS_MIN
+from diagnosis.log.quality import LOG_ROWS_MIN
 from diagnosis.log.tables import Tables
 from machine.effects.dynamics import Actuators
 from machine.rotations import Array
 
 # Which datagram a log row holds, where numbers were not logged: the one with the row's own reference.
-OFF_RAD = 1e-9
-LATEST_S = 0.5  # of a datagram: an older one with the same values is chance
-EARLY = 2  # datagrams later than a row's time, for clocks that are a little off
-TRIED_MAX = 200
+SAME_REFERENCE_TOLERANCE_RAD = 1e-9
+DATAGRAM_AGE_MAX_S = 0.5  # of a datagram: an older one with the same values is chance
+DATAGRAMS_AHEAD_MAX = 2  # datagrams later than a row's time, for clocks that are a little off
+DATAGRAMS_BACK_MAX = 200
 
 
 def by_value(rows: tuple[Array, Array], sent: tuple[Array, Array]) -> NDArray[np.int64]:
@@ -34,8 +34,10 @@ def by_value(rows: tuple[Array, Array], sent: tuple[Array, Array]) -> NDArray[np
     alone[:-1] &= ~stays
     last = np.searchsorted(t_sent, t_row, side="right") - 1
     period_s = float(np.nanmedian(np.abs(np.diff(t_sent)))) if np.isfinite(t_sent).sum() > 1 else 0.0
-    tried = int(LATEST_S / period_s) if period_s * TRIED_MAX > LATEST_S else TRIED_MAX
-    for back in range(-EARLY, tried + 1):
+    tried = (
+        int(DATAGRAM_AGE_MAX_S / period_s) if period_s * DATAGRAMS_BACK_MAX > DATAGRAM_AGE_MAX_S else DATAGRAMS_BACK_MAX
+    )
+    for back in range(-DATAGRAMS_AHEAD_MAX, tried + 1):
         at = last - back
         open_ = np.nonzero((found < 0) & (at >= 0) & (at < len(q)))[0]
         fits = alone[at[open_]] & _equal_rows(ref[open_], q[at[open_]])
@@ -46,13 +48,15 @@ def by_value(rows: tuple[Array, Array], sent: tuple[Array, Array]) -> NDArray[np
 def _equal_rows(a: Array, b: Array) -> NDArray[np.bool_]:
     """Rows whose known numbers are all the same, and some are known."""
     apart = np.abs(a - b)
-    return np.asarray((np.isnan(apart) | (apart < OFF_RAD)).all(axis=1) & np.isfinite(apart).any(axis=1))
+    return np.asarray(
+        (np.isnan(apart) | (apart < SAME_REFERENCE_TOLERANCE_RAD)).all(axis=1) & np.isfinite(apart).any(axis=1)
+    )
 
 
-EARLY_MIN_S = 1e-6  # a datagram arrives before it was sent, by more than rounding: the offset given is wrong
-EARLY_MAX_S = 0.02  # beyond it the numbers are wrong, not the clocks
-JITTER_S = 1e-4  # arrivals that are further off a steady delay, RMS, are reported
-RATE_REPORTED = 5e-6  # so is a drift of the clocks
+EARLY_ARRIVAL_MIN_S = 1e-6  # a datagram arrives before it was sent, by more than rounding: the offset given is wrong
+EARLY_ARRIVAL_MAX_S = 0.02  # beyond it the numbers are wrong, not the clocks
+REPORTED_JITTER_MIN_S = 1e-4  # arrivals that are further off a steady delay, RMS, are reported
+REPORTED_DRIFT_RATE_MIN = 5e-6  # so is a drift of the clocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +70,8 @@ class SentReference:
 
     t_s: Array
     q: Array
-    lost: NDArray[np.bool_] | None = None
-    judged: NDArray[np.bool_] | None = None
+    datagram_lost: NDArray[np.bool_] | None = None
+    loss_observable: NDArray[np.bool_] | None = None
     within_s: Array | None = None
     unsure_s: float = 0.0
     drift_s: float = 0.0
@@ -78,7 +82,7 @@ class SentClock:
     """How sent times become the PLC's: t_plc = t_pc - offset. `known`: given, not estimated from the data."""
 
     offset_s: float
-    known: bool
+    offset_given: bool
 
 
 def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
@@ -89,7 +93,7 @@ def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
     """
     if tables.sent is None:
         return None
-    given = tables.run.plc_to_pc_offset_s
+    given = tables.run_info.plc_to_pc_offset_s
     delays = _apparent_delays(tables)
     if given is not None:
         if not _is_sent_during_log(tables, given):
@@ -98,7 +102,7 @@ def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
             findings.append(Finding("clock_offset_wrong", "problem", "run.toml", text))
             return None
         early_s = -(float(delays.min()) + given) if len(delays) else 0.0
-        if not EARLY_MIN_S < early_s < EARLY_MAX_S:
+        if not EARLY_ARRIVAL_MIN_S < early_s < EARLY_ARRIVAL_MAX_S:
             return SentClock(given, True)
         text = (
             f"clocks.plc_to_pc_offset_s = {given:g}: datagrams arrive up to {1e3 * early_s:.2g} ms before they were "
@@ -124,7 +128,7 @@ def _is_sent_during_log(tables: Tables, offset_s: float) -> bool:
     sent, rows = (t_s[np.isfinite(t_s)] for t_s in (tables.sent.t_s - offset_s, tables.plc.t_s))
     if not len(sent) or not len(rows):
         return True
-    return bool(sent.min() <= rows.max() and sent.max() >= rows.min() - EARLY_MAX_S)
+    return bool(sent.min() <= rows.max() and sent.max() >= rows.min() - EARLY_ARRIVAL_MAX_S)
 
 
 def arrivals_of(tables: Tables, plant: Actuators | None, findings: list[Finding]) -> Arrivals | None:
@@ -138,9 +142,13 @@ def arrivals_of(tables: Tables, plant: Actuators | None, findings: list[Finding]
         sent, rows = (sent[0], np.arange(len(sent[0]))), (rows[0], number)
     if plant is None:
         return on_schedule(sent, rows)
-    came = arrival_times(sent, rows, plant.cycle_s, plant.transport_delay_s, clock.known)
-    if came.jitter_s > JITTER_S or abs(came.rate) > RATE_REPORTED:
-        drift = f", and the clocks drift by {1e6 * came.rate:.0f} ppm" if abs(came.rate) > RATE_REPORTED else ""
+    came = arrival_times(sent, rows, plant.cycle_s, plant.transport_delay_s, clock.offset_given)
+    if came.jitter_s > REPORTED_JITTER_MIN_S or abs(came.clock_drift_rate) > REPORTED_DRIFT_RATE_MIN:
+        drift = (
+            f", and the clocks drift by {1e6 * came.clock_drift_rate:.0f} ppm"
+            if abs(came.clock_drift_rate) > REPORTED_DRIFT_RATE_MIN
+            else ""
+        )
         text = (
             f"datagrams reach the PLC {1e3 * came.jitter_s:.2g} ms (RMS) off a steady delay{drift}: each is "
             "replayed as the rows show it; delays and lags that short cannot be measured"
@@ -155,17 +163,17 @@ def sent_within(tables: Tables, came: Arrivals | None, t_plc_s: Array) -> SentRe
         return None
     t = came.t_s
     good = np.isfinite(t) & np.isfinite(tables.sent.q).all(axis=1) & (t >= t_plc_s[0] - 2.0) & (t <= t_plc_s[-1])
-    if int(good.sum()) < ROWS_MIN:
+    if int(good.sum()) < LOG_ROWS_MIN:
         return None
     order = np.argsort(t[good], kind="stable")
     return SentReference(
         t[good][order],
         np.ascontiguousarray(tables.sent.q[good][order]),
-        None if came.lost is None else came.lost[good][order],
-        None if came.judged is None else came.judged[good][order],
+        None if came.datagram_lost is None else came.datagram_lost[good][order],
+        None if came.loss_observable is None else came.loss_observable[good][order],
         np.stack([came.earliest_s, came.latest_s])[:, good][:, order],
         came.unsure_s,
-        abs(came.rate) * float(np.ptp(t[np.isfinite(t)])),
+        abs(came.clock_drift_rate) * float(np.ptp(t[np.isfinite(t)])),
     )
 
 

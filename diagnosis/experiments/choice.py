@@ -15,18 +15,20 @@ from diagnosis.log.nominal import Nominal
 from diagnosis.reading.read import Read
 from diagnosis.replay.stage_replay import Replay
 from diagnosis.search.cell import Cell
-from diagnosis.whole_model.evidence import EQUAL_T
+from diagnosis.whole_model.evidence import DISTINCT_SQUARED_DISTANCE_MIN
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 Key = tuple[str, int | None]  # an effect and its joint
-ENOUGH_NATS = 30.0  # beyond it two hypotheses are distinguished; more is not better, sooner is
-POOL_SEED = 5
-SEPARATES_NATS = 0.5 * EQUAL_T  # of a pair: an experiment that gives less of each of them separates nothing
-CELLS_MAX = 3  # asked about
-MINUTES_COST = 0.01  # nats a minute: of equals the shorter one
-SEEN_BEHIND = ("encoder_scale", "encoder_eccentricity")
-SIGNALS = {
+SEPARATION_SATURATION_NATS = 30.0  # beyond it two hypotheses are distinguished; more is not better, sooner is
+POSTURE_POOL_SEED = 5
+SEPARATION_MIN_NATS = (
+    0.5 * DISTINCT_SQUARED_DISTANCE_MIN
+)  # of a pair: an experiment that gives less of each of them separates nothing
+PROPOSAL_CELLS_MAX = 3  # asked about
+DURATION_COST_NATS_PER_MIN = 0.01  # nats a minute: of equals the shorter one
+LINK_SIDE_SEPARABLE_EFFECTS = ("encoder_scale", "encoder_eccentricity")
+SIGNAL_ADVICE_BY_STAGE = {
     "actuator": "a measurement behind the encoder (a tracked point, a marker)",
     "structure": "points on other links, or a load of known mass",
     "camera": "the second eye, or points from a tracker",
@@ -41,11 +43,11 @@ class Pair:
     """
 
     cell: Cell
-    spread: float
-    mine: Hypothesis
-    other: Hypothesis
-    weight: float
-    names: tuple[Key | None, Key | None]
+    variance_inflation: float
+    best_hypothesis: Hypothesis
+    rival_hypothesis: Hypothesis
+    importance_weight: float
+    differing_effects: tuple[Key | None, Key | None]
 
 
 def experiment_for(whole: Read, cells: list[list[Pair]], settled: bool) -> dict[str, Any]:
@@ -54,12 +56,12 @@ def experiment_for(whole: Read, cells: list[list[Pair]], settled: bool) -> dict[
     Of the parts with open pairs (`cells`, the weightiest first) the first that an experiment can do something about.
     `settled`: whether the answer is sure without them.
     """
-    nominal = whole.nominal
+    nominal = whole.nominal_machine
     if not cells or nominal is None:
         why = "nothing is left to separate" if settled else "no pair of names is live"
         return {"what": None, "minutes": None, "separates": [], "expected_nats": None, "why": why}
     nothing: list[dict[str, Any]] = []
-    for pairs in cells[:CELLS_MAX]:
+    for pairs in cells[:PROPOSAL_CELLS_MAX]:
         proposal = _best_experiment(whole, nominal, pairs)
         if proposal["what"] is not None:
             return proposal
@@ -71,23 +73,24 @@ def _best_experiment(whole: Read, nominal: Nominal, pairs: list[Pair]) -> dict[s
     """The experiment that best separates one cell's open pairs."""
     library = _possible_experiments(whole, nominal, pairs)
     table = {experiment.name: [_expected_nats(whole, pair, experiment) for pair in pairs] for experiment in library}
-    able = [experiment for experiment in library if max(table[experiment.name]) >= SEPARATES_NATS]
+    able = [experiment for experiment in library if max(table[experiment.name]) >= SEPARATION_MIN_NATS]
     best = max(able, key=lambda experiment: _experiment_value(pairs, table[experiment.name], experiment), default=None)
     if best is None:
         return _missing_signal_advice(pairs[0], table)
-    first = next(k for k, nats in enumerate(table[best.name]) if nats >= SEPARATES_NATS)  # the weightiest of them
+    first = next(k for k, nats in enumerate(table[best.name]) if nats >= SEPARATION_MIN_NATS)  # the weightiest of them
     return {
         "what": best.name,
         "minutes": round(best.duration_min, 2),
         "separates": _pair_members(pairs[first]),
         "expected_nats": _round_significant(table[best.name][first]),
         "alternatives": {name: _round_significant(row[first]) for name, row in table.items()},
-        "why": "the recording does not distinguish " + " from ".join(map(_hypothesis_name, pairs[first].names)),
+        "why": "the recording does not distinguish "
+        + " from ".join(map(_hypothesis_name, pairs[first].differing_effects)),
         "pairs": [
             {"separates": _pair_members(pair), "expected_nats": _round_significant(nats)}
             for pair, nats in zip(pairs, table[best.name], strict=True)
         ],
-        "execute": describe_motions(best, nominal.sliding),
+        "execute": describe_motions(best, nominal.joint_slides),
     }
 
 
@@ -95,21 +98,26 @@ def _possible_experiments(whole: Read, nominal: Nominal, pairs: list[Pair]) -> t
     """Everything that this machine can do about these pairs."""
     cell = pairs[0].cell
     centre = middle_posture(whole)
-    near = candidate_postures(nominal, centre, np.random.default_rng(POOL_SEED))
+    near = candidate_postures(nominal, centre, np.random.default_rng(POSTURE_POOL_SEED))
     if isinstance(cell.whitened, Replay):
         joints = _joints_of_pairs(pairs, nominal.n)
-        return library_motions(nominal, centre, joints, gravity_extremes(nominal, cell.base, near, joints))
-    parts = [part.whitened for part in cell.parts or (cell,)]
-    seen = next((residual for residual in parts if isinstance(residual, CornerResidual) and residual.on == "ooi"), None)
+        return library_motions(
+            nominal, centre, joints, gravity_extremes(nominal, cell.baseline_parameters, near, joints)
+        )
+    parts = [part.whitened for part in cell.joined_cells or (cell,)]
+    seen = next(
+        (residual for residual in parts if isinstance(residual, CornerResidual) and residual.marker_carrier == "ooi"),
+        None,
+    )
     if seen is None:
-        return look_posture_choices(nominal, cell.base, near, None)
-    kept = near[is_object_visible(nominal, cell.base, near, seen.T_base_ooi)]
-    return look_posture_choices(nominal, cell.base, kept, seen.T_base_ooi)
+        return look_posture_choices(nominal, cell.baseline_parameters, near, None)
+    kept = near[is_object_visible(nominal, cell.baseline_parameters, near, seen.T_base_ooi)]
+    return look_posture_choices(nominal, cell.baseline_parameters, kept, seen.T_base_ooi)
 
 
 def middle_posture(whole: Read) -> Array:
     """The posture (n,) around which the recording was made."""
-    nominal = whole.nominal
+    nominal = whole.nominal_machine
     recorded = [stretch.enc for stretch in whole.stretches if stretch.enc is not None]
     static = whole.tables.static if whole.tables is not None else None
     if not recorded and static is not None and static.q is not None:
@@ -120,7 +128,7 @@ def middle_posture(whole: Read) -> Array:
 
 def _joints_of_pairs(pairs: list[Pair], n: int) -> tuple[int, ...]:
     """The joints (0-based) that the open names are about; all where one is the machine's own."""
-    names = [name for pair in pairs for name in pair.names if name is not None]
+    names = [name for pair in pairs for name in pair.differing_effects if name is not None]
     if any(joint is None for _, joint in names):
         return tuple(range(n))
     return tuple(sorted({joint - 1 for _, joint in names if joint is not None}))
@@ -130,7 +138,7 @@ def _expected_nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
     """The least expected nats of the pair, whichever of the two is true."""
     cell = pair.cell
     both = []
-    for mine, other in ((pair.mine, pair.other), (pair.other, pair.mine)):
+    for mine, other in ((pair.best_hypothesis, pair.rival_hypothesis), (pair.rival_hypothesis, pair.best_hypothesis)):
         truth: ParameterSets = sets_of(cell, mine)
         if isinstance(experiment, Motion):
             rows, holds = rows_of_motion(whole, cell, experiment, truth), True
@@ -138,24 +146,29 @@ def _expected_nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
             rows, holds = residuals_with_postures(whole, cell, experiment, truth), False
         if rows is None:
             return 0.0
-        both.append(separation_nats(pair.cell, pair.spread, rows, truth, other, holds))
+        both.append(separation_nats(pair.cell, pair.variance_inflation, rows, truth, other, holds))
     return min(both)
 
 
 def _experiment_value(pairs: list[Pair], nats: list[float], experiment: Experiment) -> float:
     """Nats that count, weighed over the pairs, less what the machine's time costs."""
-    gained = sum(pair.weight * min(nats_of, ENOUGH_NATS) for pair, nats_of in zip(pairs, nats, strict=True))
-    return gained / sum(pair.weight for pair in pairs) - MINUTES_COST * experiment.duration_min
+    gained = sum(
+        pair.importance_weight * min(nats_of, SEPARATION_SATURATION_NATS)
+        for pair, nats_of in zip(pairs, nats, strict=True)
+    )
+    return gained / sum(pair.importance_weight for pair in pairs) - DURATION_COST_NATS_PER_MIN * experiment.duration_min
 
 
 def _missing_signal_advice(pair: Pair, table: dict[str, list[float]]) -> dict[str, Any]:
     """No experiment of the library separates the pair: which signal would."""
     cell = pair.cell
-    signal = SIGNALS.get(cell.stage, SIGNALS["structure"])
+    signal = SIGNAL_ADVICE_BY_STAGE.get(cell.stage, SIGNAL_ADVICE_BY_STAGE["structure"])
     if cell.joint is None and cell.stage == "actuator":
         signal = "log the received reference (q_ref) and the valve command (u)"
-    behind = cell.stage == "actuator" and any(name is not None and name[0] in SEEN_BEHIND for name in pair.names)
-    names = f"{_hypothesis_name(pair.names[0])} from {_hypothesis_name(pair.names[1])}"
+    behind = cell.stage == "actuator" and any(
+        name is not None and name[0] in LINK_SIDE_SEPARABLE_EFFECTS for name in pair.differing_effects
+    )
+    names = f"{_hypothesis_name(pair.differing_effects[0])} from {_hypothesis_name(pair.differing_effects[1])}"
     return {
         "what": "look at a marker, or track a point, from ten postures" if behind else None,
         "minutes": 5.0 if behind else None,
@@ -168,7 +181,7 @@ def _missing_signal_advice(pair: Pair, table: dict[str, list[float]]) -> dict[st
 
 
 def _pair_members(pair: Pair) -> list[dict[str, Any]]:
-    return [{"name": name[0], "joint": name[1]} for name in pair.names if name is not None]
+    return [{"name": name[0], "joint": name[1]} for name in pair.differing_effects if name is not None]
 
 
 def _hypothesis_name(name: Key | None) -> str:

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.errors import DiagnosisError
-from diagnosis.experiments.library import LOOK_S, SAMPLE_S, Experiment, Motion, Postures
+from diagnosis.experiments.library import LOOK_CYCLE_DURATION_S, SAMPLE_PERIOD_S, Experiment, Motion, Postures
 from diagnosis.sliding import unit_of
 from machine.rotations import Array
 
-KNOT_ROWS = 10  # a knot every 0.1 s
-DIGITS = 6
-MOVED_RAD = 1e-6
+SAMPLES_PER_KNOT = 10  # a knot every 0.1 s
+ANGLE_DECIMALS = 6
+JOINT_MOTION_MIN_RAD = 1e-6
 
 
 def describe_motions(experiment: Experiment, sliding: tuple[bool, ...] = ()) -> dict[str, Any]:
@@ -28,23 +28,29 @@ def describe_motions(experiment: Experiment, sliding: tuple[bool, ...] = ()) -> 
 
 def _experiment_json(experiment: Experiment) -> dict[str, Any]:
     if isinstance(experiment, Postures):
-        postures = np.round(experiment.q, DIGITS).tolist()
-        return {"kind": "looks", "name": experiment.name, "q_rad": postures, "look_s": LOOK_S, "from_below": True}
+        postures = np.round(experiment.q, ANGLE_DECIMALS).tolist()
+        return {
+            "kind": "looks",
+            "name": experiment.name,
+            "q_rad": postures,
+            "look_s": LOOK_CYCLE_DURATION_S,
+            "from_below": True,
+        }
     knots = experiment.q[_knot_rows(len(experiment.q))]
-    moving = np.nonzero(np.abs(knots - knots[0]).max(axis=0) > MOVED_RAD)[0]
+    moving = np.nonzero(np.abs(knots - knots[0]).max(axis=0) > JOINT_MOTION_MIN_RAD)[0]
     return {
         "kind": "motion",
         "name": experiment.name,
-        "segment_kind": experiment.kind,
-        "start_rad": np.round(knots[0], DIGITS).tolist(),
-        "t_knot_s": KNOT_ROWS * SAMPLE_S,
+        "segment_kind": experiment.segment_kind,
+        "start_rad": np.round(knots[0], ANGLE_DECIMALS).tolist(),
+        "t_knot_s": SAMPLES_PER_KNOT * SAMPLE_PERIOD_S,
         "joints": (moving + 1).tolist(),
-        "q_rad": np.round(knots[:, moving], DIGITS).tolist(),
+        "q_rad": np.round(knots[:, moving], ANGLE_DECIMALS).tolist(),
     }
 
 
 def _knot_rows(rows: int) -> NDArray[np.int64]:
-    return np.arange(0, rows, KNOT_ROWS, dtype=np.int64)
+    return np.arange(0, rows, SAMPLES_PER_KNOT, dtype=np.int64)
 
 
 def experiment_of(description: dict[str, Any]) -> Experiment:
@@ -58,7 +64,7 @@ def experiment_of(description: dict[str, Any]) -> Experiment:
         start = np.array(description["start_rad"], dtype=float)
         knots = np.tile(start, (len(description["q_rad"]), 1))
         knots[:, np.array(description["joints"], dtype=int) - 1] = np.array(description["q_rad"], dtype=float)
-        q = spline_course(knots, round(float(description["t_knot_s"]) / SAMPLE_S))
+        q = spline_course(knots, round(float(description["t_knot_s"]) / SAMPLE_PERIOD_S))
         return Motion(str(description["name"]), description["segment_kind"], q)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise DiagnosisError(f"not an experiment's description: {error!r}") from error

@@ -9,20 +9,20 @@ from diagnosis.log.nominal import Nominal
 from machine.rotations import Array
 from recording.run import SegmentKind
 
-SAMPLE_S = 0.01
-SECONDS = 45.0
-HOLD_S = 60.0
-TRAVEL_S = 12.0  # to a posture, and back
-SPEED_SHARE = 0.55  # of the velocity gain: commands stay below 55 %, and below the joints' speed limits
-PER_S = 1.0  # acceleration over velocity gain [1/s]
-RANGE_SHARE = 0.15  # of the joint's range, at most this much to either side
-REACH_RAD = 0.3  # and never more
-MARGIN_RAD = 0.05
-FADE_S = 3.0  # in and out
-CORNERS = 10.0  # times over the limits: a course with corners, which scaling would make nothing of
+SAMPLE_PERIOD_S = 0.01
+MOTION_DURATION_S = 45.0
+LOAD_HOLD_DURATION_S = 60.0
+TRAVEL_DURATION_MIN_S = 12.0  # to a posture, and back
+SPEED_LIMIT_FRAC = 0.55  # of the velocity gain: commands stay below 55 %, and below the joints' speed limits
+ACCELERATION_SPEED_RATIO_PER_S = 1.0  # acceleration over velocity gain [1/s]
+AMPLITUDE_RANGE_FRAC = 0.15  # of the joint's range, at most this much to either side
+AMPLITUDE_MAX_RAD = 0.3  # and never more
+JOINT_LIMIT_MARGIN_RAD = 0.05
+FADE_DURATION_S = 3.0  # in and out
+SMOOTHING_EXCESS_RATIO_MIN = 10.0  # times over the limits: a course with corners, which scaling would make nothing of
 WIDTH_MIN_S, WIDTH_MAX_S = 0.2, 6.0
-UNKNOWN_SPEED = 0.3  # rad/s where the file gives no velocity gain
-LOOK_S = 12.0  # to drive to a posture, come to rest and look
+DEFAULT_SPEED_RAD_S = 0.3  # rad/s where the file gives no velocity gain
+LOOK_CYCLE_DURATION_S = 12.0  # to drive to a posture, come to rest and look
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +30,13 @@ class Motion:
     """A reference over time: q (m, n) [rad] every SAMPLE_S; begins and ends at rest in the posture it starts from."""
 
     name: str
-    kind: SegmentKind
+    segment_kind: SegmentKind
     q: Array
 
     @property
     def duration_min(self) -> float:
         """Machine time."""
-        return len(self.q) * SAMPLE_S / 60.0
+        return len(self.q) * SAMPLE_PERIOD_S / 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Postures:
     @property
     def duration_min(self) -> float:
         """Machine time."""
-        return len(self.q) * LOOK_S / 60.0
+        return len(self.q) * LOOK_CYCLE_DURATION_S / 60.0
 
 
 Experiment = Motion | Postures
@@ -63,7 +63,7 @@ def library_motions(
 
     Args: loaded: postures (n,) of high and of low load on these joints; None where loads are not known.
     """
-    t = np.asarray(np.arange(round(SECONDS / SAMPLE_S)) * SAMPLE_S, dtype=float)
+    t = np.asarray(np.arange(round(MOTION_DURATION_S / SAMPLE_PERIOD_S)) * SAMPLE_PERIOD_S, dtype=float)
     centre = np.clip(centre, *posture_bounds(nominal))  # it may have been recorded beyond the file's range
     everyone = tuple(range(nominal.n))
 
@@ -72,7 +72,7 @@ def library_motions(
 
     found = [
         around("multisine", "multisine", _multisine),
-        *(around(f"{word}steps", "steps", _step_sequence_shape(size)) for word, size in STEP_SIZES),
+        *(around(f"{word}steps", "steps", _step_sequence_shape(size)) for word, size in LABELLED_STEP_SIZES),
         around("jogs there and back", "workcycle", _constant_speed_jogs),
         around("slow reversals through zero", "sweep", lambda t, j: 0.3 * np.sin((0.25 + 0.03 * j) * t)),
         around("staircase around zero", "staircase", _growing_steps),
@@ -84,14 +84,14 @@ def library_motions(
     return tuple(found)
 
 
-STEP_SIZES = (("small ", 0.06), ("", 0.35), ("large ", 1.0))
+LABELLED_STEP_SIZES = (("small ", 0.06), ("", 0.35), ("large ", 1.0))
 
 
 def _under_load(
     nominal: Nominal, centre: Array, joints: tuple[int, ...], loaded: tuple[Array, Array]
 ) -> tuple[Motion, ...]:
     """The same motion where the load is high and where it is low, and a minute of rest under load."""
-    t = np.asarray(np.arange(round(0.5 * SECONDS / SAMPLE_S)) * SAMPLE_S, dtype=float)
+    t = np.asarray(np.arange(round(0.5 * MOTION_DURATION_S / SAMPLE_PERIOD_S)) * SAMPLE_PERIOD_S, dtype=float)
     legs = []
     here = centre
     for posture in loaded:
@@ -101,7 +101,7 @@ def _under_load(
         legs += [_quintic_travel(nominal, here, there[0]), there]
         here = there[-1]
     legs.append(_quintic_travel(nominal, here, centre))
-    still = np.tile(loaded[0], (round(HOLD_S / SAMPLE_S), 1))
+    still = np.tile(loaded[0], (round(LOAD_HOLD_DURATION_S / SAMPLE_PERIOD_S), 1))
     hold = [_quintic_travel(nominal, centre, loaded[0]), still, _quintic_travel(nominal, loaded[0], centre)]
     return (
         Motion("the same motion at high and at low load", "workcycle", np.concatenate(legs)),
@@ -112,15 +112,15 @@ def _under_load(
 def speed_limits(nominal: Nominal) -> Array:
     """Speeds (n,) [rad/s] that no motion of the library exceeds."""
     if nominal.actuators is None:
-        return np.full(nominal.n, SPEED_SHARE * UNKNOWN_SPEED)
-    return SPEED_SHARE * nominal.actuators.joints[:, 0]
+        return np.full(nominal.n, SPEED_LIMIT_FRAC * DEFAULT_SPEED_RAD_S)
+    return SPEED_LIMIT_FRAC * nominal.actuators.joints[:, 0]
 
 
 def _reference_within_limits(nominal: Nominal, centre: Array, joints: tuple[int, ...], shape: Shape, t: Array) -> Array:
     """Reference (m, n): each joint's shape scaled into its range, speed and acceleration."""
     low, high = posture_bounds(nominal)
     q = np.tile(np.clip(centre, low, high), (len(t), 1))
-    u = np.clip(np.minimum(t, t[-1] - t) / FADE_S, 0.0, 1.0)
+    u = np.clip(np.minimum(t, t[-1] - t) / FADE_DURATION_S, 0.0, 1.0)
     fade = 10 * u**3 - 15 * u**4 + 6 * u**5
     for j in joints:
         course = _limit_speed_acceleration(_motion_amplitude(nominal, j) * fade * shape(t, j), speed_limits(nominal)[j])
@@ -133,7 +133,7 @@ def _reference_within_limits(nominal: Nominal, centre: Array, joints: tuple[int,
 def _motion_amplitude(nominal: Nominal, j: int) -> float:
     """How far a joint (0-based) is moved to either side at most."""
     span = float(nominal.q_max[j] - nominal.q_min[j])
-    return min(RANGE_SHARE * span, REACH_RAD) if np.isfinite(span) else REACH_RAD
+    return min(AMPLITUDE_RANGE_FRAC * span, AMPLITUDE_MAX_RAD) if np.isfinite(span) else AMPLITUDE_MAX_RAD
 
 
 def _posture_away_from_limits(nominal: Nominal, posture: Array, joints: tuple[int, ...]) -> Array:
@@ -148,8 +148,8 @@ def _posture_away_from_limits(nominal: Nominal, posture: Array, joints: tuple[in
 
 def posture_bounds(nominal: Nominal) -> tuple[Array, Array]:
     """Where joints may be sent (n,), low and high: off the ends of their ranges; one place where that leaves none."""
-    high = np.maximum(nominal.q_min, nominal.q_max - MARGIN_RAD)
-    return np.minimum(nominal.q_min + MARGIN_RAD, high), high
+    high = np.maximum(nominal.q_min, nominal.q_max - JOINT_LIMIT_MARGIN_RAD)
+    return np.minimum(nominal.q_min + JOINT_LIMIT_MARGIN_RAD, high), high
 
 
 def _limit_speed_acceleration(x: Array, speed: float) -> Array:
@@ -157,11 +157,11 @@ def _limit_speed_acceleration(x: Array, speed: float) -> Array:
 
     Model: what is smooth already is scaled; what has corners is averaged (Hann) over as little as the limits ask for.
     """
-    acceleration = speed * PER_S / SPEED_SHARE
+    acceleration = speed * ACCELERATION_SPEED_RATIO_PER_S / SPEED_LIMIT_FRAC
     y, width_s = x, WIDTH_MIN_S
-    if _limit_excess_ratio(x, speed, acceleration) > CORNERS:
+    if _limit_excess_ratio(x, speed, acceleration) > SMOOTHING_EXCESS_RATIO_MIN:
         while True:
-            y = _hann_smoothed(x, round(0.5 * width_s / SAMPLE_S))
+            y = _hann_smoothed(x, round(0.5 * width_s / SAMPLE_PERIOD_S))
             if _limit_excess_ratio(y, speed, acceleration) <= 1.0 or width_s > WIDTH_MAX_S:
                 break
             width_s *= 1.25
@@ -170,8 +170,8 @@ def _limit_speed_acceleration(x: Array, speed: float) -> Array:
 
 def _limit_excess_ratio(x: Array, speed: float, acceleration: float) -> float:
     """How many times over its limits a course (m,) is."""
-    v = np.diff(x) / SAMPLE_S
-    a = np.diff(v) / SAMPLE_S
+    v = np.diff(x) / SAMPLE_PERIOD_S
+    a = np.diff(v) / SAMPLE_PERIOD_S
     return max(float(np.abs(v).max(initial=0.0)) / speed, float(np.abs(a).max(initial=0.0)) / acceleration)
 
 
@@ -186,7 +186,7 @@ def _hann_smoothed(x: Array, half: int) -> Array:
 def _quintic_travel(nominal: Nominal, start: Array, end: Array) -> Array:
     """From rest to rest by a quintic, no faster than the limits."""
     slowest = float((1.9 * np.abs(end - start) / speed_limits(nominal)).max())
-    rows = round(max(TRAVEL_S, slowest) / SAMPLE_S)
+    rows = round(max(TRAVEL_DURATION_MIN_S, slowest) / SAMPLE_PERIOD_S)
     u = np.linspace(0.0, 1.0, rows)[:, None]
     return start + (10 * u**3 - 15 * u**4 + 6 * u**5) * (end - start)
 

@@ -10,11 +10,11 @@ from machine.effects.seen import seen_corners
 from machine.effects.structure import gravity_torques, tcp_poses
 from machine.rotations import Array
 
-POOL = 600
-REACH_RAD = 0.7  # from the middle of what was recorded
-COUNT = 12
-EDGE_PX = 8.0
-DEPTH_MIN_M = 0.25
+POSTURE_POOL_SIZE = 600
+POSTURE_DISTANCE_MAX_RAD = 0.7  # from the middle of what was recorded
+POSTURES_PER_CHOICE = 12
+IMAGE_EDGE_MARGIN_PX = 8.0
+MARKER_DEPTH_MIN_M = 0.25
 
 
 def candidate_postures(nominal: Nominal, centre: Array, rng: np.random.Generator) -> Array:
@@ -24,9 +24,12 @@ def candidate_postures(nominal: Nominal, centre: Array, rng: np.random.Generator
     """
     lowest, highest = posture_bounds(nominal)
     centre = np.clip(centre, lowest, highest)
-    low, high = np.maximum(lowest, centre - REACH_RAD), np.minimum(highest, centre + REACH_RAD)
-    share = np.where(np.arange(POOL) % 2 == 0, 1.0, 0.35)[:, None]
-    return centre + share * (rng.uniform(low, high, (POOL, nominal.n)) - centre)
+    low, high = (
+        np.maximum(lowest, centre - POSTURE_DISTANCE_MAX_RAD),
+        np.minimum(highest, centre + POSTURE_DISTANCE_MAX_RAD),
+    )
+    share = np.where(np.arange(POSTURE_POOL_SIZE) % 2 == 0, 1.0, 0.35)[:, None]
+    return centre + share * (rng.uniform(low, high, (POSTURE_POOL_SIZE, nominal.n)) - centre)
 
 
 def is_object_visible(nominal: Nominal, sets: ParameterSets, qs: Array, T_base_ooi: Array) -> NDArray[np.bool_]:
@@ -38,10 +41,10 @@ def is_object_visible(nominal: Nominal, sets: ParameterSets, qs: Array, T_base_o
     corners = seen_corners(sets, nominal.camera, markers, Ts)
     size = np.array([nominal.camera.width_px, nominal.camera.height_px])
     whole = [
-        (np.isfinite(px) & (px > EDGE_PX) & (px < size - EDGE_PX)).all(axis=(2, 3))
-        for px in (corners.left, corners.right)
+        (np.isfinite(px) & (px > IMAGE_EDGE_MARGIN_PX) & (px < size - IMAGE_EDGE_MARGIN_PX)).all(axis=(2, 3))
+        for px in (corners.left_px, corners.right_px)
     ]
-    in_front = (Ts[:, 2, 3] > DEPTH_MIN_M) & (Ts[:, 2, 2] < -0.3)  # its printed side towards the camera
+    in_front = (Ts[:, 2, 3] > MARKER_DEPTH_MIN_M) & (Ts[:, 2, 2] < -0.3)  # its printed side towards the camera
     return np.logical_or(whole[0], whole[1]).any(axis=-1) & in_front
 
 
@@ -49,13 +52,13 @@ def look_posture_choices(
     nominal: Nominal, sets: ParameterSets, qs: Array, T_base_ooi: Array | None
 ) -> tuple[Postures, ...]:
     """Choices among postures (m, n): near each other, at two distances, turned, at high and low load, all of it."""
-    if len(qs) < COUNT or nominal.arm is None:
+    if len(qs) < POSTURES_PER_CHOICE or nominal.arm is None:
         return ()
     Ts = tcp_poses(nominal.arm, sets, qs)
     centre = qs.mean(axis=0)
-    near = qs[np.argsort(np.abs(qs - centre).max(axis=1), kind="stable")[:COUNT]]
+    near = qs[np.argsort(np.abs(qs - centre).max(axis=1), kind="stable")[:POSTURES_PER_CHOICE]]
     features = {
-        "postures across the range": (qs - centre) / REACH_RAD,
+        "postures across the range": (qs - centre) / POSTURE_DISTANCE_MAX_RAD,
         "postures of high and of low load": _relative_gravity_torques(nominal, sets, qs),
         "the wrist turned about several axes": Ts[:, :3, :3].reshape(len(qs), 9),
     }
@@ -81,7 +84,7 @@ def _farthest_point_rows(features: Array) -> NDArray[np.int64]:
     """COUNT rows, each as far as possible from those before it (Gonzalez 1985)."""
     chosen = [int(np.argmax(np.linalg.norm(features - features.mean(axis=0), axis=1)))]
     away = np.linalg.norm(features - features[chosen[0]], axis=1)
-    while len(chosen) < COUNT:
+    while len(chosen) < POSTURES_PER_CHOICE:
         chosen.append(int(np.argmax(away)))
         away = np.minimum(away, np.linalg.norm(features - features[chosen[-1]], axis=1))
     return np.array(chosen, dtype=np.int64)

@@ -11,9 +11,9 @@ from diagnosis.search.fit import damped_steps, parameter_bounds, residuals_at, s
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-ROUNDS = 5
-STEP_SHARE = 2e-3
-SETTLED_NATS = 0.05
+MAX_ITERATIONS = 5
+FINITE_DIFFERENCE_STEP_FRAC = 2e-3
+CONVERGENCE_NATS = 0.05
 
 
 def separation_nats(
@@ -33,7 +33,7 @@ def separation_nats(
         return _cost_in_nats(residual(theta[None])[0], spread)
     low, high = parameter_bounds(other.fit.hypothesis)
     best = residual(theta[None])[0]
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         J = _numeric_jacobian(residual, theta, best, low, high)
         trials = np.clip(theta + damped_steps(J, best, high - low), low, high)
         tried = residual(trials)
@@ -43,7 +43,7 @@ def separation_nats(
         if gained <= 0.0:
             break
         theta, best = trials[k], tried[k]
-        if gained < SETTLED_NATS:
+        if gained < CONVERGENCE_NATS:
             break
     return _cost_in_nats(best, spread)
 
@@ -59,7 +59,7 @@ def _residual_of(cell: Cell, other: Hypothesis, holds: bool, spread: float) -> C
         new = residuals_at(cell, other.fit.hypothesis, thetas)
         if not holds or other.fit.k == 0:
             return new
-        away = (thetas - other.fit.theta) @ other.hold.T * np.sqrt(spread)
+        away = (thetas - other.fit.theta) @ other.sqrt_information.T * np.sqrt(spread)
         return np.concatenate([new, away], axis=1)
 
     return residual
@@ -70,6 +70,6 @@ def _cost_in_nats(residual: Array, spread: float) -> float:
 
 
 def _numeric_jacobian(residual: Callable[[Array], Array], theta: Array, at: Array, low: Array, high: Array) -> Array:
-    steps = STEP_SHARE * (high - low)
+    steps = FINITE_DIFFERENCE_STEP_FRAC * (high - low)
     signs = np.where(theta + steps > high, -1.0, 1.0)
     return ((residual(theta + np.diag(signs * steps)) - at) / (signs * steps)[:, None]).T

@@ -14,7 +14,7 @@ from diagnosis.budget import budget_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.reading.read import Read, read_for_diagnosis
 
-FORMAT = 1
+FORMAT_VERSION = 1
 
 
 def diagnose_case(path: str, machine_file: str | None = None) -> dict[str, Any]:
@@ -23,7 +23,7 @@ def diagnose_case(path: str, machine_file: str | None = None) -> dict[str, Any]:
     Returns: `status` "diagnosed", "unusable" (see `findings`) or "failed" (see `reason`); whose and when.
     """
     whole = read_for_diagnosis(Path(path), None if machine_file is None else Path(machine_file))
-    out: dict[str, Any] = {"format_version": FORMAT, "recording": Path(path).name, **_recording_identity(whole)}
+    out: dict[str, Any] = {"format_version": FORMAT_VERSION, "recording": Path(path).name, **_recording_identity(whole)}
     findings = [
         {"code": finding.code, "severity": finding.severity, "text": str(finding)} for finding in whole.findings
     ]
@@ -59,14 +59,14 @@ def _recording_identity(whole: Read) -> dict[str, Any]:
 
     Whose it is says its own machine file, whatever file it is judged by: one file for a whole fleet has one serial.
     """
-    nominal, tables = whole.nominal, whole.tables
-    given = {"name": nominal.name, "serial": nominal.serial} if nominal is not None else {}
+    nominal, tables = whole.nominal_machine, whole.tables
+    given = {"name": nominal.name, "serial": nominal.serial_number} if nominal is not None else {}
     own = _machine_table(whole.machine_toml) or given
     return {
         "machine": str(own.get("name") or given.get("name", "")),
         "serial": str(own.get("serial", "")),
-        "folder": whole.path.parent.name,
-        "started_utc": tables.run.started_utc if tables is not None else "",
+        "folder": whole.recording_path.parent.name,
+        "started_utc": tables.run_info.started_utc if tables is not None else "",
     }
 
 

@@ -22,9 +22,9 @@ def _effect_key(effect: dict[str, Any]) -> Key:
     return effect["name"], effect["joint"]
 
 
-Z_90 = 1.645
-DRIFT_MIN = 3  # recordings of one effect on one machine, for a drift
-SECONDS_A_DAY = 86400.0
+NORMAL_QUANTILE_95 = 1.645
+DRIFT_RECORDINGS_MIN = 3  # recordings of one effect on one machine, for a drift
+SECONDS_PER_DAY = 86400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,8 @@ class EffectOnMachine:
     parameter: str
     unit: str
     value: float
-    low: float
-    high: float
+    lower_90: float
+    upper_90: float
     t_days: float | None
 
 
@@ -49,8 +49,8 @@ class SharedEffect:
 
     name: str
     joint: int | None
-    machines: tuple[str, ...]
-    without: tuple[str, ...]
+    machines_with: tuple[str, ...]
+    machines_without: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +62,14 @@ class EffectDrift:
     joint: int | None
     unit: str
     per_day: float
-    low: float
-    high: float
-    n: int
+    lower_90: float
+    upper_90: float
+    recording_count: int
 
     @property
     def is_drifting(self) -> bool:
         """Whether the slope is significant."""
-        return self.low > 0.0 or self.high < 0.0
+        return self.lower_90 > 0.0 or self.upper_90 < 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +79,11 @@ class Fleet:
     """
 
     machines: tuple[str, ...]
-    verdicts: dict[str, tuple[tuple[str, str], ...]]
-    found: tuple[EffectOnMachine, ...]
-    shared: tuple[SharedEffect, ...]
-    drifts: tuple[EffectDrift, ...]
-    unusable: tuple[tuple[str, str], ...]
+    verdicts_by_machine: dict[str, tuple[tuple[str, str], ...]]
+    found_effects: tuple[EffectOnMachine, ...]
+    shared_effects: tuple[SharedEffect, ...]
+    effect_drifts: tuple[EffectDrift, ...]
+    unusable_recordings: tuple[tuple[str, str], ...]
     no_serial: int = 0
 
 
@@ -146,7 +146,7 @@ def _days_since_epoch(text: str) -> float | None:
         when = datetime.fromisoformat(text)
     except ValueError:
         return None
-    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp() / SECONDS_A_DAY
+    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp() / SECONDS_PER_DAY
 
 
 def _shared_effects(good: list[dict[str, Any]], found: tuple[EffectOnMachine, ...]) -> tuple[SharedEffect, ...]:
@@ -158,7 +158,7 @@ def _shared_effects(good: list[dict[str, Any]], found: tuple[EffectOnMachine, ..
         size = float(np.median([abs(finding.value) for finding in mine]))
         able = [machine_of(result) for result in good if _could_see(result, key, size)]
         out.append(SharedEffect(*key, having, tuple(name for name in dict.fromkeys(able) if name not in having)))
-    return tuple(sorted(out, key=lambda shared: (-len(shared.machines), shared.name, shared.joint or 0)))
+    return tuple(sorted(out, key=lambda shared: (-len(shared.machines_with), shared.name, shared.joint or 0)))
 
 
 def _could_see(result: dict[str, Any], key: tuple[str, int | None], size: float) -> bool:
@@ -180,7 +180,7 @@ def _effect_drifts(found: tuple[EffectOnMachine, ...]) -> tuple[EffectDrift, ...
             for finding in found
             if (finding.machine, finding.name, finding.joint) == key and finding.t_days is not None
         ]
-        if len({finding.t_days for finding in mine}) >= DRIFT_MIN:
+        if len({finding.t_days for finding in mine}) >= DRIFT_RECORDINGS_MIN:
             out.append(_fit_drift_line(mine))
     return tuple(out)
 
@@ -195,8 +195,8 @@ def _fit_drift_line(mine: list[EffectOnMachine]) -> EffectDrift:
 
     t = np.array([finding.t_days or 0.0 for finding in mine])
     y = np.array([finding.value for finding in mine])
-    width = np.array([max(finding.high - finding.low, 1e-12) for finding in mine])
-    w = 1.0 / (width / (2.0 * Z_90)) ** 2
+    width = np.array([max(finding.upper_90 - finding.lower_90, 1e-12) for finding in mine])
+    w = 1.0 / (width / (2.0 * NORMAL_QUANTILE_95)) ** 2
     A = np.stack([np.ones_like(t), t - t.mean()], axis=1)
     covariance = np.linalg.inv(A.T @ (w[:, None] * A))
     a_b = covariance @ (A.T @ (w * y))

@@ -11,14 +11,21 @@ from numpy.typing import NDArray
 
 from diagnosis.log.tables import fill_gaps
 from diagnosis.noise.floor import Whitener, block_increments
-from diagnosis.replay.stage_replay import LAST, OUTPUT, SKIPPED, Replay, StretchReplay, whiten_sets
+from diagnosis.replay.stage_replay import (
+    DYNAMIC_STAGE_BY_NAME,
+    STAGE_OUTPUT_SIGNALS,
+    START_SKIPPED_INCREMENTS,
+    Replay,
+    StretchReplay,
+    whiten_sets,
+)
 from diagnosis.search.cell import Cell
 from machine.effects.dynamics import simulate
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-SLOW_ORDERS = 4  # of waves over the angle, a turn
-SMOOTH_S = 0.045
+ANGLE_FOURIER_ORDERS = 4  # of waves over the angle, a turn
+SMOOTHING_WINDOW_S = 0.045
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +38,10 @@ class Course:
 
     dt_s: float
     t_s: Array
-    q: Array
-    drive: Array
-    load: Array
-    others: Array
+    modelled_output: Array
+    input_signal: Array
+    gravity_load: Array
+    other_joint_commands: Array
     since_s: Array
 
     def rate(self, x: Array) -> Array:
@@ -51,7 +58,7 @@ class Course:
 
     def smoothed(self, x: Array) -> Array:
         """The mean over 45 ms."""
-        n = min(max(1, round(SMOOTH_S / self.dt_s)), len(x))
+        n = min(max(1, round(SMOOTHING_WINDOW_S / self.dt_s)), len(x))
         return np.convolve(x, np.ones(n) / n, mode="same")
 
 
@@ -65,14 +72,23 @@ def _leaky_sum(x: Array, kept: float) -> Array:
 
 def courses_of(cell: Cell, replay: Replay, modelled: list[Array], channel: int) -> list[Course]:
     """One joint of a replay through each stretch. `modelled`: by `modelled_of`."""
-    return [_course_of_stretch(cell, replay, *piece, channel) for piece in zip(replay.parts, modelled, strict=True)]
+    return [
+        _course_of_stretch(cell, replay, *piece, channel)
+        for piece in zip(replay.stretch_replays, modelled, strict=True)
+    ]
 
 
 def modelled_of(cell: Cell, replay: Replay) -> list[Array]:
     """The stage's own output through each stretch (m, joints)."""
-    chosen = ParameterSets(np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]), cell.base.machine)
-    runs = (simulate(part.plant, chosen, part.drive, LAST[cell.stage]) for part in replay.parts)
-    return [np.asarray(getattr(run, OUTPUT[cell.stage])[0]) for run in runs]
+    chosen = ParameterSets(
+        np.ascontiguousarray(cell.baseline_parameters.joint_parameters[:, list(replay.joints)]),
+        cell.baseline_parameters.machine_parameters,
+    )
+    runs = (
+        simulate(part.plant, chosen, part.stage_input, DYNAMIC_STAGE_BY_NAME[cell.stage])
+        for part in replay.stretch_replays
+    )
+    return [np.asarray(getattr(run, STAGE_OUTPUT_SIGNALS[cell.stage])[0]) for run in runs]
 
 
 def _course_of_stretch(cell: Cell, replay: Replay, part: StretchReplay, outputs: Array, channel: int) -> Course:
@@ -84,8 +100,8 @@ def _course_of_stretch(cell: Cell, replay: Replay, part: StretchReplay, outputs:
         drive = (fill_gaps(stretch.ref) - fill_gaps(stretch.enc))[:m, j]
     if cell.stage == "link":
         drive = np.gradient(modelled, stretch.dt_s)
-    load = part.drive.load[:m, channel] if len(part.drive.load) >= m else np.zeros(m)
-    t_s, began_s = stretch.t_s[:m], min(other.stretch.t_s[0] for other in replay.parts)
+    load = part.stage_input.load[:m, channel] if len(part.stage_input.load) >= m else np.zeros(m)
+    t_s, began_s = stretch.t_s[:m], min(other.stretch.t_s[0] for other in replay.stretch_replays)
     others = np.delete(u, j, axis=1)
     return Course(stretch.dt_s, t_s - t_s[0], modelled, drive, load, others, t_s - began_s)
 
@@ -93,8 +109,10 @@ def _course_of_stretch(cell: Cell, replay: Replay, part: StretchReplay, outputs:
 def white_columns(whitener: Whitener, channel: int, dt_s: float, signals: Array) -> Array:
     """Increments of signals (m, k), through the filter that the residual went through."""
     k = signals.shape[1]
-    same = Whitener(np.repeat(whitener.a[:, [channel]], k, axis=1), np.repeat(whitener.sigma[[channel]], k))
-    return whiten_sets(same, block_increments(signals, dt_s)[None])[0, SKIPPED:]
+    same = Whitener(
+        np.repeat(whitener.ar_coefficients[:, [channel]], k, axis=1), np.repeat(whitener.innovation_sigma[[channel]], k)
+    )
+    return whiten_sets(same, block_increments(signals, dt_s)[None])[0, START_SKIPPED_INCREMENTS:]
 
 
 def hat_functions(x: Array, knots: Array) -> Array:
@@ -104,19 +122,25 @@ def hat_functions(x: Array, knots: Array) -> Array:
 
 def moving_families(c: Course) -> dict[str, Array]:
     """Of an actuator: families that go with how the joint moves, not only with its command."""
-    v, du, size = c.smoothed(c.rate(c.q)), c.rate(c.smoothed(c.drive)), np.abs(c.drive)
-    busy = np.abs(c.others).sum(axis=1)
+    v, du, size = c.smoothed(c.rate(c.modelled_output)), c.rate(c.smoothed(c.input_signal)), np.abs(c.input_signal)
+    busy = np.abs(c.other_joint_commands).sum(axis=1)
     turned = np.stack([np.sign(du), np.sign(du) * size], axis=1)
     return {
         "the change of the command": np.concatenate(
-            [np.stack([c.drive, size, v, c.rate(v)], axis=1), c.integral_of(turned)], axis=1
+            [np.stack([c.input_signal, size, v, c.rate(v)], axis=1), c.integral_of(turned)], axis=1
         ),
-        "the load": c.integral_of(np.stack([c.load, v * c.load, np.abs(v) * c.load, c.load**2], axis=1)),
+        "the load": c.integral_of(
+            np.stack([c.gravity_load, v * c.gravity_load, np.abs(v) * c.gravity_load, c.gravity_load**2], axis=1)
+        ),
         "the angle": np.concatenate(
-            [c.integral_of(v[:, None] * np.stack([c.q, c.q**2], axis=1)), _fourier_columns(c.q, SLOW_ORDERS)], axis=1
+            [
+                c.integral_of(v[:, None] * np.stack([c.modelled_output, c.modelled_output**2], axis=1)),
+                _fourier_columns(c.modelled_output, ANGLE_FOURIER_ORDERS),
+            ],
+            axis=1,
         ),
         "other joints": np.concatenate(
-            [c.integral_of(np.stack([v * busy, np.sign(v) * busy], axis=1)), c.others], axis=1
+            [c.integral_of(np.stack([v * busy, np.sign(v) * busy], axis=1)), c.other_joint_commands], axis=1
         ),
     }
 
@@ -127,32 +151,40 @@ def _fourier_columns(q: Array, orders: int) -> Array:
 
 
 # How a machine still answers to its commands a while later, as families of functions: a linear form with a memory.
-ECHOES_S = np.arange(1, 21) * 0.05
-LAGS_S = (0.03, 0.1, 0.3, 1.0, 3.0)
-LAG_KNOTS = np.array([-1.0, -0.25, -0.06, 0.0, 0.06, 0.25, 1.0])  # of full command
-SWINGS_HZ = np.geomspace(0.5, 8.0, 9)
-DAMPING = 0.25  # wide enough that an oscillation between two of the frequencies is a sum of both
-RESPONSES = ("echoes", "catching up", "swings", "uneven swings", "the other joints' swings")  # old name, in baselines
+RESPONSE_DELAYS_S = np.arange(1, 21) * 0.05
+LAG_TIME_CONSTANTS_S = (0.03, 0.1, 0.3, 1.0, 3.0)
+LAG_COMMAND_KNOTS = np.array([-1.0, -0.25, -0.06, 0.0, 0.06, 0.25, 1.0])  # of full command
+OSCILLATION_FREQUENCIES_HZ = np.geomspace(0.5, 8.0, 9)
+OSCILLATION_DAMPING_RATIO = 0.25  # wide enough that an oscillation between two of the frequencies is a sum of both
+RESPONSE_FAMILY_NAMES = (
+    "echoes",
+    "catching up",
+    "swings",
+    "uneven swings",
+    "the other joints' swings",
+)  # old name, in baselines
 
 
 def actuator_responses(c: Course) -> dict[str, Array]:
     """Of one joint's actuator through a stretch: families (m, k)."""
-    u, others = c.drive, list(c.others.T)
+    u, others = c.input_signal, list(c.other_joint_commands.T)
     of_others = [_excited_oscillations(c, other) for other in others] or [np.zeros((len(u), 0))]
     families = (
-        np.stack([np.interp(c.t_s - late_s, c.t_s, u) for late_s in ECHOES_S], axis=1),
-        np.concatenate([c.leaky_integral(hat_functions(u, LAG_KNOTS), tau_s) for tau_s in LAGS_S], axis=1),
+        np.stack([np.interp(c.t_s - late_s, c.t_s, u) for late_s in RESPONSE_DELAYS_S], axis=1),
+        np.concatenate(
+            [c.leaky_integral(hat_functions(u, LAG_COMMAND_KNOTS), tau_s) for tau_s in LAG_TIME_CONSTANTS_S], axis=1
+        ),
         _excited_oscillations(c, u),
         _excited_oscillations(c, u * np.abs(u)),
         np.concatenate(of_others, axis=1),
     )
-    return dict(zip(RESPONSES, families, strict=True))
+    return dict(zip(RESPONSE_FAMILY_NAMES, families, strict=True))
 
 
 def _excited_oscillations(c: Course, x: Array) -> Array:
     """The oscillations that a signal (m,) excites: both quadratures at each frequency (m, 2 frequencies)."""
-    omega = 2.0 * np.pi * SWINGS_HZ
-    poles = omega * (-DAMPING + 1j * np.sqrt(1.0 - DAMPING**2))
+    omega = 2.0 * np.pi * OSCILLATION_FREQUENCIES_HZ
+    poles = omega * (-OSCILLATION_DAMPING_RATIO + 1j * np.sqrt(1.0 - OSCILLATION_DAMPING_RATIO**2))
     kept = np.exp(poles * c.dt_s)
     rung = _filter_complex_poles(np.ascontiguousarray(x), kept, (kept - 1.0) / poles)
     return np.concatenate([rung.real, rung.imag], axis=1)

@@ -18,10 +18,10 @@ from diagnosis.search.cell import Cell
 from diagnosis.search.fit import neutral_fit, residuals_at
 from machine.rotations import Array
 
-DAYS_MIN = 6  # recordings that can show it
-WANDERS = 1.5  # mean square of a number over its own error: 1 by chance, seldom more than this
-STEP = 0.004  # of the bound
-FELT = 1.0  # squared floors that the largest size moves: with less there is no column
+RECORDINGS_MIN = 6  # recordings that can show it
+DAILY_VARIATION_CHI2_MIN = 1.5  # mean square of a number over its own error: 1 by chance, seldom more than this
+FINITE_DIFFERENCE_STEP_FRAC = 0.004  # of the bound
+SENSITIVITY_SQUARE_MIN = 1.0  # squared floors that the largest size moves: with less there is no column
 Sizes = tuple[tuple[str, float], ...]
 
 
@@ -41,12 +41,16 @@ def _with_wander_of(cell: Cell, nominal: Nominal) -> Cell:
             columns += [
                 size * _effect_sensitivity(cell, effect) for effect in candidates_of_effects((name,), (joint + 1,))
             ]
-    return replace(cell, whitened=replace(replay, day=day_noise(np.stack(columns, axis=1)))) if columns else cell
+    return (
+        replace(cell, whitened=replace(replay, day_to_day_noise=day_noise(np.stack(columns, axis=1))))
+        if columns
+        else cell
+    )
 
 
 def _effect_sensitivity(cell: Cell, candidate: Candidate) -> Array:
     """How an effect moves the residual (N,), a unit of its size."""
-    step = STEP * candidate.slots[0].high
+    step = FINITE_DIFFERENCE_STEP_FRAC * candidate.parameter_slots[0].typical_max
     return (residuals_at(cell, (candidate,), np.array([[step]]))[0] - neutral_fit(cell).residual) / step
 
 
@@ -54,15 +58,17 @@ def _effect_sensitivity(cell: Cell, candidate: Candidate) -> Array:
 class _RecordingEquations:
     """One recording's normal equations of all names: J'J (k, k) and -J'r (k,)."""
 
-    G: Array
-    b: Array
+    normal_matrix: Array
+    normal_rhs: Array
 
     def numbers_given(self, variances: Array) -> tuple[Array, Array]:
         """The numbers (k,), each fitted alone, and their variances by noise, where those of `variances` wander."""
         S = np.diag(np.sqrt(variances))
-        inner = self.G @ S @ np.linalg.solve(np.eye(len(S)) + S @ self.G @ S, S)
-        known = np.maximum(np.diag(self.G - inner @ self.G), 1e-12 * np.diag(self.G))
-        return (self.b - inner @ self.b) / known, 1.0 / known
+        inner = self.normal_matrix @ S @ np.linalg.solve(np.eye(len(S)) + S @ self.normal_matrix @ S, S)
+        known = np.maximum(
+            np.diag(self.normal_matrix - inner @ self.normal_matrix), 1e-12 * np.diag(self.normal_matrix)
+        )
+        return (self.normal_rhs - inner @ self.normal_rhs) / known, 1.0 / known
 
 
 def wander_of(cells: list[Cell]) -> Sizes:
@@ -72,7 +78,7 @@ def wander_of(cells: list[Cell]) -> Sizes:
            error; then the others in addition, as long as one is off by more than chance. One by one, since a wander of
            the flow gain is seen in each of its neighbours.
     """
-    if len(cells) < DAYS_MIN or cells[0].stage != "actuator" or cells[0].joint is None:
+    if len(cells) < RECORDINGS_MIN or cells[0].stage != "actuator" or cells[0].joint is None:
         return ()
     names = [
         effect
@@ -80,17 +86,24 @@ def wander_of(cells: list[Cell]) -> Sizes:
         if _has_single_size(effect) and all(_is_cell_candidate(cell, effect) for cell in cells)
     ]
     days = [_day_normal_equations(cell, names) for cell in cells]
-    felt = [k for k in range(len(names)) if all(day.G[k, k] * names[k].slots[0].high ** 2 > FELT for day in days)]
+    felt = [
+        k
+        for k in range(len(names))
+        if all(
+            day.normal_matrix[k, k] * names[k].parameter_slots[0].typical_max ** 2 > SENSITIVITY_SQUARE_MIN
+            for day in days
+        )
+    ]
     names, days = (
         [names[k] for k in felt],
-        [_RecordingEquations(day.G[np.ix_(felt, felt)], day.b[felt]) for day in days],
+        [_RecordingEquations(day.normal_matrix[np.ix_(felt, felt)], day.normal_rhs[felt]) for day in days],
     )
     variances = np.zeros(len(names))
     for _ in names:
         numbers, errors = (np.array(x) for x in zip(*(day.numbers_given(variances) for day in days), strict=True))
         off = np.where(variances > 0.0, 0.0, np.mean(numbers**2 / errors, axis=0))
         k = int(np.argmax(off))
-        if off[k] < WANDERS:
+        if off[k] < DAILY_VARIATION_CHI2_MIN:
             break
         variances[k] = common_excess(numbers[:, [k]] ** 2, errors[:, [k]])[0]
     return tuple((effect.name, float(np.sqrt(v))) for effect, v in zip(names, variances, strict=True) if v > 0.0)
@@ -100,9 +113,9 @@ def _has_single_size(candidate: Candidate) -> bool:
     """Whether an effect has one number, nothing at 0."""
     return (
         candidate.stage == "actuator"
-        and len(candidate.slots) == 1
-        and not candidate.fixed
-        and candidate.slots[0].neutral == 0.0
+        and len(candidate.parameter_slots) == 1
+        and not candidate.fixed_parameters
+        and candidate.parameter_slots[0].neutral_value == 0.0
     )
 
 

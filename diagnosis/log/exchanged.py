@@ -10,8 +10,8 @@ from machine.effects.kernel import KP, TAU
 from machine.rotations import Array
 
 FITS, FITS_NOT = 0.5, 1.5  # of the command's own size: what the controller leaves of it; 2 with the sign reversed
-COMMAND_MIN = 1e-3  # size of a command that says anything
-ROWS_MIN = 100
+COMMAND_STD_MIN = 1e-3  # size of a command that says anything
+LOG_ROWS_MIN = 100
 
 
 def exchanged_loops(plc: PlcTable, nominal: Nominal) -> list[Finding]:
@@ -22,7 +22,7 @@ def exchanged_loops(plc: PlcTable, nominal: Nominal) -> list[Finding]:
     if not nominal.has_controller or nominal.actuators is None or plc.enc is None or plc.ref is None or plc.u is None:
         return []
     steps = np.diff(plc.t_s)
-    if plc.enc.shape[1] != nominal.actuators.n or len(steps) < ROWS_MIN or not (steps > 0.0).any():
+    if plc.enc.shape[1] != nominal.actuators.n or len(steps) < LOG_ROWS_MIN or not (steps > 0.0).any():
         return []
     dt_s, wrong = float(np.median(steps[steps > 0.0])), list[int]()
     for j, joint in enumerate(nominal.actuators.joints):
@@ -32,7 +32,7 @@ def exchanged_loops(plc: PlcTable, nominal: Nominal) -> list[Finding]:
         by_controller: Array = np.asarray(lfilter([share], [1.0, share - 1.0], wanted), dtype=float)
         size = float(np.std(u))
         as_written, exchanged = (float(np.std(u - sign * by_controller)) for sign in (1.0, -1.0))
-        if size > COMMAND_MIN and exchanged < FITS * size and as_written > FITS_NOT * size:
+        if size > COMMAND_STD_MIN and exchanged < FITS * size and as_written > FITS_NOT * size:
             wrong.append(j + 1)
     if not wrong:
         return []

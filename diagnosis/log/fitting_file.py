@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.tables import MarkerTable, PointTable, Tables
-from diagnosis.log.units import LIMIT_MARGIN_RAD
+from diagnosis.log.units import JOINT_LIMIT_MARGIN_RAD
 from diagnosis.sliding import column_of, unit_of
 from machine.rotations import Array
 
@@ -19,8 +19,8 @@ OUTSIDE_MIN, INSIDE_MAX = 0.2, 0.01  # shares of rows outside limits: surely out
 def machine_findings(tables: Tables, nominal: Nominal) -> list[Finding]:
     """Whether the machine file describes the arm that was recorded."""
     findings: list[Finding] = []
-    if tables.n and nominal.n and tables.n != nominal.n:
-        text = f"the recording has {tables.n} joints, machine.toml {nominal.n}; use the file of this machine"
+    if tables.joint_count and nominal.n and tables.joint_count != nominal.n:
+        text = f"the recording has {tables.joint_count} joints, machine.toml {nominal.n}; use the file of this machine"
         return [Finding("machine_mismatch", "fatal", "machine.toml", text)]
     plc = tables.plc
     if plc is not None and plc.enc is not None:
@@ -28,7 +28,7 @@ def machine_findings(tables: Tables, nominal: Nominal) -> list[Finding]:
     findings += _point_findings(tables, nominal)
     if tables.markers is not None and nominal.markers:
         known = {marker.marker_id for marker in nominal.markers}
-        strange = sorted(set(tables.markers.ids.tolist()) - known)
+        strange = sorted(set(tables.markers.marker_ids.tolist()) - known)
         if strange:
             text = f"markers {strange[:6]} were seen but are not in machine.toml; they are not used"
             findings.append(Finding("machine_mismatch", "note", "markers.csv", text, len(strange)))
@@ -38,7 +38,7 @@ def machine_findings(tables: Tables, nominal: Nominal) -> list[Finding]:
 def _share_outside_limits(enc: Array, nominal: Nominal) -> Array:
     """Share of rows (columns, joints) in which column j lies outside joint k's limits."""
     x = enc[:, :, None]
-    beyond = (x < nominal.q_min - LIMIT_MARGIN_RAD) | (x > nominal.q_max + LIMIT_MARGIN_RAD)
+    beyond = (x < nominal.q_min - JOINT_LIMIT_MARGIN_RAD) | (x > nominal.q_max + JOINT_LIMIT_MARGIN_RAD)
     return np.asarray((beyond & np.isfinite(x)).mean(axis=0), dtype=float)
 
 
@@ -51,7 +51,7 @@ def _limit_findings(enc: Array, nominal: Nominal) -> list[Finding]:
         inside = (shares[j] < INSIDE_MAX) & (shares[:, j] < INSIDE_MAX) & (np.diag(shares) >= OUTSIDE_MIN)
         partner = np.nonzero(inside)[0].tolist()
         low, high = nominal.q_min[j], nominal.q_max[j]
-        name, unit = column_of("q_{j}_rad", nominal.sliding, j), unit_of("rad", nominal.sliding, j)
+        name, unit = column_of("q_{j}_rad", nominal.joint_slides, j), unit_of("rad", nominal.joint_slides, j)
         reach = f"{name} lies at {np.nanmin(enc[:, j]):.3g} .. {np.nanmax(enc[:, j]):.3g} {unit}"
         text = f"{reach}, outside its limits {low:.3g} .. {high:.3g} {unit}"
         if partner:
@@ -65,10 +65,10 @@ def _limit_findings(enc: Array, nominal: Nominal) -> list[Finding]:
 
 
 def _point_findings(tables: Tables, nominal: Nominal) -> list[Finding]:
-    known = {point.name for point in nominal.points}
+    known = {point.name for point in nominal.tracked_points}
     findings = []
     for subject, table in (("tracker.csv", tables.tracker), ("static.csv", tables.static)):
-        strange = sorted(set(table.names) - known) if table is not None else []
+        strange = sorted(set(table.point_names) - known) if table is not None else []
         if strange:
             remedy = "give joint, and xyz_m where it is known"
             text = f"points {strange[:6]} are not in [points] of machine.toml and are not used; {remedy}"
@@ -80,7 +80,7 @@ def _point_findings(tables: Tables, nominal: Nominal) -> list[Finding]:
 def _duplicate_point_findings(subject: str, table: PointTable) -> list[Finding]:
     """Pairs of points that were written with the same numbers: one measurement counted twice."""
     by_name: dict[str, dict[float, tuple[float, ...]]] = {}
-    for t, name, xyz in zip(table.t_s.tolist(), table.names, table.xyz.tolist(), strict=True):
+    for t, name, xyz in zip(table.t_s.tolist(), table.point_names, table.xyz.tolist(), strict=True):
         by_name.setdefault(name, {})[t] = tuple(xyz)
     pairs = [(a, b) for a, b in combinations(sorted(by_name), 2) if by_name[a] == by_name[b]]
     return [
@@ -105,7 +105,7 @@ def corner_findings(tables: Tables) -> list[Finding]:
         text = f"{nameless} rows have an eye other than 'left' or 'right'; they are not used"
         findings.append(Finding("not_a_number", "problem", "markers.csv", text, nameless))
     findings += _exchanged_eyes(markers)
-    wrong = _has_anticlockwise_turn(markers.corners[np.isfinite(markers.corners).all(axis=(1, 2))])
+    wrong = _has_anticlockwise_turn(markers.corners_px[np.isfinite(markers.corners_px).all(axis=(1, 2))])
     share = float(wrong.mean()) if len(wrong) else 0.0
     if share > 0.01:
         text = (
@@ -121,7 +121,7 @@ def corner_findings(tables: Tables) -> list[Finding]:
 def _exchanged_eyes(markers: MarkerTable) -> list[Finding]:
     """Markers that lie further left in the left eye, on the whole: nothing in front of a camera does."""
     seen: dict[tuple[float, int], dict[int, float]] = {}
-    for t, number, eye, corners in zip(markers.t_s, markers.ids, markers.eye, markers.corners, strict=True):
+    for t, number, eye, corners in zip(markers.t_s, markers.marker_ids, markers.eye, markers.corners_px, strict=True):
         seen.setdefault((float(t), int(number)), {})[int(eye)] = float(corners[:, 0].mean())
     apart = np.array([both[0] - both[1] for both in seen.values() if 0 in both and 1 in both])
     apart = apart[np.isfinite(apart)]

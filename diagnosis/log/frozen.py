@@ -8,11 +8,15 @@ from diagnosis.log.tables import fill_gaps
 from diagnosis.noise.floor import encoder_step
 from machine.rotations import Array
 
-BEFORE = 5  # rows from which the speed is taken
-JUMPED = 1.6  # times the usual step: the first row after a stop makes up for it
-USUAL_SHARE = 0.4  # of all moving rows: a log that is faster than the PLC repeats most of them, and is not faulty
-TOLD_MIN = 10
-STEPS_MIN = 5.0  # of the encoders' own resolution a row: a slow joint repeats its reading without any fault
+SPEED_WINDOW_ROWS = 5  # rows from which the speed is taken
+CATCH_UP_STEP_RATIO_MIN = 1.6  # times the usual step: the first row after a stop makes up for it
+REPEATED_ROWS_MAX_FRAC = (
+    0.4  # of all moving rows: a log that is faster than the PLC repeats most of them, and is not faulty
+)
+REPORTED_RUNS_MIN = 10
+ENCODER_STEPS_PER_ROW_MIN = (
+    5.0  # of the encoders' own resolution a row: a slow joint repeats its reading without any fault
+)
 
 
 def frozen_findings(enc: Array | None) -> list[Finding]:
@@ -20,7 +24,7 @@ def frozen_findings(enc: Array | None) -> list[Finding]:
     if enc is None:
         return []
     runs = frozen_runs(fill_gaps(enc))
-    if len(runs) < TOLD_MIN:
+    if len(runs) < REPORTED_RUNS_MIN:
         return []
     rows = sum(end - start for start, end in runs)
     text = f"all encoders stand still for {rows} rows in {len(runs)} runs while the joints move on, and jump after each"
@@ -32,16 +36,16 @@ def frozen_runs(enc: Array) -> list[tuple[int, int]]:
     steps = np.diff(enc, axis=0)
     same: NDArray[np.bool_] = (steps == 0.0).all(axis=1)
     moving = ~same
-    if not moving.any() or same.sum() > USUAL_SHARE * len(same):
+    if not moving.any() or same.sum() > REPEATED_ROWS_MAX_FRAC * len(same):
         return []
-    least = STEPS_MIN * float(np.linalg.norm([encoder_step(column) for column in enc.T]))
+    least = ENCODER_STEPS_PER_ROW_MIN * float(np.linalg.norm([encoder_step(column) for column in enc.T]))
     edges = np.diff(np.concatenate([[0], same.astype(int), [0]]))
     found = []
     for start, end in zip(np.nonzero(edges > 0)[0], np.nonzero(edges < 0)[0], strict=True):
-        if start < BEFORE or end >= len(steps) or not moving[start - BEFORE : start].all():
+        if start < SPEED_WINDOW_ROWS or end >= len(steps) or not moving[start - SPEED_WINDOW_ROWS : start].all():
             continue
-        speed = float(np.linalg.norm(steps[start - BEFORE : start].mean(axis=0)))
-        noise = float(np.linalg.norm(steps[start - BEFORE : start].std(axis=0)))
-        if speed > max(noise, least) and float(np.linalg.norm(steps[end])) > JUMPED * speed:
+        speed = float(np.linalg.norm(steps[start - SPEED_WINDOW_ROWS : start].mean(axis=0)))
+        noise = float(np.linalg.norm(steps[start - SPEED_WINDOW_ROWS : start].std(axis=0)))
+        if speed > max(noise, least) and float(np.linalg.norm(steps[end])) > CATCH_UP_STEP_RATIO_MIN * speed:
             found.append((int(start) + 1, int(end) + 1))
     return found

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from diagnosis.log.findings import Finding
 from diagnosis.log.nearest import did_you_mean
-from recording.folder import SEPARATORS, column_finder
+from recording.folder import WRONG_SEPARATOR_NAMES, column_finder
 from recording.rows import CSV_ROW_TYPES, Row, csv_fields
 
-HEADER_MAX = 1 << 16  # characters: hundreds of joints; a file without line ends is not read to its end
+HEADER_CHARS_MAX = 1 << 16  # characters: hundreds of joints; a file without line ends is not read to its end
 
 
 def header_findings(folder: Path) -> list[Finding]:
@@ -52,7 +52,7 @@ def _in_metres(pattern: str, name: str) -> re.Match[str] | None:
 def _read_header(path: Path) -> tuple[list[str], bool]:
     """A file's column names, and whether there is a row below them."""
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        first, second = file.readline(HEADER_MAX), file.readline(HEADER_MAX)
+        first, second = file.readline(HEADER_CHARS_MAX), file.readline(HEADER_CHARS_MAX)
         if first.count('"') % 2:  # a quote that is never closed: reading it says so
             return [], True
         reader = csv.reader([line for line in (first, second) if line])
@@ -66,7 +66,7 @@ def _read_header(path: Path) -> tuple[list[str], bool]:
 def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
     names, rows = _read_header(path)
     no_text = any("\ufffd" in name or "\0" in name for name in names)
-    if no_text or (len(names) == 1 and any(separator in names[0] for separator in SEPARATORS)):
+    if no_text or (len(names) == 1 and any(separator in names[0] for separator in WRONG_SEPARATOR_NAMES)):
         return []  # reading it says so
     if names and not rows:
         text = "holds column names and no rows; record it again, or remove the file"

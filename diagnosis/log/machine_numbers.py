@@ -39,9 +39,9 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "xyz_m": (-60.0, 60.0, "m"),
 }
 FLOAT_MAX = sys.float_info.max  # TOML's whole numbers have no end
-ANY = (-1e9, 1e9, "")
-FAR_M = 1e3  # of a pose: a tracker may stand far away; millimetres taken for metres are farther
-BOTTOM = (0.0, 0.0, 0.0, 1.0)
+DEFAULT_RANGE = (-1e9, 1e9, "")
+POSE_DISTANCE_MAX_M = 1e3  # of a pose: a tracker may stand far away; millimetres taken for metres are farther
+HOMOGENEOUS_BOTTOM_ROW = (0.0, 0.0, 0.0, 1.0)
 
 
 def number_of(table: Mapping[str, Any], key: str, where: str) -> float | None:
@@ -70,12 +70,14 @@ def pose_of(table: Mapping[str, Any], key: str, where: str) -> Array | None:
     if numbers is None:
         return None
     T, subject = numbers.reshape(4, 4), f"machine.toml: {where}: {key}"
-    if np.abs(T[3] - BOTTOM).max() > 1e-9:
+    if np.abs(T[3] - HOMOGENEOUS_BOTTOM_ROW).max() > 1e-9:
         raise DiagnosisError(f"{subject} ends with {T[3].tolist()}; write it row by row, the last row 0, 0, 0, 1")
     if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-6 or np.linalg.det(T[:3, :3]) < 0.0:
         raise DiagnosisError(f"{subject} is not a pose; its rotation is not orthonormal to 1e-6")
-    if np.abs(T[:3, 3]).max() > FAR_M:
-        raise DiagnosisError(f"{subject} lies {np.abs(T[:3, 3]).max():g} m away, limit {FAR_M:g} m; write metres")
+    if np.abs(T[:3, 3]).max() > POSE_DISTANCE_MAX_M:
+        raise DiagnosisError(
+            f"{subject} lies {np.abs(T[:3, 3]).max():g} m away, limit {POSE_DISTANCE_MAX_M:g} m; write metres"
+        )
     return T
 
 
@@ -113,7 +115,7 @@ def list_of(table: Mapping[str, Any], key: str) -> list[Any]:
 
 
 def _number_in_range(value: object, key: str, subject: str) -> float:
-    low, high, unit = RANGES.get(key, ANY)
+    low, high, unit = RANGES.get(key, DEFAULT_RANGE)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= FLOAT_MAX:
         raise DiagnosisError(f"{subject} = {_shortened_repr(value)} is not a finite number")
     if not low <= value <= high:

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.machine_numbers import list_of, number_of, pose_of, table_of, vector_of
 from machine.description import board_of, grid_markers
-from machine.marker_sections import REMEDIES, BoardSection, check_ids
+from machine.marker_sections import MARKER_FIELD_REMEDIES, BoardSection, check_ids
 from machine.targets import Marker
 
 
@@ -57,7 +57,7 @@ def _parse_board(section: object, where: str) -> BoardSection:
         field = str(first["loc"][0]) if first["loc"] else "board"
         given = "" if first["type"] == "missing" else f" = {table.get(field)!r}"
         raise DiagnosisError(
-            f"machine.toml: {where}: {field}{given}: {first['msg']}; {REMEDIES.get(field, 'correct it')}"
+            f"machine.toml: {where}: {field}{given}: {first['msg']}; {MARKER_FIELD_REMEDIES.get(field, 'correct it')}"
         ) from error
 
 

@@ -6,9 +6,9 @@ from diagnosis.log.findings import Finding
 from diagnosis.log.tables import MarkerTable, OdometryTable, PointTable, Tables
 from machine.rotations import Array
 
-PLACE = ("x_m", "y_m", "z_m")
-TURN = ("qw", "qx", "qy", "qz")
-CORNERS = tuple(f"{axis}{corner}_px" for corner in range(4) for axis in "uv")
+POSITION_COLUMNS = ("x_m", "y_m", "z_m")
+QUATERNION_COLUMNS = ("qw", "qx", "qy", "qz")
+CORNER_COLUMNS = tuple(f"{axis}{corner}_px" for corner in range(4) for axis in "uv")
 
 
 def missing_columns(tables: Tables) -> list[Finding]:
@@ -32,8 +32,8 @@ def _empty_columns(values: Array, names: tuple[str, ...]) -> list[str]:
 
 
 def _of_points(table: PointTable, at_rest: bool) -> list[str]:
-    columns = [] if any(table.names) else ["point"]
-    columns += _empty_columns(table.xyz, PLACE)
+    columns = [] if any(table.point_names) else ["point"]
+    columns += _empty_columns(table.xyz, POSITION_COLUMNS)
     if at_rest and table.q is None:
         columns.append("q_<j>_rad")
     elif at_rest and table.q is not None:
@@ -42,16 +42,16 @@ def _of_points(table: PointTable, at_rest: bool) -> list[str]:
 
 
 def _of_markers(table: MarkerTable) -> list[str]:
-    columns = [] if (table.ids >= 0).any() else ["marker_id"]
-    return columns + _empty_columns(table.corners.reshape(len(table.corners), -1), CORNERS)
+    columns = [] if (table.marker_ids >= 0).any() else ["marker_id"]
+    return columns + _empty_columns(table.corners_px.reshape(len(table.corners_px), -1), CORNER_COLUMNS)
 
 
 def _of_odometry(table: OdometryTable) -> list[Finding]:
     found = _missing_column_findings(
-        "odometry.csv", _empty_columns(table.position, PLACE), "no path of the camera is known"
+        "odometry.csv", _empty_columns(table.position_m, POSITION_COLUMNS), "no path of the camera is known"
     )
     turned = _missing_column_findings(
-        "odometry.csv", _empty_columns(table.quat_wxyz, TURN), "how the camera turned is not known"
+        "odometry.csv", _empty_columns(table.quat_wxyz, QUATERNION_COLUMNS), "how the camera turned is not known"
     )
     # A note only: lengths need no rotation.
     return found + [Finding(finding.code, "note", finding.subject, finding.text, finding.count) for finding in turned]

@@ -3,8 +3,8 @@
 import difflib
 from collections.abc import Iterable
 
-CLOSE = 0.6  # of difflib's likeness
-PREFIX_MIN = 2  # letters of a name that was cut short
+SIMILARITY_CUTOFF = 0.6  # of difflib's likeness
+PREFIX_LETTERS_MIN = 2  # letters of a name that was cut short
 
 
 def nearest_name(name: str, known: Iterable[str]) -> str | None:
@@ -13,8 +13,8 @@ def nearest_name(name: str, known: Iterable[str]) -> str | None:
     wanted = name.lower()
     if wanted in by_lower:
         return by_lower[wanted]
-    begun = [name for name in by_lower if len(wanted) >= PREFIX_MIN and name.startswith(wanted)]
-    close = difflib.get_close_matches(wanted, list(by_lower), n=1, cutoff=CLOSE)
+    begun = [name for name in by_lower if len(wanted) >= PREFIX_LETTERS_MIN and name.startswith(wanted)]
+    close = difflib.get_close_matches(wanted, list(by_lower), n=1, cutoff=SIMILARITY_CUTOFF)
     found = close or begun
     return by_lower[found[0]] if found else None
 

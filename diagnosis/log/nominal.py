@@ -9,10 +9,18 @@ import numpy as np
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.findings import Finding
-from diagnosis.log.machine_keys import EYES, GEOMETRY, LIMITS, TABLES, VALVE, limits_of_other_kind, unknown_keys
+from diagnosis.log.machine_keys import (
+    DH_KEYS,
+    JOINT_LIMIT_KEYS,
+    STEREO_CAMERA_KEYS,
+    TABLES,
+    VALVE_KEYS,
+    limits_of_other_kind,
+    unknown_keys,
+)
 from diagnosis.log.machine_numbers import flag_of, is_sliding, list_of, number_of, pose_of, table_of, vector_of
 from diagnosis.log.machine_targets import TrackedPoint, markers_of, points_of
-from diagnosis.log.urdf_arm import WEIGHTLESS, urdf_arm
+from diagnosis.log.urdf_arm import MISSING_MASS_CONSEQUENCE, urdf_arm
 from diagnosis.log.urdf_files import UrdfFiles
 from machine.description import StereoCamera
 from machine.effects.arm import Arm, DhRow, arm_from_dh
@@ -23,8 +31,8 @@ from machine.remainder import Remainder, parse_remainders
 from machine.rotations import Array
 from machine.targets import Marker
 
-TIMES = ("cycle_s", "log_cycle_s")
-MOUNT = "T_tcp_cam_left"
+CYCLE_TIME_KEYS = ("cycle_s", "log_cycle_s")
+CAMERA_MOUNT_KEY = "T_tcp_cam_left"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,18 +69,18 @@ class Nominal:
     T_tcp_tool: Array | None
     T_base_tracker: Array | None
     markers: tuple[Marker, ...]
-    points: tuple[TrackedPoint, ...]
-    baseline: tuple[EffectEntry, ...]
-    absent: tuple[tuple[str, str], ...]
-    remainders: tuple[Remainder, ...] = ()
-    serial: str = ""
-    sliding: tuple[bool, ...] = ()
+    tracked_points: tuple[TrackedPoint, ...]
+    baseline_effects: tuple[EffectEntry, ...]
+    missing_part_reasons: tuple[tuple[str, str], ...]
+    baseline_remainders: tuple[Remainder, ...] = ()
+    serial_number: str = ""
+    joint_slides: tuple[bool, ...] = ()
     findings: tuple[Finding, ...] = ()
-    sensors: SensorAccuracy = SensorAccuracy()
+    sensor_accuracy: SensorAccuracy = SensorAccuracy()
 
     def baseline_remainder(self, stage: str, joint: int | None = None, on: str = "") -> Remainder | None:
         """What the baseline leaves of one stage; None where the file says nothing."""
-        return next((r for r in self.remainders if (r.stage, r.joint, r.on) == (stage, joint, on)), None)
+        return next((r for r in self.baseline_remainders if (r.stage, r.joint, r.on) == (stage, joint, on)), None)
 
     @property
     def n(self) -> int:
@@ -81,7 +89,7 @@ class Nominal:
 
     def why_absent(self, part: str) -> str:
         """What is missing for a part; empty when nothing is."""
-        return "; ".join(text for name, text in self.absent if name == part)
+        return "; ".join(text for name, text in self.missing_part_reasons if name == part)
 
 
 def nominal_of(text: str, urdfs: UrdfFiles | None = None, n_joints: int | None = None) -> Nominal:
@@ -137,18 +145,18 @@ class _Reader:
             actuators=actuators,
             has_controller=has_controller,
             camera=eyes,
-            T_tcp_cam_left=pose_of(camera, MOUNT, "[camera]"),
+            T_tcp_cam_left=pose_of(camera, CAMERA_MOUNT_KEY, "[camera]"),
             T_tcp_tool=pose_of(tool, "T_tcp_tool", "[tool]"),
             T_base_tracker=pose_of(tracker, "T_base_tracker", "[tracker]"),
             markers=markers,
-            points=points_of(self._tables, len(names)),
-            baseline=parse_entries(self._tables.get("effect"), max(len(names), 1)),
-            absent=tuple(self._absent),
-            remainders=parse_remainders(self._tables.get("remainder")),
-            serial=str(machine.get("serial", "")),
-            sliding=sliding,
+            tracked_points=points_of(self._tables, len(names)),
+            baseline_effects=parse_entries(self._tables.get("effect"), max(len(names), 1)),
+            missing_part_reasons=tuple(self._absent),
+            baseline_remainders=parse_remainders(self._tables.get("remainder")),
+            serial_number=str(machine.get("serial", "")),
+            joint_slides=sliding,
             findings=tuple(self._findings),
-            sensors=self._sensor_accuracy(),
+            sensor_accuracy=self._sensor_accuracy(),
         )
 
     def _sensor_accuracy(self) -> SensorAccuracy:
@@ -168,7 +176,7 @@ class _Reader:
         written = [k < len(self._slides) and self._slides[k] for k in range(n)]
         if arm is None:
             return tuple(written)
-        return tuple(bool(arm.prismatic[k]) if arm.moves[k] else written[k] for k in range(n))
+        return tuple(bool(arm.prismatic[k]) if arm.motion_factor[k] else written[k] for k in range(n))
 
     def _is_missing(self, part: str, needed: tuple[str, ...]) -> bool:
         """Whether a field is missing in some joint; all missing fields of the first such joint are written down."""
@@ -191,7 +199,7 @@ class _Reader:
         names, tool = self._names(), pose_of(self._section_table("tool"), "T_flange_tcp", "[tool]")
         if "urdf" in self._tables:
             return self._urdf_arm(names, tool, gravity)
-        if self._is_missing("structure", GEOMETRY):
+        if self._is_missing("structure", DH_KEYS):
             return None, names
         rows = [_dh_row(joint, f"joint {k} ({names[k - 1]})") for k, joint in enumerate(self._joints, start=1)]
         mass = np.array(
@@ -199,7 +207,7 @@ class _Reader:
         )
         com = [vector_of(joint, "com_m", 3, name) for joint, name in zip(self._joints, names, strict=True)]
         if any("mass_kg" not in joint for joint in self._joints):
-            self._absent.append(("load", f"some joint has no mass_kg: {WEIGHTLESS}"))
+            self._absent.append(("load", f"some joint has no mass_kg: {MISSING_MASS_CONSEQUENCE}"))
         centres = np.array([np.zeros(3) if centre is None else centre for centre in com])
         return arm_from_dh(rows, tool, mass, centres, gravity), names
 
@@ -218,15 +226,15 @@ class _Reader:
             return None, names
         found = urdf_arm(text, section, self._joints, tool, gravity)
         self._findings += found.findings
-        self._urdf_limits = found.limits
+        self._urdf_limits = found.joint_limits
         if found.load_absent:
             self._absent.append(("load", found.load_absent))
-        return found.arm, found.names
+        return found.arm, found.joint_names
 
     def _unlimited_joints_text(self, limits: list[tuple[float, float]], sliding: tuple[bool, ...]) -> str:
         """What it costs that some joints have no limits."""
         unlimited = [k for k, ends in enumerate(limits) if not np.isfinite(ends).all()]
-        wanted = " or ".join(sorted({" and ".join(LIMITS[sliding[k]]) for k in unlimited}))
+        wanted = " or ".join(sorted({" and ".join(JOINT_LIMIT_KEYS[sliding[k]]) for k in unlimited}))
         which = f"joint{'s' if len(unlimited) > 1 else ''} {', '.join(str(k + 1) for k in unlimited)}"
         text = f"{which}: no {wanted}; the range that the recording shows stands in for it"
         return f"{text}, and sizes of internal_leakage and load_droop go by the largest load in that range"
@@ -236,7 +244,7 @@ class _Reader:
         low, high = self._urdf_limits[k].tolist() if k < len(self._urdf_limits) else (-np.inf, np.inf)
         joint, where = self._joints[k] if k < len(self._joints) else {}, f"joint {k + 1}"
         scale, unit = (1.0, "m") if sliding else (float(np.pi / 180.0), "deg")
-        given = [number_of(joint, key, where) for key in LIMITS[sliding]]
+        given = [number_of(joint, key, where) for key in JOINT_LIMIT_KEYS[sliding]]
         low, high = (end if own is None else scale * own for end, own in zip((low, high), given, strict=True))
         if low >= high:
             ends = f"q_min_{unit} = {low / scale:g} is not below q_max_{unit} = {high / scale:g}"
@@ -245,19 +253,19 @@ class _Reader:
 
     def _parse_actuators(self) -> Actuators | None:
         plc = self._section_table("plc")
-        missing = [field for field in TIMES if field not in plc]
+        missing = [field for field in CYCLE_TIME_KEYS if field not in plc]
         if missing:
             self._absent.append(("actuator", f"[plc] has no {', '.join(missing)}"))
             return None
-        if self._is_missing("actuator", VALVE):
+        if self._is_missing("actuator", VALVE_KEYS):
             return None
         rows = []
         for k, joint in enumerate(self._joints, start=1):
             values = [
-                number_of(joint, field, f"joint {k}") or 0.0 for field in (*VALVE, "kp_frac_per_rad", "pt1_tau_s")
+                number_of(joint, field, f"joint {k}") or 0.0 for field in (*VALVE_KEYS, "kp_frac_per_rad", "pt1_tau_s")
             ]
             rows.append((values[0], 2.0 * np.pi * values[1], *values[2:]))
-        cycle, log_cycle = (number_of(plc, field, "[plc]") or 0.0 for field in TIMES)
+        cycle, log_cycle = (number_of(plc, field, "[plc]") or 0.0 for field in CYCLE_TIME_KEYS)
         return Actuators(np.array(rows), cycle, log_cycle, number_of(plc, "transport_delay_s", "[plc]") or 0.0)
 
     def _has_controller_gains(self, actuators: Actuators) -> bool:
@@ -270,12 +278,12 @@ class _Reader:
         return not idle
 
     def _camera(self, section: Mapping[str, Any]) -> StereoCamera | None:
-        missing = [field for field in (*EYES, MOUNT) if field not in section]
+        missing = [field for field in (*STEREO_CAMERA_KEYS, CAMERA_MOUNT_KEY) if field not in section]
         if missing:
             self._absent.append(("camera", f"[camera] has no {', '.join(missing)}"))
-        if set(missing) - {MOUNT}:
+        if set(missing) - {CAMERA_MOUNT_KEY}:
             return None
-        values = {field: cast(float, number_of(section, field, "[camera]")) for field in EYES}
+        values = {field: cast(float, number_of(section, field, "[camera]")) for field in STEREO_CAMERA_KEYS}
         given = vector_of(section, "distortion", 5, "[camera]")
         rectified = flag_of(section, "rectified", "[camera]", True)
         lens = np.zeros(5) if given is None or rectified else given  # corners of a rectified image carry no distortion
@@ -298,14 +306,14 @@ class _Reader:
             self._absent.append(("camera", "no [[markers.marker]]"))
         if "T_tcp_tool" not in tool and any(marker.on == "tool" for marker in found):
             self._absent.append(("camera", "[tool] has no T_tcp_tool: the markers on the tool are not used"))
-        hung = "T_tcp_tool" in tool or MOUNT in self._section_table("camera")
+        hung = "T_tcp_tool" in tool or CAMERA_MOUNT_KEY in self._section_table("camera")
         if hung and "T_flange_tcp" not in tool and "urdf" not in self._tables:  # a URDF's tip is its tcp
             self._absent.append(("camera", "[tool] has no T_flange_tcp: the tcp is taken to be the last link's frame"))
         return found
 
 
 def _dh_row(joint: Mapping[str, Any], where: str) -> DhRow:
-    a, d, alpha, theta = (cast(float, number_of(joint, field, where)) for field in GEOMETRY)
+    a, d, alpha, theta = (cast(float, number_of(joint, field, where)) for field in DH_KEYS)
     convention = joint.get("dh_convention")
     if convention not in ("classic", "modified"):
         raise DiagnosisError(f"machine.toml: {where}: dh_convention = {convention!r}; give 'classic' or 'modified'")

@@ -11,14 +11,14 @@ from diagnosis.log.tables import PlcTable, Tables, fill_gaps
 from machine.rotations import Array
 from recording.run import Segment
 
-BLOCK_S = 0.1
+BLOCK_DURATION_S = 0.1
 LAG_MAX_S = 3.0  # a slow position loop trails its reference by a second or two
 OWN_MAX, OTHER_MIN = 0.6, 0.9  # correlation with the own column below, with the other one above: exchanged
-REVERSED_MAX = -0.9
-EITHER = 0.1  # an oscillation is as like its own opposite half a period later: so little shows no sign
-FOLLOWS_MIN = 0.5  # of the reference's motion: a joint that moves less may drift its own way
-BLOCKS_MIN = 20  # a correlation over fewer means nothing
-MOVED_SHARE = 0.2  # of the whole recording's motion: a segment of less says nothing about signs
+REVERSED_CORRELATION_MAX = -0.9
+SIGN_AMBIGUITY_MARGIN = 0.1  # an oscillation is as like its own opposite half a period later: so little shows no sign
+FOLLOWED_MOTION_RATIO_MIN = 0.5  # of the reference's motion: a joint that moves less may drift its own way
+CORRELATION_BLOCKS_MIN = 20  # a correlation over fewer means nothing
+SEGMENT_MOTION_MIN_FRAC = 0.2  # of the whole recording's motion: a segment of less says nothing about signs
 
 
 def pairing_findings(tables: Tables) -> list[Finding]:
@@ -29,12 +29,12 @@ def pairing_findings(tables: Tables) -> list[Finding]:
     findings: list[Finding] = []
     for name, of in (("u_{j}_frac", _speed_and_command), ("q_ref_{j}_rad", _encoder_and_reference)):
         whole = of(plc)
-        if whole is None or len(whole[0]) < BLOCKS_MIN:
+        if whole is None or len(whole[0]) < CORRELATION_BLOCKS_MIN:
             continue
         table = _peak_lag_correlations(*whole)
         own = _swapped_column_findings("plc.csv", "q_{j}_rad", name, table)
-        moved = MOVED_SHARE * whole[1].std(axis=0)
-        findings += own or _reversed_in_segments(plc, tables.run.segments, name, of, moved)
+        moved = SEGMENT_MOTION_MIN_FRAC * whole[1].std(axis=0)
+        findings += own or _reversed_in_segments(plc, tables.run_info.segments, name, of, moved)
     return findings or _copied_encoder_findings(plc) or _reversed_positions(plc) or _command_for_encoder(plc)
 
 
@@ -61,10 +61,10 @@ def _reversed_positions(plc: PlcTable) -> list[Finding]:
         return []
     size = _rows_per_block(plc)
     enc, ref = _block_means(fill_gaps(plc.enc), size), _block_means(fill_gaps(plc.ref), size)
-    if len(enc) < BLOCKS_MIN:
+    if len(enc) < CORRELATION_BLOCKS_MIN:
         return []
-    table = _peak_lag_correlations(enc, ref, round(LAG_MAX_S / BLOCK_S))
-    table[enc.std(axis=0) < FOLLOWS_MIN * ref.std(axis=0)] = 0.0
+    table = _peak_lag_correlations(enc, ref, round(LAG_MAX_S / BLOCK_DURATION_S))
+    table[enc.std(axis=0) < FOLLOWED_MOTION_RATIO_MIN * ref.std(axis=0)] = 0.0
     found = _swapped_column_findings("plc.csv", "q_{j}_rad", "q_ref_{j}_rad", table)
     return [finding for finding in found if finding.code == "reversed_column"]
 
@@ -72,7 +72,7 @@ def _reversed_positions(plc: PlcTable) -> list[Finding]:
 def _command_for_encoder(plc: PlcTable) -> list[Finding]:
     """Joints whose valve command stands in the encoder's column and the other way round."""
     as_written, exchanged = _speed_and_command(plc), _speed_and_command(replace(plc, enc=plc.u, u=plc.enc))
-    if as_written is None or exchanged is None or len(as_written[0]) < BLOCKS_MIN:
+    if as_written is None or exchanged is None or len(as_written[0]) < CORRELATION_BLOCKS_MIN:
         return []
     own, other = (np.diag(_peak_lag_correlations(*both)) for both in (as_written, exchanged))
     return [
@@ -101,10 +101,10 @@ def _reversed_in_segments(
     for segment in segments:
         inside = (plc.t_s >= segment.t_start_plc_s) & (plc.t_s <= segment.t_end_plc_s)
         here = of(_select_log_rows(plc, inside)) if inside.any() else None
-        if here is None or len(here[0]) < BLOCKS_MIN:
+        if here is None or len(here[0]) < CORRELATION_BLOCKS_MIN:
             continue
         own = np.diag(_peak_lag_correlations(*here))
-        for j in np.nonzero((own < REVERSED_MAX) & (here[1].std(axis=0) > least))[0].tolist():
+        for j in np.nonzero((own < REVERSED_CORRELATION_MAX) & (here[1].std(axis=0) > least))[0].tolist():
             wrong.setdefault(j, []).append(segment.name)
     findings = []
     for j, names in wrong.items():
@@ -135,7 +135,7 @@ def _swapped_column_findings(subject: str, pattern: str, other: str, table: Arra
                 f"{j + 1} and {k + 1} are exchanged in one of the two"
             )
             findings.append(Finding("swapped_columns", "fatal", subject, text))
-        elif own < REVERSED_MAX and table[j].max() < OTHER_MIN:
+        elif own < REVERSED_CORRELATION_MAX and table[j].max() < OTHER_MIN:
             mine, theirs = (text.replace("{j}", str(j + 1)) for text in (pattern, other))
             text = f"{mine} runs against {theirs} (correlation {own:.2f}): one of them has the wrong sign"
             findings.append(Finding("reversed_column", "fatal", subject, text))
@@ -150,7 +150,7 @@ def _block_means(values: Array, size: int) -> Array:
 def _rows_per_block(plc: PlcTable) -> int:
     steps = np.diff(plc.t_s)
     rising = steps[steps > 0.0]
-    return max(1, round(BLOCK_S / float(np.median(rising)))) if len(rising) else 1
+    return max(1, round(BLOCK_DURATION_S / float(np.median(rising)))) if len(rising) else 1
 
 
 def _speed_and_command(plc: PlcTable) -> Both | None:
@@ -167,7 +167,7 @@ def _encoder_and_reference(plc: PlcTable) -> Both | None:
         return None
     size = _rows_per_block(plc)
     moved = [np.diff(_block_means(fill_gaps(values), size), axis=0) for values in (plc.enc, plc.ref)]
-    return moved[0], moved[1], round(LAG_MAX_S / BLOCK_S)
+    return moved[0], moved[1], round(LAG_MAX_S / BLOCK_DURATION_S)
 
 
 def _peak_lag_correlations(effects: Array, causes: Array, lag_max: int) -> Array:
@@ -177,10 +177,10 @@ def _peak_lag_correlations(effects: Array, causes: Array, lag_max: int) -> Array
     later.
     """
     high, low = (np.zeros((effects.shape[1], causes.shape[1])) for _ in range(2))
-    for lag in range(min(lag_max, len(effects) - BLOCKS_MIN) + 1):
+    for lag in range(min(lag_max, len(effects) - CORRELATION_BLOCKS_MIN) + 1):
         y, x = effects[lag:], causes[: len(causes) - lag]
         y, x = y - y.mean(axis=0), x - x.mean(axis=0)
         norms = np.linalg.norm(y, axis=0)[:, None] * np.linalg.norm(x, axis=0)[None, :]
         now = np.where(norms > 1e-9, (y.T @ x) / np.where(norms > 0.0, norms, 1.0), 0.0)
         high, low = np.maximum(high, now), np.minimum(low, now)
-    return np.where(-low > high + EITHER, low, high)
+    return np.where(-low > high + SIGN_AMBIGUITY_MARGIN, low, high)

@@ -8,19 +8,21 @@ from numpy.typing import NDArray
 from diagnosis.log.findings import Finding
 from diagnosis.log.frozen import frozen_findings
 from diagnosis.log.nominal import Nominal
-from diagnosis.log.tables import JOINT_SIGNALS, PlcTable, Tables, fill_gaps, largest_finite
+from diagnosis.log.tables import JOINT_SIGNAL_COLUMNS, PlcTable, Tables, fill_gaps, largest_finite
 from machine.rotations import Array
 from recording.run import Segment
 
-GAP_STEPS = 1.5  # a step in time above this many median steps: rows are missing
-JUMP_ROWS = 3.0  # rows' motion, at most, from before a jump of the clock to after it
-GAP_MORE = 0.6  # median steps that the three steps about it are too long together: else it is a late stamp
-ROWS_MIN = 50
-EDGE_S = 1e-6  # rounding of a segment's ends
+GAP_MIN_MEDIAN_STEPS = 1.5  # a step in time above this many median steps: rows are missing
+CLOCK_JUMP_MOTION_MAX_ROWS = 3.0  # rows' motion, at most, from before a jump of the clock to after it
+GAP_EXCESS_MIN_MEDIAN_STEPS = (
+    0.6  # median steps that the three steps about it are too long together: else it is a late stamp
+)
+LOG_ROWS_MIN = 50
+SEGMENT_EDGE_TOLERANCE_S = 1e-6  # rounding of a segment's ends
 DURATION_MIN_S = 2.0
-STEP_MAX = 500.0  # cycles between two rows: beyond it the unit of time is wrong (units.py)
-REFERENCE_WORKS = 0.1  # rad or m: a reference that goes this far moves any joint
-COMMAND_WORKS = 0.2  # a command above it moves any joint
+ROW_STEP_MAX_CYCLES = 500.0  # cycles between two rows: beyond it the unit of time is wrong (units.py)
+MOVING_REFERENCE_RANGE_MIN = 0.1  # rad or m: a reference that goes this far moves any joint
+MOVING_COMMAND_MIN = 0.2  # a command above it moves any joint
 
 
 def plc_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
@@ -28,9 +30,9 @@ def plc_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     plc = tables.plc
     if plc is None:
         return []
-    findings = time_findings("plc.csv", plc.t_s, plc.enc, tables.run.segments)
+    findings = time_findings("plc.csv", plc.t_s, plc.enc, tables.run_info.segments)
     findings += _short_log_findings("plc.csv", plc.t_s) + _duplicate_row_findings(plc.t_s)
-    for short, _, pattern in JOINT_SIGNALS:
+    for short, _, pattern in JOINT_SIGNAL_COLUMNS:
         values = getattr(plc, short)
         if values is not None:
             findings += _non_finite_findings("plc.csv", pattern, values)
@@ -67,7 +69,7 @@ def time_findings(
         )
         findings.append(Finding("time_backwards", "problem", subject, text, len(back)))
     jumps, gaps = [], []
-    for k in np.nonzero(too_long(steps, median, GAP_STEPS) & _is_step_in_segment(t_s, segments))[0]:
+    for k in np.nonzero(too_long(steps, median, GAP_MIN_MEDIAN_STEPS) & _is_step_in_segment(t_s, segments))[0]:
         (jumps if _is_jump(signals, int(k), float(steps[k]), median) else gaps).append(int(k))
     if jumps:
         k = jumps[0]
@@ -93,7 +95,7 @@ def too_long(steps: Array, median: float, most: float) -> NDArray[np.bool_]:
     """
     padded = np.concatenate([[median], steps, [median]])
     three = padded[:-2] + padded[1:-1] + padded[2:]
-    return (steps > most * median) & (three > (3.0 + GAP_MORE) * median)
+    return (steps > most * median) & (three > (3.0 + GAP_EXCESS_MIN_MEDIAN_STEPS) * median)
 
 
 def _is_step_in_segment(t_s: Array, segments: Sequence[Segment]) -> NDArray[np.bool_]:
@@ -102,7 +104,9 @@ def _is_step_in_segment(t_s: Array, segments: Sequence[Segment]) -> NDArray[np.b
         return np.ones(len(t_s) - 1, dtype=bool)
     inside = np.zeros(len(t_s) - 1, dtype=bool)
     for segment in segments:
-        inside |= (t_s[:-1] >= segment.t_start_plc_s - EDGE_S) & (t_s[1:] <= segment.t_end_plc_s + EDGE_S)
+        inside |= (t_s[:-1] >= segment.t_start_plc_s - SEGMENT_EDGE_TOLERANCE_S) & (
+            t_s[1:] <= segment.t_end_plc_s + SEGMENT_EDGE_TOLERANCE_S
+        )
     return inside
 
 
@@ -117,16 +121,18 @@ def _is_jump(signals: Array | None, k: int, step: float, median: float) -> bool:
     moved = np.linalg.norm(near[-1] - near[-2])
     noise = np.linalg.norm(around.std(axis=0))
     expected = speed * step
-    onwards = JUMP_ROWS * speed * median + 10.0 * noise  # far from there, it moved on while nothing was logged
+    onwards = (
+        CLOCK_JUMP_MOTION_MAX_ROWS * speed * median + 10.0 * noise
+    )  # far from there, it moved on while nothing was logged
     return bool(expected > max(10.0 * noise, 1e-4) and moved < min(0.3 * expected, onwards))
 
 
 def _short_log_findings(subject: str, t_s: Array) -> list[Finding]:
     span = float(np.ptp(t_s)) if len(t_s) else 0.0
-    if len(t_s) >= ROWS_MIN and span >= DURATION_MIN_S:
+    if len(t_s) >= LOG_ROWS_MIN and span >= DURATION_MIN_S:
         return []
     text = (
-        f"{len(t_s)} rows over {span:.3g} s; the least is {ROWS_MIN} rows and {DURATION_MIN_S:g} s, a minute per "
+        f"{len(t_s)} rows over {span:.3g} s; the least is {LOG_ROWS_MIN} rows and {DURATION_MIN_S:g} s, a minute per "
         "segment is what a diagnosis needs"
     )
     return [Finding("too_short", "fatal", subject, text)]
@@ -168,11 +174,11 @@ def _constant_encoder_findings(plc: PlcTable) -> list[Finding]:
 
 def _motion_request_text(plc: PlcTable, j: int) -> str:
     """What asked a joint (0-based) to move, in words; empty where nothing did."""
-    if plc.u is not None and largest_finite(plc.u[:, j]) > COMMAND_WORKS:
+    if plc.u is not None and largest_finite(plc.u[:, j]) > MOVING_COMMAND_MIN:
         return f"u_{j + 1}_frac reaches {largest_finite(plc.u[:, j]):.2g}"
     ref = np.zeros(0) if plc.ref is None else plc.ref[np.isfinite(plc.ref[:, j]), j]
     asked = float(np.ptp(ref)) if len(ref) else 0.0
-    return f"q_ref_{j + 1}_rad goes over {asked:.2g}" if asked > REFERENCE_WORKS else ""
+    return f"q_ref_{j + 1}_rad goes over {asked:.2g}" if asked > MOVING_REFERENCE_RANGE_MIN else ""
 
 
 def _sample_rate_findings(plc: PlcTable, nominal: Nominal | None) -> list[Finding]:
@@ -181,7 +187,7 @@ def _sample_rate_findings(plc: PlcTable, nominal: Nominal | None) -> list[Findin
     if nominal is None or nominal.actuators is None or len(rising) == 0:
         return []
     median, stated = float(np.median(rising)), nominal.actuators.log_cycle_s
-    if abs(median / stated - 1.0) < 0.02 or median > STEP_MAX * stated:
+    if abs(median / stated - 1.0) < 0.02 or median > ROW_STEP_MAX_CYCLES * stated:
         return []
     text = f"rows come every {1e3 * median:.4g} ms, machine.toml says {1e3 * stated:.4g} ms; correct plc.log_cycle_s"
     return [Finding("uneven_rate", "problem", "plc.csv", text)]

@@ -8,10 +8,18 @@ import numpy as np
 
 from machine.rotations import Array
 
-NEXT_ROW = 0.45  # of a step: a stamp farther from the even rate may be of a row that came after a missing one
-HALF = 0.5  # of the unevenness: rows that follow their stamps show all of it, even ones nothing
-SURE = 4.0  # standard errors between the two
-BESIDE = (1.0 / 6.0, -4.0 / 6.0, 1.0, -4.0 / 6.0, 1.0 / 6.0)  # a row less the cubic through the two on either side
+STAMP_OFFSET_MAX_STEP_FRAC = (
+    0.45  # of a step: a stamp farther from the even rate may be of a row that came after a missing one
+)
+STAMP_FOLLOWING_MAX_FRAC = 0.5  # of the unevenness: rows that follow their stamps show all of it, even ones nothing
+SEPARATION_SIGMAS_MIN = 4.0  # standard errors between the two
+CUBIC_RESIDUAL_STENCIL = (
+    1.0 / 6.0,
+    -4.0 / 6.0,
+    1.0,
+    -4.0 / 6.0,
+    1.0 / 6.0,
+)  # a row less the cubic through the two on either side
 
 
 def even_grid(t_s: Array) -> Array:
@@ -27,7 +35,11 @@ def taken_evenly(enc: Array | None, t_s: Array, grid_s: Array) -> bool:
            if the stamps are true, and by nothing of that if the rows were even: the share of it by least squares.
     """
     off, step_s = t_s - grid_s, float(grid_s[1] - grid_s[0])
-    if enc is None or len(t_s) <= len(BESIDE) or np.abs(off).max() > NEXT_ROW * step_s:
+    if (
+        enc is None
+        or len(t_s) <= len(CUBIC_RESIDUAL_STENCIL)
+        or np.abs(off).max() > STAMP_OFFSET_MAX_STEP_FRAC * step_s
+    ):
         return False
     expected = _off_cubic(off[:, None]) * (enc[3:-1] - enc[1:-3]) / (2.0 * step_s)
     stands = _off_cubic(enc)
@@ -38,10 +50,10 @@ def taken_evenly(enc: Array | None, t_s: Array, grid_s: Array) -> bool:
         return False
     share = float(x @ y) / power
     error = float(np.sqrt(np.mean((y - share * x) ** 2) / power))
-    return share < HALF and SURE * error < 1.0
+    return share < STAMP_FOLLOWING_MAX_FRAC and SEPARATION_SIGMAS_MIN * error < 1.0
 
 
 def _off_cubic(values: Array) -> Array:
     """Each row (m - 4, n) less the cubic through its neighbours."""
-    rows = len(values) - len(BESIDE) + 1
-    return np.sum([share * values[k : k + rows] for k, share in enumerate(BESIDE)], axis=0)
+    rows = len(values) - len(CUBIC_RESIDUAL_STENCIL) + 1
+    return np.sum([share * values[k : k + rows] for k, share in enumerate(CUBIC_RESIDUAL_STENCIL)], axis=0)

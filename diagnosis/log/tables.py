@@ -16,7 +16,7 @@ from recording.rows import MarkerCorners, OdometryRow, PlcState, Row, Sent, Stat
 from recording.run import RunInfo
 
 #: Columns of the PLC's rows with one number a joint: name here, field of the row, column in plc.csv.
-JOINT_SIGNALS = (
+JOINT_SIGNAL_COLUMNS = (
     ("ref", "q_ref_rad", "q_ref_{j}_rad"),
     ("enc", "q_rad", "q_{j}_rad"),
     ("u", "u_frac", "u_{j}_frac"),
@@ -25,7 +25,7 @@ JOINT_SIGNALS = (
 )
 
 
-HUGE = 1e9
+FINITE_VALUE_MAX = 1e9
 COUNT_MAX = 2**62
 
 
@@ -62,8 +62,8 @@ class MarkerTable:
 
     t_s: Array
     eye: NDArray[np.int64]
-    ids: NDArray[np.int64]
-    corners: Array
+    marker_ids: NDArray[np.int64]
+    corners_px: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ class OdometryTable:
     """Odometry: t_s (m,) on the camera's clock, position (m, 3) [m], quat_wxyz (m, 4)."""
 
     t_s: Array
-    position: Array
+    position_m: Array
     quat_wxyz: Array
 
 
@@ -80,7 +80,7 @@ class PointTable:
     """Measured points: t_s (m,) on the PLC's clock (static: pose index), names (m,), xyz (m, 3), q (m, n) or None."""
 
     t_s: Array
-    names: tuple[str, ...]
+    point_names: tuple[str, ...]
     xyz: Array
     q: Array | None
 
@@ -95,8 +95,8 @@ class PointTable:
 class Tables:
     """All tables of a recording; None where it has no such rows. `n`: joints, 0 where no table says."""
 
-    run: RunInfo
-    n: int
+    run_info: RunInfo
+    joint_count: int
     plc: PlcTable | None
     sent: SentTable | None
     markers: MarkerTable | None
@@ -108,11 +108,11 @@ class Tables:
 def tables_of(recording: Recording) -> Tables:
     """The tables of a recording."""
     plc, static, sent = recording.of(PlcState), recording.of(StaticPoint), recording.of(Sent)
-    widths = [len(getattr(row, field)) for row in plc for _, field, _ in JOINT_SIGNALS]
+    widths = [len(getattr(row, field)) for row in plc for _, field, _ in JOINT_SIGNAL_COLUMNS]
     n = max([*widths, *(len(row.q_rad) for row in static), *(len(row.q_sent_rad) for row in sent)], default=0)
     return Tables(
-        run=recording.run,
-        n=n,
+        run_info=recording.run_info,
+        joint_count=n,
         plc=_plc_table(plc, n) if plc else None,
         sent=SentTable(
             _float_column(sent, "t_pc_s"), _integer_column(sent, "seq"), _float_matrix(sent, "q_sent_rad", n)
@@ -161,11 +161,11 @@ def _float_matrix(rows: Sequence[Row], name: str, n: int) -> Array:
 
 
 def _huge_to_infinity(values: Array) -> Array:
-    return np.where(np.abs(values) > HUGE, np.inf, values)
+    return np.where(np.abs(values) > FINITE_VALUE_MAX, np.inf, values)
 
 
 def _plc_table(rows: Sequence[PlcState], n: int) -> PlcTable:
-    found = {short: _float_matrix(rows, field, n) for short, field, _ in JOINT_SIGNALS}
+    found = {short: _float_matrix(rows, field, n) for short, field, _ in JOINT_SIGNAL_COLUMNS}
     kept = {short: values if np.isfinite(values).any() else None for short, values in found.items()}
     supply = _float_column(rows, "p_supply_pa")
     return PlcTable(

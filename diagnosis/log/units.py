@@ -4,23 +4,25 @@ import numpy as np
 
 from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
-from diagnosis.log.quality import ROWS_MIN
+from diagnosis.log.quality import LOG_ROWS_MIN
 from diagnosis.log.tables import PlcTable, PointTable, Tables, fill_gaps, largest_finite
 from diagnosis.sliding import column_of, is_joint_sliding
 from machine.rotations import Array
 
-LIMIT_MARGIN_RAD = 0.2
-FULL_TURN_RAD = 6.6  # without limits: more than a turn to either side cannot be a joint angle of an arm in radians
-DEGREES_MIN_RAD = 3.3  # below it a value may be either
-DEGREES = (40.0, 80.0)  # a ratio of 57.3, give or take the effects that scale signals
-PERCENT_MIN = 1.5
-COMMAND_MIN = 0.5  # half a full command, or half a percent, which is noise
+JOINT_LIMIT_MARGIN_RAD = 0.2
+UNLIMITED_JOINT_MAX_RAD = (
+    6.6  # without limits: more than a turn to either side cannot be a joint angle of an arm in radians
+)
+DEGREES_SUSPECTED_MIN_RAD = 3.3  # below it a value may be either
+DEGREES_RATIO_RANGE = (40.0, 80.0)  # a ratio of 57.3, give or take the effects that scale signals
+PERCENT_COMMAND_MIN = 1.5
+SIGNIFICANT_COMMAND_MIN = 0.5  # half a full command, or half a percent, which is noise
 SPIKES_MAX, BEYOND_MIN = 0.01, 3  # share of all rows, and rows, that are more than spikes
-BAR_MAX_PA = 2e3  # pressures of a crane are above 1e5 Pa; 400 bar stay below
-ARM_MAX_M = 60.0
-SPREAD_MIN_M = 1e-3  # between points: less is one place
-SECONDS = ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds"))
-SECONDS_SHARE = 1.5  # spans of one recording differ by less, where one clock began earlier or rows are missing
+BAR_SUSPECTED_MAX_PA = 2e3  # pressures of a crane are above 1e5 Pa; 400 bar stay below
+ARM_REACH_MAX_M = 60.0
+POINT_SPREAD_MIN_M = 1e-3  # between points: less is one place
+TIME_UNIT_FACTORS = ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds"))
+TIME_SPAN_RATIO_MAX = 1.5  # spans of one recording differ by less, where one clock began earlier or rows are missing
 
 
 def unit_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
@@ -28,7 +30,7 @@ def unit_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     that slide millimetres for metres. Percent, bar, millimetres of points, milliseconds.
     """
     plc, found = tables.plc, []
-    sliding = () if nominal is None else nominal.sliding
+    sliding = () if nominal is None else nominal.joint_slides
     found += _millisecond_findings(tables, nominal)
     for subject, pattern, values in _position_signals(tables):
         columns = [j for j in _revolute_joints(values, sliding) if _beyond_turn(values[:, j], _angle_limit(nominal, j))]
@@ -65,10 +67,9 @@ def _slid_in_millimetres(subject: str, pattern: str, values: Array, sliding: tup
     """Strokes that no machine has in metres."""
     found = []
     for j in range(values.shape[1]):
-        if is_joint_sliding(sliding, j) and _absolute_quantile_95(values[:, j]) > ARM_MAX_M:
-            reach = (
-                f"{column_of(pattern, sliding, j)} reaches {largest_finite(values[:, j]):.4g} m (limit {ARM_MAX_M:g} m)"
-            )
+        if is_joint_sliding(sliding, j) and _absolute_quantile_95(values[:, j]) > ARM_REACH_MAX_M:
+            farthest_m = largest_finite(values[:, j])
+            reach = f"{column_of(pattern, sliding, j)} reaches {farthest_m:.4g} m (limit {ARM_REACH_MAX_M:g} m)"
             found.append(
                 Finding("millimetres", "fatal", subject, f"{reach}, which looks like millimetres; write metres")
             )
@@ -78,9 +79,9 @@ def _slid_in_millimetres(subject: str, pattern: str, values: Array, sliding: tup
 def _millisecond_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     """Times of the PLC by its cycle in the machine file, else by its segments; all others by how long the PLC's are."""
     plc = tables.plc
-    if plc is None or len(plc.t_s) < ROWS_MIN:
+    if plc is None or len(plc.t_s) < LOG_ROWS_MIN:
         return []
-    segments = np.array([(segment.t_start_plc_s, segment.t_end_plc_s) for segment in tables.run.segments])
+    segments = np.array([(segment.t_start_plc_s, segment.t_end_plc_s) for segment in tables.run_info.segments])
     span_s, wanted_s, who = _span_s(plc.t_s), _span_s(segments), "segments span"
     if nominal is not None and nominal.actuators is not None:
         wanted_s, who = nominal.actuators.log_cycle_s * (len(plc.t_s) - 1), "its rows at the machine file's cycle span"
@@ -105,8 +106,8 @@ def _span_s(t_s: Array) -> float:
 
 
 def _looks_like(subject: str, column: str, span_s: float, wanted_s: float, who: str) -> list[Finding]:
-    for times, unit in SECONDS:
-        if wanted_s > 0.0 and times / SECONDS_SHARE < span_s / wanted_s < times * SECONDS_SHARE:
+    for times, unit in TIME_UNIT_FACTORS:
+        if wanted_s > 0.0 and times / TIME_SPAN_RATIO_MAX < span_s / wanted_s < times * TIME_SPAN_RATIO_MAX:
             why = f"spans {span_s:.4g} s where {who} {wanted_s:.4g} s"
             return [Finding("milliseconds", "fatal", subject, f"{column} {why}: this looks like {unit}; write seconds")]
     return []
@@ -114,14 +115,14 @@ def _looks_like(subject: str, column: str, span_s: float, wanted_s: float, who: 
 
 def _angle_limit(nominal: Nominal | None, j: int) -> float:
     if nominal is None or j >= nominal.n or not np.isfinite(nominal.q_min[j]) or not np.isfinite(nominal.q_max[j]):
-        return FULL_TURN_RAD
-    return float(max(abs(nominal.q_min[j]), abs(nominal.q_max[j]))) + LIMIT_MARGIN_RAD
+        return UNLIMITED_JOINT_MAX_RAD
+    return float(max(abs(nominal.q_min[j]), abs(nominal.q_max[j]))) + JOINT_LIMIT_MARGIN_RAD
 
 
 def _beyond_turn(values: Array, limit: float) -> bool:
     """Too large for radians, and right for degrees."""
     high = _absolute_quantile_95(values)
-    return high > max(limit, DEGREES_MIN_RAD) and np.deg2rad(high) <= limit
+    return high > max(limit, DEGREES_SUSPECTED_MIN_RAD) and np.deg2rad(high) <= limit
 
 
 def _absolute_quantile_95(values: Array) -> float:
@@ -142,7 +143,7 @@ def _degrees_by_comparison(plc: PlcTable, sliding: tuple[bool, ...]) -> list[Fin
     findings = []
     for pattern, mine, other in (("q_ref_{j}_rad", *spans), ("q_{j}_rad", *spans[::-1])):
         turning = [j for j in _revolute_joints(plc.ref, sliding) if other[j] > 1e-6]
-        columns = [j for j in turning if DEGREES[0] < mine[j] / other[j] < DEGREES[1]]
+        columns = [j for j in turning if DEGREES_RATIO_RANGE[0] < mine[j] / other[j] < DEGREES_RATIO_RANGE[1]]
         if columns:
             ratio = float(np.median(mine[columns] / other[columns]))
             findings.append(
@@ -157,7 +158,11 @@ def _degrees_by_speed(plc: PlcTable, nominal: Nominal | None) -> list[Finding]:
     if plc.enc.shape[1] != nominal.actuators.n:
         return []
     gains = measured_gains(plc.t_s, plc.enc, plc.u) / nominal.actuators.joints[:, 0]
-    columns = [j for j in _revolute_joints(plc.enc, nominal.sliding) if DEGREES[0] < gains[j] < DEGREES[1]]
+    columns = [
+        j
+        for j in _revolute_joints(plc.enc, nominal.joint_slides)
+        if DEGREES_RATIO_RANGE[0] < gains[j] < DEGREES_RATIO_RANGE[1]
+    ]
     return (
         [_degrees_finding("plc.csv", "q_{j}_rad", columns, "move 57 times as fast as nominal at the same command")]
         if columns
@@ -188,11 +193,11 @@ def _percent_findings(plc: PlcTable) -> list[Finding]:
     findings = []
     for j, column in enumerate(plc.u.T):
         u = np.abs(column[np.isfinite(column)])
-        beyond = int((u > PERCENT_MIN).sum())
+        beyond = int((u > PERCENT_COMMAND_MIN).sum())
         if not beyond:
             continue
         reach = f"u_{j + 1}_frac reaches {u.max():.3g}, beyond full command 1"
-        if beyond >= max(SPIKES_MAX * len(u), BEYOND_MIN) and 2 * beyond > int((u > COMMAND_MIN).sum()):
+        if beyond >= max(SPIKES_MAX * len(u), BEYOND_MIN) and 2 * beyond > int((u > SIGNIFICANT_COMMAND_MIN).sum()):
             text = f"{reach}; a column in percent is to be divided by 100"
             findings.append(Finding("percent", "fatal", "plc.csv", text, beyond))
         else:
@@ -204,7 +209,7 @@ def _percent_findings(plc: PlcTable) -> list[Finding]:
 def _pressure_unit_findings(plc: PlcTable) -> list[Finding]:
     findings = []
     for name, values in (("p_supply_pa", plc.p_supply), ("p_a_<j>_pa", plc.p_a), ("p_b_<j>_pa", plc.p_b)):
-        if values is not None and 1.0 < largest_finite(values) < BAR_MAX_PA:
+        if values is not None and 1.0 < largest_finite(values) < BAR_SUSPECTED_MAX_PA:
             text = f"{name} is at most {largest_finite(values):.4g} Pa, which looks like bar; multiply by 1e5"
             findings.append(Finding("bar", "problem", "plc.csv", text))
     return findings
@@ -219,12 +224,12 @@ def _millimetre_findings(table: PointTable | None, placed: bool) -> list[Finding
     if table is None or not np.isfinite(table.xyz).any():
         return []
     spread = 0.0 if placed else _spread_m(table.xyz)
-    most = spread if spread > SPREAD_MIN_M else largest_finite(table.xyz)
-    if most < ARM_MAX_M:
+    most = spread if spread > POINT_SPREAD_MIN_M else largest_finite(table.xyz)
+    if most < ARM_REACH_MAX_M:
         return []
     subject = "static.csv" if table.q is not None else "tracker.csv"
-    lie = "lie up to {:.4g} m from their middle" if spread > SPREAD_MIN_M else "lie up to {:.4g} m away"
-    text = f"points {lie.format(most)} (limit {ARM_MAX_M:g} m), which looks like millimetres; write metres"
+    lie = "lie up to {:.4g} m from their middle" if spread > POINT_SPREAD_MIN_M else "lie up to {:.4g} m away"
+    text = f"points {lie.format(most)} (limit {ARM_REACH_MAX_M:g} m), which looks like millimetres; write metres"
     return [Finding("millimetres", "fatal", subject, text)]
 
 

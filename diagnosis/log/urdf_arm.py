@@ -8,7 +8,7 @@ import numpy as np
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.findings import Finding
-from diagnosis.log.machine_keys import GEOMETRY
+from diagnosis.log.machine_keys import DH_KEYS
 from diagnosis.log.machine_numbers import is_sliding, number_of, vector_of
 from diagnosis.log.nearest import nearest_name
 from machine.effects.arm import Arm
@@ -16,8 +16,8 @@ from machine.effects.arm_urdf import arm_from_chain
 from machine.effects.urdf_xml import UrdfJoint, urdf_chain, urdf_joint_names
 from machine.rotations import Array
 
-BESIDE_A_CHAIN = (*GEOMETRY, "dh_convention")  # what a URDF says in a [[joint]]'s place
-WEIGHTLESS = "gravity's torque is not known; a bend is reported as an encoder's error"
+URDF_REPLACED_KEYS = (*DH_KEYS, "dh_convention")  # what a URDF says in a [[joint]]'s place
+MISSING_MASS_CONSEQUENCE = "gravity's torque is not known; a bend is reported as an encoder's error"
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +25,8 @@ class UrdfArm:
     """The arm, its joints' names, their limits (n, 2) [rad or m], findings, and what of the load is not known."""
 
     arm: Arm
-    names: tuple[str, ...]
-    limits: Array
+    joint_names: tuple[str, ...]
+    joint_limits: Array
     findings: tuple[Finding, ...]
     load_absent: str
 
@@ -47,12 +47,14 @@ def urdf_arm(
     Raises: DiagnosisError, MachineError: a file that is not a URDF, names or types that cannot belong together.
     """
     chain = urdf_chain(text, section["base_link"], section["tip_link"])
-    moving = {joint.name: joint for joint in chain if joint.kind != "fixed"}
+    moving = {joint.name: joint for joint in chain if joint.joint_type != "fixed"}
     wanted = _joint_vector_names(joints, list(moving))
     arm, names = arm_from_chain(chain, wanted, T_flange_tcp, gravity)
     for number, (joint, name) in enumerate(zip(joints, names, strict=False), start=1):
         _check_type(joint, number, moving.get(name))
-    limits = [(moving[name].lower, moving[name].upper) if name in moving else (-np.inf, np.inf) for name in names]
+    limits = [
+        (moving[name].lower_limit, moving[name].upper_limit) if name in moving else (-np.inf, np.inf) for name in names
+    ]
     arm = _arm_with_given_masses(arm, joints, names)
     findings = (*_misnamed_joint_findings(names, moving, urdf_joint_names(text)), *_unread_geometry_findings(joints))
     return UrdfArm(arm, names, np.array(limits), findings, _load_absent(arm, names))
@@ -75,9 +77,10 @@ def _joint_vector_names(joints: Sequence[Mapping[str, Any]], moving: list[str]) 
 
 def _check_type(joint: Mapping[str, Any], number: int, urdf: UrdfJoint | None) -> None:
     slid = is_sliding(joint, f"joint {number}")
-    if urdf is not None and "type" in joint and slid != (urdf.kind == "prismatic"):
+    if urdf is not None and "type" in joint and slid != (urdf.joint_type == "prismatic"):
         raise DiagnosisError(
-            f"machine.toml: joint {number} ({urdf.name}): type = {joint['type']!r}, but the URDF's is {urdf.kind}; "
+            f"machine.toml: joint {number} ({urdf.name}): type = {joint['type']!r}, but the URDF's is "
+            f"{urdf.joint_type}; "
             "correct one of them, or leave type out"
         )
 
@@ -93,10 +96,13 @@ def _arm_with_given_masses(arm: Arm, joints: Sequence[Mapping[str, Any]], names:
 
 
 def _load_absent(arm: Arm, names: tuple[str, ...]) -> str:
-    light = [name for name, mass, moves in zip(names, arm.mass, arm.moves, strict=True) if moves and mass == 0.0]
+    light = [
+        name for name, mass, moves in zip(names, arm.mass, arm.motion_factor, strict=True) if moves and mass == 0.0
+    ]
     if not light:
         return ""
-    return f"neither the URDF nor [[joint]] has a mass of the link that {', '.join(light)} moves: {WEIGHTLESS}"
+    moved_by = ", ".join(light)
+    return f"neither the URDF nor [[joint]] has a mass of the link that {moved_by} moves: {MISSING_MASS_CONSEQUENCE}"
 
 
 def _misnamed_joint_findings(
@@ -123,7 +129,7 @@ def _misnamed_joint_findings(
 
 def _unread_geometry_findings(joints: Sequence[Mapping[str, Any]]) -> list[Finding]:
     """A second geometry next to the URDF's, which is the one that counts."""
-    keys = [key for key in BESIDE_A_CHAIN if any(key in joint for joint in joints)]
+    keys = [key for key in URDF_REPLACED_KEYS if any(key in joint for joint in joints)]
     if not keys:
         return []
     text = f"[[joint]] {', '.join(keys)}: not read, the geometry is the URDF's; leave [urdf] or these out"

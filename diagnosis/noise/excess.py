@@ -4,8 +4,8 @@ import numpy as np
 
 from machine.rotations import Array
 
-ROUNDS = 20  # of weighing again; it settles within a few
-TINY = 1e-30  # keeps weights finite where nothing is measured
+REWEIGHTING_ITERATIONS = 20  # of weighing again; it settles within a few
+VARIANCE_EPSILON = 1e-30  # keeps weights finite where nothing is measured
 
 
 def common_excess(totals: Array, noises: Array) -> Array:
@@ -17,8 +17,8 @@ def common_excess(totals: Array, noises: Array) -> Array:
     Args:  totals, noises: (recordings, n), mean squares in all and of noise alone.
     """
     excess = np.maximum((totals - noises).mean(axis=0), 0.0)
-    least = 1e-3 * np.abs(totals).mean(axis=0) + TINY
-    for _ in range(ROUNDS):
+    least = 1e-3 * np.abs(totals).mean(axis=0) + VARIANCE_EPSILON
+    for _ in range(REWEIGHTING_ITERATIONS):
         weights = (noises + np.maximum(excess, least)) ** -2
         excess = np.maximum((weights * (totals - noises)).sum(axis=0) / weights.sum(axis=0), 0.0)
     return excess

@@ -11,15 +11,17 @@ from machine.rotations import Array
 class DayNoise:
     """Directions (N, k), orthonormal, in which residuals lie further than white noise, and what is taken off (k,)."""
 
-    directions: Array
-    taken: Array
+    noise_directions: Array
+    removed_frac: Array
 
     def whiten(self, residuals: Array) -> Array:
         """Residuals (sets, N), white but for this noise, made white: (I + B B')^(-1/2) r.
 
         Each by itself: rounding of a sum over several depends on how many they are, and a set's result must not.
         """
-        return np.array([r - self.directions @ (self.taken * (self.directions.T @ r)) for r in residuals])
+        return np.array(
+            [r - self.noise_directions @ (self.removed_frac * (self.noise_directions.T @ r)) for r in residuals]
+        )
 
 
 def day_noise(columns: Array) -> DayNoise:

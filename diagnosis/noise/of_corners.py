@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 from machine.remainder import Remainder
 from machine.rotations import Array
 
-AXES = 2  # u, v
+CORNER_AXIS_COUNT = 2  # u, v
 
 
 @dataclass(frozen=True, slots=True)
 class CornerNoise:
     """Standard deviations of u and v [px]: of each corner (2,), and shared by the corners of one frame (2,)."""
 
-    own: Array
-    shared: Array
+    corner_sigma_px: Array
+    frame_shared_sigma_px: Array
 
     def with_remainder(self, record: Remainder | None) -> "CornerNoise":
         """Raised by what a machine file's baseline leaves: `sigma` of each corner, `by_axis` shared."""
         if record is None:
             return self
-        more = np.array(record.by_axis if len(record.by_axis) == AXES else (0.0, 0.0))
-        return CornerNoise(np.hypot(self.own, record.sigma), np.hypot(self.shared, more))
+        more = np.array(record.by_axis if len(record.by_axis) == CORNER_AXIS_COUNT else (0.0, 0.0))
+        return CornerNoise(np.hypot(self.corner_sigma_px, record.sigma), np.hypot(self.frame_shared_sigma_px, more))
 
     def whiten(self, rows: Array, groups: NDArray[np.int64]) -> Array:
         """White residuals (sets, N) of residuals [px] in groups (N,) by `groups_of`.
@@ -36,9 +36,9 @@ class CornerNoise:
                1 - own / sqrt(own^2 + n shared^2) of the group's mean.
         """
         count = np.bincount(groups)
-        axis = np.arange(len(count)) % AXES
-        own = self.own[axis]
-        share = 1.0 - own / np.sqrt(own**2 + count * self.shared[axis] ** 2)
+        axis = np.arange(len(count)) % CORNER_AXIS_COUNT
+        own = self.corner_sigma_px[axis]
+        share = 1.0 - own / np.sqrt(own**2 + count * self.frame_shared_sigma_px[axis] ** 2)
         out = np.empty_like(rows)
         for k, row in enumerate(rows):
             mean = np.bincount(groups, weights=row) / np.maximum(count, 1)
@@ -46,19 +46,19 @@ class CornerNoise:
         return out
 
 
-PLAIN = CornerNoise(np.ones(AXES), np.zeros(AXES))  # residuals as they are
+UNIT_CORNER_NOISE = CornerNoise(np.ones(CORNER_AXIS_COUNT), np.zeros(CORNER_AXIS_COUNT))  # residuals as they are
 
 
 def groups_of(pixels: Array) -> NDArray[np.int64]:
     """Frame and axis of each corner that was seen (N,), of pixels (frames, ..., 2), NaN unseen."""
     frame = np.arange(len(pixels)).reshape(-1, *[1] * (pixels.ndim - 1))
-    both = AXES * frame + np.arange(AXES)
+    both = CORNER_AXIS_COUNT * frame + np.arange(CORNER_AXIS_COUNT)
     return np.broadcast_to(both, pixels.shape)[np.isfinite(pixels)].astype(np.int64)
 
 
 def noise_of_visits(visits: list[Array], least: int) -> CornerNoise | None:
     """From corners (k, C, 2) of the same view seen k times, several views; None below `least` repeated corners."""
-    own, shared, visited, corners = np.zeros(AXES), np.zeros(AXES), 0, 0
+    own, shared, visited, corners = np.zeros(CORNER_AXIS_COUNT), np.zeros(CORNER_AXIS_COUNT), 0, 0
     for view in visits:
         seen = view[:, np.isfinite(view).all(axis=(0, 2))]
         k, n = seen.shape[:2]
@@ -83,9 +83,9 @@ def variances_of(raw: Array, groups: NDArray[np.int64]) -> tuple[Array, Array]:
     count = np.maximum(np.bincount(groups), 1)
     mean = np.bincount(groups, weights=raw) / count
     within = np.bincount(groups, weights=(raw - mean[groups]) ** 2)
-    axis = np.arange(len(count)) % AXES
-    own, shared = np.zeros(AXES), np.zeros(AXES)
-    for a in range(AXES):
+    axis = np.arange(len(count)) % CORNER_AXIS_COUNT
+    own, shared = np.zeros(CORNER_AXIS_COUNT), np.zeros(CORNER_AXIS_COUNT)
+    for a in range(CORNER_AXIS_COUNT):
         some = (axis == a) & (count > 1)
         own[a] = within[some].sum() / max(float((count[some] - 1).sum()), 1.0)
         shared[a] = np.mean(mean[some] ** 2 - own[a] / count[some]) if some.any() else 0.0

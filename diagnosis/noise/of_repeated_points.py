@@ -11,10 +11,12 @@ from scipy.stats import chi2
 
 from machine.rotations import Array
 
-SAMPLES_MIN = 8  # of one point in each repeat
-BESIDE = 0.51  # of the usual time between two samples of a point: where repeats are sampled in between
-DRIFT_TIMES = 2.0  # of the scatter: trackers drift by about as much as they scatter
-BY_CHANCE = 1e-3  # how often repeats' means of a tracker without drift are taken to drift
+REPEAT_SAMPLES_MIN = 8  # of one point in each repeat
+SAMPLE_MATCH_MAX_PERIODS = (
+    0.51  # of the usual time between two samples of a point: where repeats are sampled in between
+)
+DRIFT_TO_SCATTER_RATIO_MAX = 2.0  # of the scatter: trackers drift by about as much as they scatter
+DRIFT_FALSE_ALARM_RATE = 1e-3  # how often repeats' means of a tracker without drift are taken to drift
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,15 +25,15 @@ class RepeatedPoints:
     repeat's mean beyond what scatter explains, 0 where that can be chance.
     """
 
-    own: Array
+    point_sigma_m: Array
     drift_m: Array
-    squares: int
+    sigma_dof: int
 
     @property
     def scatters(self) -> bool:
         """Whether no more than a tracker's drift lies between repeats: no link grows between two looks at it."""
         drift = float((self.drift_m**2).sum())
-        return drift <= DRIFT_TIMES**2 * (float((self.own**2).sum()) - drift)
+        return drift <= DRIFT_TO_SCATTER_RATIO_MAX**2 * (float((self.point_sigma_m**2).sum()) - drift)
 
 
 def repeated_points(
@@ -66,7 +68,7 @@ def repeated_points(
     variance = squares / free
     expected = by_scatter / free_means * variance
     beyond = (of_means.sum() / free_means - expected.sum()) if free_means else 0.0
-    by_chance = float(chi2.isf(BY_CHANCE, 3 * free_means)) / (3 * free_means) * float(expected.sum())
+    by_chance = float(chi2.isf(DRIFT_FALSE_ALARM_RATE, 3 * free_means)) / (3 * free_means) * float(expected.sum())
     drifts = of_means.sum() / free_means > by_chance
     drift = np.sqrt(np.maximum(of_means / free_means - expected, 0.0)) if drifts and beyond > 0.0 else np.zeros(3)
     return RepeatedPoints(np.sqrt(variance), drift, free)
@@ -80,7 +82,7 @@ def _point_run_deviations(
     for start_s, first_s, last_s in runs:
         rows = np.nonzero(here & (when >= first_s) & (when <= last_s))[0]
         series.append((when[rows] - start_s, residual[rows]))
-    if min(len(t) for t, _ in series) < SAMPLES_MIN:
+    if min(len(t) for t, _ in series) < REPEAT_SAMPLES_MIN:
         return None
     at = series[0][0]
     usual = float(np.median(np.diff(at)))
@@ -88,9 +90,9 @@ def _point_run_deviations(
     for t, values in series:
         right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
         nearest = np.where(np.abs(t[right] - at) < np.abs(t[right - 1] - at), right, right - 1)
-        kept &= np.abs(t[nearest] - at) <= BESIDE * usual
+        kept &= np.abs(t[nearest] - at) <= SAMPLE_MATCH_MAX_PERIODS * usual
         taken.append(values[nearest])
-    if kept.sum() < SAMPLES_MIN:
+    if kept.sum() < REPEAT_SAMPLES_MIN:
         return None
     together = np.stack(taken)[:, kept]
     return together - together.mean(axis=0)

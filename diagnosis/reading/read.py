@@ -44,9 +44,9 @@ class Read:
     `machine_toml`: the recording's own machine file, whatever file it is judged by.
     """
 
-    path: Path
+    recording_path: Path
     tables: Tables | None
-    nominal: Nominal | None
+    nominal_machine: Nominal | None
     stretches: tuple[Stretch, ...]
     findings: tuple[Finding, ...]
     machine_toml: str = ""
@@ -54,12 +54,12 @@ class Read:
     @property
     def has_judgeable_stage(self) -> bool:
         """Whether there is a stage that can be judged."""
-        return self.nominal is not None and not fatal_findings(self.findings) and bool(stages_present(self))
+        return self.nominal_machine is not None and not fatal_findings(self.findings) and bool(stages_present(self))
 
     @property
     def missing_parts(self) -> tuple[tuple[str, str], ...]:
         """What is missing in the machine file, by part, of what was recorded: of a camera only where there was one."""
-        absent = () if self.nominal is None else self.nominal.absent
+        absent = () if self.nominal_machine is None else self.nominal_machine.missing_part_reasons
         seen = self.tables is not None and (self.tables.markers is not None or self.tables.odometry is not None)
         return tuple((part, why) for part, why in absent if seen or part != "camera")
 
@@ -112,7 +112,7 @@ def examine_recording(
     findings += _table_findings(tables, nominal)
     if nominal is not None:
         for folder in folders:
-            found = _run_guarded_check(partial(metre_findings, folder, nominal.sliding), folder.name)
+            found = _run_guarded_check(partial(metre_findings, folder, nominal.joint_slides), folder.name)
             findings += in_recording(found, folder) if others else found
     stretches: tuple[Stretch, ...] = ()
     if not fatal_findings(findings):
@@ -186,10 +186,13 @@ def _form_findings(recording: Recording, path: Path, others: Sequence[Path]) -> 
         findings.append(Finding("cut_file", "problem", "recording", text))
     findings += [
         Finding("unknown_column", "note", path.name, f"channel {channel}: it is not of the format")
-        for channel in recording.foreign
+        for channel in recording.foreign_channels
     ]
-    if recording.run.format_version < FORMAT_VERSION:
-        text = f"format_version {recording.run.format_version} is older than {FORMAT_VERSION}; read as its own version"
+    if recording.run_info.format_version < FORMAT_VERSION:
+        text = (
+            f"format_version {recording.run_info.format_version} is older than {FORMAT_VERSION}; read as its own "
+            "version"
+        )
         findings.append(Finding("format_version", "note", "run.toml", text))
     return findings
 
@@ -214,7 +217,7 @@ def _load_nominal_model(
         return None
     urdfs = UrdfFiles(recording.attachments, None if machine_file is None else machine_file.parent)
     try:
-        nominal = nominal_of(text, urdfs, tables.n or None)
+        nominal = nominal_of(text, urdfs, tables.joint_count or None)
     except DiagnosisError as error:
         reason = str(error).removeprefix("machine.toml").removeprefix(":").strip()
         findings.append(Finding("machine_file", "fatal", name, reason))
@@ -228,11 +231,11 @@ def _table_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     to_plc_s = plc_to_pc_s(tables)
     offsets = (
         ("sent.csv", tables.sent, 0.0),
-        ("odometry.csv", tables.odometry, tables.run.camera_to_pc_offset_s or 0.0),
+        ("odometry.csv", tables.odometry, tables.run_info.camera_to_pc_offset_s or 0.0),
     )
     for subject, table, to_pc_s in offsets:
         if table is not None:
-            findings += time_findings(subject, table.t_s + to_pc_s - to_plc_s, None, tables.run.segments)
+            findings += time_findings(subject, table.t_s + to_pc_s - to_plc_s, None, tables.run_info.segments)
     findings += missing_columns(tables) + corner_findings(tables)
     if not any(
         finding.code == "degrees" or (finding.code, finding.severity) == ("time_backwards", "fatal")
@@ -242,7 +245,7 @@ def _table_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         findings += machine_findings(tables, nominal) if nominal is not None else []
         if nominal is not None and tables.plc is not None and not fatal_findings(findings):
             findings += exchanged_loops(tables.plc, nominal)
-    clocks = tables.run
+    clocks = tables.run_info
     if tables.markers is not None and tables.plc is not None and clocks.camera_to_pc_offset_s is None:
         text = "no clocks.camera_to_pc_offset_s: the camera's offset is unknown and must be fitted with every effect"
         findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
@@ -255,13 +258,13 @@ def _table_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
 
 def stages_present(whole: Read) -> tuple[Stage, ...]:
     """The stages that this recording and machine file allow to be judged, in the chain's order."""
-    nominal, tables, some = whole.nominal, whole.tables, whole.stretches
+    nominal, tables, some = whole.nominal_machine, whole.tables, whole.stretches
     if nominal is None or tables is None:
         return ()
     driven, moved = nominal.actuators is not None, any(stretch.enc is not None for stretch in some)
     mounted = nominal.arm is not None and nominal.T_tcp_cam_left is not None
     tests = (
-        ("link", any(stretch.sent is not None and stretch.ref is not None for stretch in some) and driven),
+        ("link", any(stretch.sent_reference is not None and stretch.ref is not None for stretch in some) and driven),
         (
             "controller",
             moved
@@ -280,7 +283,7 @@ def stages_present(whole: Read) -> tuple[Stage, ...]:
 def _nothing_judged_finding(whole: Read) -> Finding:
     text = "no stage can be judged: record valve commands and encoders, or points measured by a tracker or camera"
     tables = whole.tables
-    unused = [] if tables is None else why_unused(whole.nominal, tables, whole.stretches)
+    unused = [] if tables is None else why_unused(whole.nominal_machine, tables, whole.stretches)
     if unused:
         text = f"no stage can be judged: {'; '.join(unused)}"
     if tables is not None and tables.plc is not None and tables.plc.enc is None:
@@ -292,7 +295,7 @@ def _nothing_judged_finding(whole: Read) -> Finding:
         text += f"; missing in the machine file: {missing}"
     if any(finding.code == "cut_file" for finding in whole.findings):
         text += f"; what could be read of the damaged file: {_what_was_read(tables)}"
-    return Finding("no_data", "fatal", whole.path.name, text)
+    return Finding("no_data", "fatal", whole.recording_path.name, text)
 
 
 def _what_was_read(tables: Tables | None) -> str:

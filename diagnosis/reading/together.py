@@ -10,7 +10,7 @@ from pathlib import Path
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.findings import by_channel
-from diagnosis.log.tables import JOINT_SIGNALS
+from diagnosis.log.tables import JOINT_SIGNAL_COLUMNS
 from diagnosis.reading.read import Read, column_findings, examine_recording, in_recording, is_folder, read_for_diagnosis
 from recording.content import Recording
 from recording.errors import RecordingError
@@ -18,8 +18,8 @@ from recording.opening import read_run
 from recording.rows import MISSING_COUNT, MarkerCorners, OdometryRow, PlcState, Row, Sent, StaticPoint, TrackerPoint
 from recording.run import RunInfo, Segment
 
-NUMBER_MOST = 2**53  # of a datagram: beyond it are numbers that say "none"
-APART_S = 10.0  # between the end of one and the start of the next
+DATAGRAM_NUMBER_MAX = 2**53  # of a datagram: beyond it are numbers that say "none"
+RECORDING_GAP_S = 10.0  # between the end of one and the start of the next
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +29,9 @@ class _RecordingShift:
     plc_s: float
     pc_s: float
     camera_s: float
-    seq: int
-    pose: int
-    label: str
+    sequence_offset: int
+    pose_index_offset: int
+    label_suffix: str
 
 
 def read_together(paths: Sequence[Path], machine_file: Path | None = None) -> Read:
@@ -65,17 +65,17 @@ def join_recordings(recordings: Sequence[Recording], machine_given: bool = False
     _require_as_many_joints(recordings)
     first = recordings[0]
     rows: list[Row] = list(first.rows)
-    segments = list(first.run.segments or _whole_segment(first, ""))
+    segments = list(first.run_info.segments or _whole_segment(first, ""))
     for number, recording in enumerate(recordings[1:], start=2):
         if not machine_given and recording.machine_toml.strip() != first.machine_toml.strip():
             raise DiagnosisError(f"recording {number} has another machine.toml than the first; give one by --machine")
         shift = _recording_shift(first, recording, rows, number)
         rows += [_shift_row(row, shift) for row in recording.rows]
         segments += [
-            _shift_segment(segment, shift) for segment in recording.run.segments or _whole_segment(recording, "")
+            _shift_segment(segment, shift) for segment in recording.run_info.segments or _whole_segment(recording, "")
         ]
     whole = all(recording.complete for recording in recordings)
-    return replace(first, run=replace(first.run, segments=tuple(segments)), rows=tuple(rows), complete=whole)
+    return replace(first, run_info=replace(first.run_info, segments=tuple(segments)), rows=tuple(rows), complete=whole)
 
 
 def _require_as_many_joints(recordings: Sequence[Recording]) -> None:
@@ -90,7 +90,7 @@ def _require_as_many_joints(recordings: Sequence[Recording]) -> None:
 
 def _joint_count(recording: Recording) -> int:
     """How many joints its rows describe; 0 where they describe none."""
-    fields = {PlcState: [field for _, field, _ in JOINT_SIGNALS], Sent: ["q_sent_rad"], StaticPoint: ["q_rad"]}
+    fields = {PlcState: [field for _, field, _ in JOINT_SIGNAL_COLUMNS], Sent: ["q_sent_rad"], StaticPoint: ["q_rad"]}
     return max((len(getattr(row, name)) for row in recording.rows for name in fields.get(type(row), ())), default=0)
 
 
@@ -99,12 +99,12 @@ def _recording_shift(first: Recording, recording: Recording, rows: list[Row], nu
 
     Model: t_plc' = t_plc + s; t_pc' = t_plc' + offset of the first, so t_pc' = t_pc + s + offset_first - offset_own.
     """
-    end = max(_plc_times(first.run, rows), default=0.0)
-    start = min(_plc_times(recording.run, recording.rows), default=0.0)
-    s = end + APART_S - start
+    end = max(_plc_times(first.run_info, rows), default=0.0)
+    start = min(_plc_times(recording.run_info, recording.rows), default=0.0)
+    s = end + RECORDING_GAP_S - start
     pc = s + _clock_offset_difference(first, recording, number, "plc_to_pc_offset_s")
     camera = pc - _clock_offset_difference(first, recording, number, "camera_to_pc_offset_s")
-    seq = 1 + max((number for row in rows if 0 <= (number := _number_of(row)) <= NUMBER_MOST), default=0)
+    seq = 1 + max((number for row in rows if 0 <= (number := _number_of(row)) <= DATAGRAM_NUMBER_MAX), default=0)
     pose = 1 + max((row.pose_index for row in rows if isinstance(row, StaticPoint)), default=0)
     return _RecordingShift(s, pc, camera, seq, pose, f" ({number})")
 
@@ -122,11 +122,11 @@ def _number_of(row: Row) -> int:
 
 def _later_number(number: int, by: int) -> int:
     """A row without a number stays without one."""
-    return number + by if 0 <= number <= NUMBER_MOST else number
+    return number + by if 0 <= number <= DATAGRAM_NUMBER_MAX else number
 
 
 def _clock_offset_difference(first: Recording, recording: Recording, number: int, name: str) -> float:
-    a, b = getattr(first.run, name), getattr(recording.run, name)
+    a, b = getattr(first.run_info, name), getattr(recording.run_info, name)
     if a is None and b is None:
         return 0.0
     if a is None or b is None:
@@ -153,14 +153,14 @@ def _plc_times(run: RunInfo, rows: Sequence[Row]) -> list[float]:
 def _shift_row(row: Row, by: _RecordingShift) -> Row:
     match row:
         case PlcState():
-            seq = _later_number(row.seq_received, by.seq)
+            seq = _later_number(row.seq_received, by.sequence_offset)
             return replace(row, t_plc_s=row.t_plc_s + by.plc_s, seq_received=seq)
         case Sent():
-            return replace(row, t_pc_s=row.t_pc_s + by.pc_s, seq=_later_number(row.seq, by.seq))
+            return replace(row, t_pc_s=row.t_pc_s + by.pc_s, seq=_later_number(row.seq, by.sequence_offset))
         case TrackerPoint():
             return replace(row, t_plc_s=row.t_plc_s + by.plc_s)
         case StaticPoint():
-            return replace(row, pose_index=_later_number(row.pose_index, by.pose))
+            return replace(row, pose_index=_later_number(row.pose_index, by.pose_index_offset))
         case MarkerCorners() | OdometryRow():
             return replace(row, t_camera_s=row.t_camera_s + by.camera_s)
         case _:
@@ -176,8 +176,8 @@ def _shift_segment(segment: Segment, by: _RecordingShift) -> Segment:
     """A segment of a later recording: its repeats repeat nothing of another one."""
     return replace(
         segment,
-        name=f"{segment.name}{by.label}",
+        name=f"{segment.name}{by.label_suffix}",
         t_start_plc_s=segment.t_start_plc_s + by.plc_s,
         t_end_plc_s=segment.t_end_plc_s + by.plc_s,
-        repeat_of=f"{segment.repeat_of}{by.label}" if segment.repeat_of else "",
+        repeat_of=f"{segment.repeat_of}{by.label_suffix}" if segment.repeat_of else "",
     )

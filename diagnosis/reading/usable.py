@@ -4,16 +4,16 @@ from typing import Literal
 
 import numpy as np
 
-from diagnosis.behind.points import ROWS_MIN as POINTS_MIN
+from diagnosis.behind.points import POINT_ROWS_MIN as POINTS_MIN
 from diagnosis.behind.points import tracked_angles, usable_rows
-from diagnosis.behind.seen_corners import MARGIN_S, ROWS_MIN, seen_rows
+from diagnosis.behind.seen_corners import CLOCK_OFFSET_MARGIN_S, CORNER_ROWS_MIN, seen_rows
 from diagnosis.datagrams.clocks import camera_to_plc_s
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.tables import Tables
 from diagnosis.replay.stretches import Stretch
 
 PointFile = Literal["static", "tracker"]
-NEEDS = {
+ROW_REQUIREMENTS_BY_FILE = {
     "static": "a point of [points], its x_m, y_m, z_m, and every joint's q_<j>_rad",
     "tracker": "a point of [points], its x_m, y_m, z_m, and encoders logged at its time",
     "markers": "a marker of [markers], its eye, a corner, and of the ooi encoders logged at its time",
@@ -39,7 +39,7 @@ def corners_usable(nominal: Nominal, tables: Tables, stretches: tuple[Stretch, .
     inside = np.zeros(len(t_s), dtype=bool)
     for stretch in stretches:
         if stretch.enc is not None:
-            inside |= (t_s >= stretch.t_s[0] + MARGIN_S) & (t_s <= stretch.t_s[-1] - MARGIN_S)
+            inside |= (t_s >= stretch.t_s[0] + CLOCK_OFFSET_MARGIN_S) & (t_s <= stretch.t_s[-1] - CLOCK_OFFSET_MARGIN_S)
     return max(tool, int((seen_rows(nominal, markers, "ooi") & inside).sum()))
 
 
@@ -48,7 +48,7 @@ def odometry_usable(tables: Tables, stretches: tuple[Stretch, ...]) -> bool:
     table = tables.odometry
     if table is None or not any(stretch.enc is not None for stretch in stretches):
         return False
-    return bool((np.isfinite(table.t_s) & np.isfinite(table.position).all(axis=1)).any())
+    return bool((np.isfinite(table.t_s) & np.isfinite(table.position_m).all(axis=1)).any())
 
 
 def enough_points(nominal: Nominal, tables: Tables, stretches: tuple[Stretch, ...]) -> bool:
@@ -58,7 +58,7 @@ def enough_points(nominal: Nominal, tables: Tables, stretches: tuple[Stretch, ..
 
 def enough_corners(nominal: Nominal, tables: Tables, stretches: tuple[Stretch, ...]) -> bool:
     """Whether there are the rows that a cell of corners needs."""
-    return corners_usable(nominal, tables, stretches) >= ROWS_MIN
+    return corners_usable(nominal, tables, stretches) >= CORNER_ROWS_MIN
 
 
 def why_unused(nominal: Nominal | None, tables: Tables, stretches: tuple[Stretch, ...]) -> list[str]:
@@ -74,19 +74,21 @@ def why_unused(nominal: Nominal | None, tables: Tables, stretches: tuple[Stretch
         count = points_usable(nominal, tables, stretches, "tracker")
         found += _too_few("tracker", count, len(tracker.t_s), POINTS_MIN)
     if markers is not None:
-        found += _too_few("markers", corners_usable(nominal, tables, stretches), len(markers.t_s), ROWS_MIN)
+        found += _too_few("markers", corners_usable(nominal, tables, stretches), len(markers.t_s), CORNER_ROWS_MIN)
     return found
 
 
 def _too_few(file: str, count: int, total: int, least: int) -> list[str]:
     if count >= least:
         return []
-    return [f"{file}.csv: {count} of {total} rows can be used, least {least}; a row needs {NEEDS[file]}"]
+    return [
+        f"{file}.csv: {count} of {total} rows can be used, least {least}; a row needs {ROW_REQUIREMENTS_BY_FILE[file]}"
+    ]
 
 
 def _segments_outside_log(tables: Tables, stretches: tuple[Stretch, ...]) -> list[str]:
     """Segments that lie outside the whole log: two clocks."""
-    plc, segments = tables.plc, tables.run.segments
+    plc, segments = tables.plc, tables.run_info.segments
     if plc is None or stretches or not segments or not np.isfinite(plc.t_s).any():
         return []
     first, last = float(np.nanmin(plc.t_s)), float(np.nanmax(plc.t_s))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from machine.effects.dynamics import Actuators, at_cycles
 from machine.rotations import Array
 
-JUMP = 4.0  # times what the command changes in the neighbouring rows
+COMMAND_JUMP_RATIO_MIN = 4.0  # times what the command changes in the neighbouring rows
 
 
 def smooth_course(plant: Actuators, rows: Array) -> Array:
@@ -51,4 +51,4 @@ def jump_rows(rows: Array) -> NDArray[np.bool_]:
     """Rows (rows, n) after which the command changes by much more than in the neighbouring rows."""
     change = np.abs(np.diff(rows, axis=0, append=rows[-1:]))
     neighbours = np.maximum(np.roll(change, 1, axis=0), np.roll(change, -1, axis=0))
-    return np.asarray(change > JUMP * neighbours)
+    return np.asarray(change > COMMAND_JUMP_RATIO_MIN * neighbours)

@@ -12,7 +12,7 @@ from machine.effects.dynamics import Drive, drive_by_sent, drive_controller
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-START_COMMAND = 0.0  # stretches begin at rest
+INITIAL_VALVE_COMMAND = 0.0  # stretches begin at rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ def merge_of(stretches: tuple[Stretch, ...]) -> MergedStages | None:
         return None
     if stretches and all(stretch.ref is not None for stretch in stretches):
         return MergedStages(("controller", "actuator"))
-    if stretches and all(stretch.sent is not None for stretch in stretches):
+    if stretches and all(stretch.sent_reference is not None for stretch in stretches):
         return MergedStages(("link", "controller", "actuator"))
     return None
 
@@ -38,7 +38,7 @@ def merged_drives(
 ) -> list[PreparedStretch]:
     """The stretches whose encoders can be replayed although no valve command was logged; none where one was."""
     merge = merge_of(stretches)
-    if merge is None or not replayer.nominal.has_controller:
+    if merge is None or not replayer.nominal_machine.has_controller:
         return []
     return [
         prepared for stretch in stretches if (prepared := merge_stages(replayer, stretch, merge, course)) is not None
@@ -56,11 +56,13 @@ def merge_stages(
     loads = replayer.loads_along(angles)
     out = PreparedStretch(plant, {}, stretch)
     if "link" in merge.stages:
-        if stretch.sent is None:
+        if stretch.sent_reference is None:
             return None
         cycles = (stretch.row_count - 1) * plant.cycles_per_row + 1
-        drive = drive_by_sent(plant, stretch.sent.t_s, stretch.sent.q, float(stretch.t_s[0]), cycles, loads)
-        out.drives["actuator"] = replace(drive, enc_start=angles[0].copy())
+        drive = drive_by_sent(
+            plant, stretch.sent_reference.t_s, stretch.sent_reference.q, float(stretch.t_s[0]), cycles, loads
+        )
+        out.stage_inputs["actuator"] = replace(drive, enc_start=angles[0].copy())
         return out
     references = replayer.received_references(stretch, course)
     if references is None:
@@ -68,11 +70,14 @@ def merge_stages(
     seen = smooth_course(plant, angles)
 
     def driven(ref: Array) -> Drive:
-        drive = drive_controller(plant, ref, seen, np.full(plant.n, START_COMMAND), fine=True)
+        drive = drive_controller(plant, ref, seen, np.full(plant.n, INITIAL_VALVE_COMMAND), fine=True)
         return drive if loads is None else replace(drive, load=loads[0], load_kg=loads[1])
 
-    out = replace(out, sided=stretch.sent is not None)
-    out.drives["actuator"], out.others["actuator"] = driven(references.own), references.others
-    if references.jumped is not None:
-        out.late["actuator"] = driven(references.jumped)
+    out = replace(out, two_sided_alternatives=stretch.sent_reference is not None)
+    out.stage_inputs["actuator"], out.alternative_inputs["actuator"] = (
+        driven(references.best_estimate),
+        references.alternatives,
+    )
+    if references.late_jump_variant is not None:
+        out.late_jump_inputs["actuator"] = driven(references.late_jump_variant)
     return out

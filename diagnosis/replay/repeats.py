@@ -8,9 +8,9 @@ from diagnosis.log.findings import Finding
 from diagnosis.replay.stretches import Stretch, repeat_groups
 from machine.rotations import Array
 
-REPEATS_GOOD = 4
-SHARED_MAX = 0.1  # of the shorter one's length
-DIFFER_MAX_RAD = 1e-3  # between the references of two repeats, once they are laid over each other
+REPEATS_RECOMMENDED_MIN = 4
+REPEAT_OVERLAP_MAX_FRAC = 0.1  # of the shorter one's length
+REFERENCE_SPREAD_MAX_RAD = 1e-3  # between the references of two repeats, once they are laid over each other
 
 
 def repeat_findings(stretches: tuple[Stretch, ...]) -> list[Finding]:
@@ -23,16 +23,21 @@ def repeat_findings(stretches: tuple[Stretch, ...]) -> list[Finding]:
         why = "repeats are named, but none is one unbroken stretch" if claimed else "no command was repeated"
         text = f"{why}: the noise floor is not known, and every probability is widened"
         return [
-            Finding("no_repeats", "problem", "segments", f"{text}; repeat one command at least {REPEATS_GOOD} times")
+            Finding(
+                "no_repeats",
+                "problem",
+                "segments",
+                f"{text}; repeat one command at least {REPEATS_RECOMMENDED_MIN} times",
+            )
         ]
     findings = []
     for name, members in groups.items():
-        if len(members) < REPEATS_GOOD:
-            text = f"{name!r} has {len(members)} runs; {REPEATS_GOOD} or more make a sound noise floor"
+        if len(members) < REPEATS_RECOMMENDED_MIN:
+            text = f"{name!r} has {len(members)} runs; {REPEATS_RECOMMENDED_MIN} or more make a sound noise floor"
             findings.append(Finding("few_repeats", "note", "segments", text))
         findings += _overlap_findings(name, members)
         apart = reference_spread(members)
-        if apart > DIFFER_MAX_RAD:
+        if apart > REFERENCE_SPREAD_MAX_RAD:
             text = f"repeats of {name!r} differ by up to {apart:.3g} rad in their reference; they give no noise floor"
             findings.append(Finding("repeats_differ", "problem", "segments", text))
     return findings
@@ -43,7 +48,7 @@ def _overlap_findings(name: str, members: tuple[Stretch, ...]) -> list[Finding]:
     inside = sorted(members, key=lambda run: float(run.t_s[0]))
     for run, following in pairwise(inside):
         shared_s = float(min(run.t_s[-1], following.t_s[-1]) - following.t_s[0])
-        if shared_s > SHARED_MAX * min(run.duration_s, following.duration_s):
+        if shared_s > REPEAT_OVERLAP_MAX_FRAC * min(run.duration_s, following.duration_s):
             text = f"{run.name!r} and {following.name!r} of {name!r} share {shared_s:.3g} s of rows"
             text += ": that is not a second measurement; correct the times in run.toml"
             return [Finding("segments_overlap", "fatal", "segments", text)]

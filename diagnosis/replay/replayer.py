@@ -25,8 +25,10 @@ from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.structure import loads_along, reference_torques
 from machine.rotations import Array
 
-EVENLY = 3.0**0.5  # half the width, in deviations, of what lies anywhere in a range
-SENT_S = 0.01  # between two references, where they were not logged: what this project's links and most others use
+UNIFORM_HALF_WIDTH_SIGMAS = 3.0**0.5  # half the width, in deviations, of what lies anywhere in a range
+DEFAULT_SEND_PERIOD_S = (
+    0.01  # between two references, where they were not logged: what this project's links and most others use
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +42,11 @@ class PreparedStretch:
     """
 
     plant: Actuators
-    drives: dict[str, Drive]
+    stage_inputs: dict[str, Drive]
     stretch: Stretch
-    others: dict[str, tuple[Array, ...]] = field(default_factory=dict)
-    late: dict[str, Drive] = field(default_factory=dict)
-    sided: bool = False
+    alternative_inputs: dict[str, tuple[Array, ...]] = field(default_factory=dict)
+    late_jump_inputs: dict[str, Drive] = field(default_factory=dict)
+    two_sided_alternatives: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +57,9 @@ class ReceivedReferences:
     earlier. `jumped`: one whose jumps come as late as they may; None where nothing is in doubt.
     """
 
-    own: Array
-    others: tuple[Array, ...] = ()
-    jumped: Array | None = None
+    best_estimate: Array
+    alternatives: tuple[Array, ...] = ()
+    late_jump_variant: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +68,9 @@ class _ControllerCommands:
     or nothing is known.
     """
 
-    own: Array | None
-    others: tuple[Array | None, ...] = ()
-    jumped: Array | None = None
+    best_estimate: Array | None
+    alternatives: tuple[Array | None, ...] = ()
+    late_jump_variant: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +80,14 @@ class Replayer:
     `finer`: how much of the way from this model's steps to endlessly many the machine's own are found to have gone.
     """
 
-    nominal: Nominal
+    nominal_machine: Nominal
     plant: Actuators
     torque_reference: Array | None
-    finer: float = 0.0
+    step_refinement_frac: float = 0.0
 
     def baseline_knows(self, stage: str, joint: int) -> bool:
         """Whether a baseline knows what the model is wrong by there (joint: 0-based)."""
-        return self.nominal.baseline_remainder(stage, joint + 1) is not None
+        return self.nominal_machine.baseline_remainder(stage, joint + 1) is not None
 
     def prepare(self, stretch: Stretch, course: ParameterSets | None = None) -> PreparedStretch:
         """Each stage's measured input at every PLC cycle.
@@ -94,7 +96,7 @@ class Replayer:
                corrected linearly so that it meets both rows: a jump of the reference falls on its own cycle. Where what
                was sent is not known, the reference may as well have stood still until the next row.
         """
-        known = neutral_sets(self.nominal.n) if course is None else course
+        known = neutral_sets(self.nominal_machine.n) if course is None else course
         plant = self.at_rate(stretch.dt_s)
         out = PreparedStretch(plant, {}, stretch)
         ref, enc, u = (
@@ -103,9 +105,9 @@ class Replayer:
         ref_fine = None if ref is None else self._received_reference(out, ref, known)
         if u is None or enc is None:
             return out
-        if ref is None or ref_fine is None or not self.nominal.has_controller:
+        if ref is None or ref_fine is None or not self.nominal_machine.has_controller:
             return self._prepare_actuator_drives(out, enc, u, _ControllerCommands(None))
-        out = replace(out, sided=stretch.sent is not None)
+        out = replace(out, two_sided_alternatives=stretch.sent_reference is not None)
         commands = self._controller_commands(
             out, self._reference_alternatives(out, ref, ref_fine, known), (enc, u), known
         )
@@ -115,24 +117,26 @@ class Replayer:
         """What the PLC received; None where it was not logged. `course`: see `prepare`."""
         if stretch.ref is None:
             return None
-        known = neutral_sets(self.nominal.n) if course is None else course
+        known = neutral_sets(self.nominal_machine.n) if course is None else course
         out, ref = PreparedStretch(self.at_rate(stretch.dt_s), {}, stretch), fill_gaps(stretch.ref)
         return self._reference_alternatives(out, ref, self._received_reference(out, ref, known), known)
 
     def _received_reference(self, out: PreparedStretch, ref: Array, known: ParameterSets) -> Array:
         """The received reference at every PLC cycle; the link's drive goes to `out` where what was sent is known."""
-        plant, sent = out.plant, out.stretch.sent
+        plant, sent = out.plant, out.stretch.sent_reference
         if sent is None:
             return smooth_course(plant, ref)
-        out.drives["link"] = _link_drive(out, sent, sent.t_s)
-        return _course_through_rows(plant, ref, self._output_every_cycle("link", plant, out.drives["link"], known))
+        out.stage_inputs["link"] = _link_drive(out, sent, sent.t_s)
+        return _course_through_rows(
+            plant, ref, self._output_every_cycle("link", plant, out.stage_inputs["link"], known)
+        )
 
     def _shifted_reference(
         self, out: PreparedStretch, sent: SentReference, ref: Array, known: ParameterSets, by_s: float
     ) -> Array:
         """The received reference (cycles, n), had each datagram come so much later, as far as its log rows allow it."""
         plant = out.plant
-        moved = within_rows(sent, by_s, plant.transport_delay_s + float(known.machine[0, kernel.DELAY]))
+        moved = within_rows(sent, by_s, plant.transport_delay_s + float(known.machine_parameters[0, kernel.DELAY]))
         drive = _link_drive(out, sent, moved)
         return _course_through_rows(plant, ref, self._output_every_cycle("link", plant, drive, known))
 
@@ -140,13 +144,13 @@ class Replayer:
         self, out: PreparedStretch, ref: Array, fine: Array, known: ParameterSets
     ) -> ReceivedReferences:
         """From the logged rows (rows, n) and their course (cycles, n)."""
-        plant, sent = out.plant, out.stretch.sent
+        plant, sent = out.plant, out.stretch.sent_reference
         if plant.cycles_per_row == 1 or (sent is not None and sent.unsure_s == 0.0):
             return ReceivedReferences(fine)
         if sent is None:
             return ReceivedReferences(fine, (held_rows(plant, ref),), late_jumps(plant, ref, fine))
         others = [self._shifted_reference(out, sent, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
-        by_s = plant.cycle_s * np.ceil(EVENLY * sent.unsure_s / plant.cycle_s)
+        by_s = plant.cycle_s * np.ceil(UNIFORM_HALF_WIDTH_SIGMAS * sent.unsure_s / plant.cycle_s)
         return ReceivedReferences(fine, tuple(others), self._shifted_reference(out, sent, ref, known, by_s))
 
     def _controller_commands(
@@ -160,13 +164,13 @@ class Replayer:
             drive = drive_controller(plant, course, seen, u[0], fine=True)
             return drive, self._output_every_cycle("controller", plant, drive, known)
 
-        out.drives["controller"], own = driven(references.own)
-        if out.sided and references.others:
-            out.others["controller"] = references.others
+        out.stage_inputs["controller"], own = driven(references.best_estimate)
+        if out.two_sided_alternatives and references.alternatives:
+            out.alternative_inputs["controller"] = references.alternatives
         jumped = None
-        if references.jumped is not None:
-            out.late["controller"], jumped = driven(references.jumped)
-        return _ControllerCommands(own, tuple(driven(other)[1] for other in references.others), jumped)
+        if references.late_jump_variant is not None:
+            out.late_jump_inputs["controller"], jumped = driven(references.late_jump_variant)
+        return _ControllerCommands(own, tuple(driven(other)[1] for other in references.alternatives), jumped)
 
     def _prepare_actuator_drives(
         self, out: PreparedStretch, enc: Array, u: Array, commands: _ControllerCommands
@@ -177,22 +181,26 @@ class Replayer:
         def driven(course: Array) -> Drive:
             return drive_actuator(plant, course, enc[0], loads, fine=True)
 
-        if commands.own is None:
+        if commands.best_estimate is None:
             course = smooth_course(plant, u)
-            out.drives["actuator"] = driven(course)
+            out.stage_inputs["actuator"] = driven(course)
             if plant.cycles_per_row == 1:
                 return out
             jumped = late_jump_course(plant, u)
             others = [jumped]
-            if self.nominal.has_controller:  # the mean between rows may be larger than the rows show
+            if self.nominal_machine.has_controller:  # the mean between rows may be larger than the rows show
                 others.append(course * (1.0 + self._command_ripple()))
         else:
-            out.drives["actuator"] = driven(_course_through_rows(plant, u, commands.own))
-            others = [_course_through_rows(plant, u, other) for other in commands.others]
-            jumped = None if commands.jumped is None else _course_through_rows(plant, u, commands.jumped)
+            out.stage_inputs["actuator"] = driven(_course_through_rows(plant, u, commands.best_estimate))
+            others = [_course_through_rows(plant, u, other) for other in commands.alternatives]
+            jumped = (
+                None
+                if commands.late_jump_variant is None
+                else _course_through_rows(plant, u, commands.late_jump_variant)
+            )
         if jumped is not None:
-            out.late["actuator"] = driven(jumped)
-        out.others["actuator"] = tuple(others)
+            out.late_jump_inputs["actuator"] = driven(jumped)
+        out.alternative_inputs["actuator"] = tuple(others)
         return out
 
     def _command_ripple(self) -> Array:
@@ -200,11 +208,11 @@ class Replayer:
 
         Model: a reference that steps every T makes teeth of kp v T, v = Kv u: half of one is kp Kv T / 2 of u.
         """
-        return 0.5 * SENT_S * self.plant.joints[:, kernel.KP] * self.plant.joints[:, kernel.KV]
+        return 0.5 * DEFAULT_SEND_PERIOD_S * self.plant.joints[:, kernel.KP] * self.plant.joints[:, kernel.KV]
 
     def stage_outputs(self, stage: str, prepared: PreparedStretch, sets: ParameterSets) -> Array | None:
         """What every set gives for a stage's output (sets, rows, n); None where the stretch has no input or output."""
-        drive = prepared.drives.get(stage)
+        drive = prepared.stage_inputs.get(stage)
         return None if drive is None else _stage_output(stage, prepared.plant, sets, drive)
 
     def residuals(self, stage: str, prepared: PreparedStretch, sets: ParameterSets) -> Array | None:
@@ -227,14 +235,14 @@ class Replayer:
         if plant.cycles_per_row == 1:
             return None
         every = replace(plant, log_cycle_s=plant.cycle_s)
-        none = np.zeros((drive.cycles, plant.n))
+        none = np.zeros((drive.n_cycles, plant.n))
         return _stage_output(stage, every, course, replace(drive, load=none, load_kg=none))[0]
 
     def loads_along(self, enc: Array) -> tuple[Array, Array] | None:
         """Load and load per kg along encoders (rows, n); None where masses or limits are not known."""
-        if self.torque_reference is None or self.nominal.arm is None:
+        if self.torque_reference is None or self.nominal_machine.arm is None:
             return None
-        return loads_along(self.nominal.arm, neutral_sets(self.nominal.n), enc, self.torque_reference)
+        return loads_along(self.nominal_machine.arm, neutral_sets(self.nominal_machine.n), enc, self.torque_reference)
 
 
 def within_rows(sent: SentReference, by_s: float | Array, delay_s: float) -> Array:
@@ -251,7 +259,7 @@ def _link_drive(out: PreparedStretch, sent: SentReference, t_s: Array) -> Drive:
     """What drives the link where the datagrams (k,) are taken at t_s (k,)."""
     plant, stretch = out.plant, out.stretch
     cycles = (stretch.row_count - 1) * plant.cycles_per_row + 1
-    return drive_by_sent(plant, t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.lost)
+    return drive_by_sent(plant, t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.datagram_lost)
 
 
 def _stage_output(stage: str, plant: Actuators, sets: ParameterSets, drive: Drive) -> Array:
@@ -293,11 +301,11 @@ def closed_loop(replayer: Replayer, stretch: Stretch) -> tuple[Actuators, Drive,
     if stretch.enc is None or not np.isfinite(stretch.enc).all():
         return None
     prepared = replayer.prepare(stretch)
-    drive = prepared.drives.get("link")
+    drive = prepared.stage_inputs.get("link")
     if drive is None:
         if stretch.ref is None or not np.isfinite(stretch.ref).all():
             return None
-        u = np.zeros(replayer.nominal.n) if stretch.u is None else np.nan_to_num(stretch.u[0])
+        u = np.zeros(replayer.nominal_machine.n) if stretch.u is None else np.nan_to_num(stretch.u[0])
         drive = drive_controller(prepared.plant, stretch.ref, stretch.enc, u)
     drive = replace(drive, enc_start=stretch.enc[0].copy())  # inside a dead band a joint rests anywhere
     loads = replayer.loads_along(stretch.enc)

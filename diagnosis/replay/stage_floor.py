@@ -25,8 +25,8 @@ from machine.remainder import Remainder
 from machine.rotations import Array
 
 # Repeats between which the machine itself changed: a gain that drifts is not noise.
-SURE = 30.0  # chi2 for each repeat's own gain: five standard errors and more
-TOO_FEW = 3  # two repeats have one difference, which is noise as well as anything
+GAIN_CHI2_PER_REPEAT_MIN = 30.0  # chi2 for each repeat's own gain: five standard errors and more
+GAIN_REPEATS_MIN = 3  # two repeats have one difference, which is noise as well as anything
 
 
 def without_proportional_part(repeats: Array, motion: Array, dt_s: float, where: NDArray[np.bool_]) -> Array:
@@ -35,7 +35,7 @@ def without_proportional_part(repeats: Array, motion: Array, dt_s: float, where:
     Model: d_r = g_r M + noise over white increments; chi2 = sum (g_r / its error)^2, by the noise that still holds it.
     Args:  motion: (R, m, n), what was measured of the same output. where: columns (n,) that are asked.
     """
-    if len(repeats) < TOO_FEW:
+    if len(repeats) < GAIN_REPEATS_MIN:
         return repeats
     out = repeats.copy()
     steps = [block_increments(repeat, dt_s) for repeat in repeat_deviations(repeats)]
@@ -47,7 +47,7 @@ def without_proportional_part(repeats: Array, motion: Array, dt_s: float, where:
         if power <= 0.0:
             continue
         gains = np.array([float(moved @ white.whiten(step[:, [j]])[:, 0]) for step in steps]) / power
-        if float(gains @ gains) * power > SURE * (len(repeats) - 1):
+        if float(gains @ gains) * power > GAIN_CHI2_PER_REPEAT_MIN * (len(repeats) - 1):
             course = motion[:, :, j].mean(axis=0)
             out[:, :, j] -= np.outer(
                 (gains - gains.mean()) / np.sqrt(len(repeats) / (len(repeats) - 1.0)), course - course[0]
@@ -55,10 +55,20 @@ def without_proportional_part(repeats: Array, motion: Array, dt_s: float, where:
     return out
 
 
-NO_NOISE = 0.2  # of the least sigma: below it repeats are equal but for rounding, and their filter means nothing
-SIGMA_MIN = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # nothing smaller moves the tcp by 0.1 mm
-SILENT_SHARE = 0.25  # of the least sigma, where a program leaves nothing day by day: no noise adds up along a move
-STEP_SHARE = 0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which repeats do not show when they round alike
+WHITENING_SIGMA_MIN_FRAC = (
+    0.2  # of the least sigma: below it repeats are equal but for rounding, and their filter means nothing
+)
+CREDIBLE_SIGMA_MIN_BY_STAGE = {
+    "link": 2e-5,
+    "controller": 2e-4,
+    "actuator": 2e-6,
+}  # nothing smaller moves the tcp by 0.1 mm
+NOISELESS_SIGMA_MIN_FRAC = (
+    0.25  # of the least sigma, where a program leaves nothing day by day: no noise adds up along a move
+)
+ROUNDING_SIGMA_STEP_FRAC = (
+    0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which repeats do not show when they round alike
+)
 
 
 def stage_floor(replayer: Replayer, stage: str, prepared: list[PreparedStretch], base: ParameterSets) -> Floor:
@@ -70,7 +80,7 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[PreparedStretch],
     dt = prepared[0].stretch.dt_s
     floor: Floor | None = None
     steps: list[Array] = []
-    records = [replayer.nominal.baseline_remainder(stage, j + 1) for j in range(replayer.nominal.n)]
+    records = [replayer.nominal_machine.baseline_remainder(stage, j + 1) for j in range(replayer.nominal_machine.n)]
     if len(members) > 1:
         try:
             repeats = align_repeats(members, [known[member.name] for member in members])
@@ -87,10 +97,10 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[PreparedStretch],
             floor = None
     if floor is None:
         stand_ins = [floor_without_repeats(rows, dt) for rows in known.values()]
-        sigma = np.median([stand_in.whitener.sigma for stand_in in stand_ins], axis=0)
+        sigma = np.median([stand_in.whitener.innovation_sigma for stand_in in stand_ins], axis=0)
         floor = replace(stand_ins[0], whitener=Whitener(np.zeros((0, len(sigma))), sigma), increment_rms=sigma)
     least = _least_credible_sigma(stage, prepared) * np.array(
-        [SILENT_SHARE if _is_remainder_zero(record) else 1.0 for record in records]
+        [NOISELESS_SIGMA_MIN_FRAC if _is_remainder_zero(record) else 1.0 for record in records]
     )
     floor = _not_below(floor, least)
     if not any(records):
@@ -104,7 +114,9 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[PreparedStretch],
     )
     both = with_remainder(floor, steps, ar, sigma, rms)
     believed = _not_below(both, least)
-    return replace(believed, rms=np.where(sigma > 0.0, believed.rms, both.rms))  # no remainder: as the repeats show
+    return replace(
+        believed, deviation_rms=np.where(sigma > 0.0, believed.deviation_rms, both.deviation_rms)
+    )  # no remainder: as the repeats show
 
 
 def _filled_encoders(members: tuple[Stretch, ...]) -> list[Array]:
@@ -114,10 +126,10 @@ def _filled_encoders(members: tuple[Stretch, ...]) -> list[Array]:
 def _least_credible_sigma(stage: str, prepared: list[PreparedStretch]) -> Array:
     """The least sigma of an increment (n,) that is believed."""
     n = prepared[0].plant.n
-    least = np.full(n, SIGMA_MIN[stage])
+    least = np.full(n, CREDIBLE_SIGMA_MIN_BY_STAGE[stage])
     if stage == "actuator":
         steps = [entry.stretch.enc_step for entry in prepared if entry.stretch.enc_step is not None]
-        least = np.maximum(least, STEP_SHARE * np.max(steps, axis=0, initial=0.0))
+        least = np.maximum(least, ROUNDING_SIGMA_STEP_FRAC * np.max(steps, axis=0, initial=0.0))
     return least
 
 
@@ -131,16 +143,16 @@ def _not_below(floor: Floor, least: Array) -> Floor:
 
     Returns: the floor with `rms` turned into the share of sigma that the repeats themselves show (n,).
     """
-    sigma = floor.whitener.sigma
-    a = np.where(sigma < NO_NOISE * least, 0.0, floor.whitener.a)
+    sigma = floor.whitener.innovation_sigma
+    a = np.where(sigma < WHITENING_SIGMA_MIN_FRAC * least, 0.0, floor.whitener.ar_coefficients)
     white = Whitener(a, np.maximum(sigma, least))
-    share = np.minimum(1.0, sigma / white.sigma)
-    return replace(floor, rms=share, whitener=white, increment_rms=np.maximum(floor.increment_rms, least))
+    share = np.minimum(1.0, sigma / white.innovation_sigma)
+    return replace(floor, deviation_rms=share, whitener=white, increment_rms=np.maximum(floor.increment_rms, least))
 
 
 def at_noise(floor: Floor, chosen: list[int], noise: Whitener) -> Floor:
     """A floor with another filter for some joints (0-based)."""
-    n = len(floor.whitener.sigma)
-    a, sigma, rms = np.zeros((noise.lag_count, n)), floor.whitener.sigma.copy(), floor.increment_rms.copy()
-    a[:, chosen], sigma[chosen], rms[chosen] = noise.a, noise.sigma, noise.sigma
-    return replace(floor, rms=np.ones(n), whitener=Whitener(a, sigma), increment_rms=rms)
+    n = len(floor.whitener.innovation_sigma)
+    a, sigma, rms = np.zeros((noise.lag_count, n)), floor.whitener.innovation_sigma.copy(), floor.increment_rms.copy()
+    a[:, chosen], sigma[chosen], rms[chosen] = noise.ar_coefficients, noise.innovation_sigma, noise.innovation_sigma
+    return replace(floor, deviation_rms=np.ones(n), whitener=Whitener(a, sigma), increment_rms=rms)

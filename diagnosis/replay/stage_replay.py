@@ -7,7 +7,7 @@ import numpy as np
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.tables import fill_gaps
-from diagnosis.noise.floor import BLOCK_S, Whitener
+from diagnosis.noise.floor import BLOCK_DURATION_S, Whitener
 from diagnosis.noise.of_a_day import DayNoise
 from diagnosis.replay.replayer import PreparedStretch, Replayer, measured_output
 from diagnosis.replay.side_by_side import side_by_side
@@ -17,14 +17,18 @@ from machine.effects.kernel import BREAKAWAY, BREAKAWAY_ONCE, LAG
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.rotations import Array
 
-LAST = {"link": DynamicStage.LINK, "controller": DynamicStage.CONTROLLER, "actuator": DynamicStage.ACTUATOR}
-OUTPUT = {"link": "ref", "controller": "u", "actuator": "enc"}
-SKIPPED = 10  # increments at a stretch's start: the valve's state is not known there
-TIMING_S = 1.5e-3
-PASSES = 3
-SIDES = 2  # courses in addition to what was sent: a cycle later, and one earlier
-TINY = 1e-12
-UNIFORM = 3.0**-0.5  # standard deviation of what lies anywhere between -1 and 1
+DYNAMIC_STAGE_BY_NAME = {
+    "link": DynamicStage.LINK,
+    "controller": DynamicStage.CONTROLLER,
+    "actuator": DynamicStage.ACTUATOR,
+}
+STAGE_OUTPUT_SIGNALS = {"link": "ref", "controller": "u", "actuator": "enc"}
+START_SKIPPED_INCREMENTS = 10  # increments at a stretch's start: the valve's state is not known there
+TIMING_UNCERTAINTY_S = 1.5e-3
+GAUSS_SEIDEL_SWEEPS = 3
+TIMING_ALTERNATIVES = 2  # courses in addition to what was sent: a cycle later, and one earlier
+POWER_EPSILON = 1e-12
+UNIFORM_SIGMA_PER_HALF_WIDTH = 3.0**-0.5  # standard deviation of what lies anywhere between -1 and 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +45,14 @@ class StretchReplay:
     """
 
     plant: Actuators
-    drive: Drive
-    measured: Array
+    stage_input: Drive
+    measured_output: Array
     stretch: Stretch
-    between: tuple[Array, ...] = ()
-    sided: bool = False
-    unsure: Array | None = None
-    slower: Array | None = None
-    moved: tuple[Callable[[Array], Array] | None, ...] = ()
+    input_guess_differences: tuple[Array, ...] = ()
+    two_sided_alternatives: bool = False
+    jump_timing_differences: Array | None = None
+    valve_delay_differences: Array | None = None
+    model_error_by_motion: tuple[Callable[[Array], Array] | None, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,31 +64,38 @@ class Replay:
 
     stage: str
     joints: tuple[int, ...]
-    parts: tuple[StretchReplay, ...]
+    stretch_replays: tuple[StretchReplay, ...]
     whitener: Whitener
-    day: DayNoise | None = None
+    day_to_day_noise: DayNoise | None = None
 
     def __call__(self, sets: ParameterSets) -> Array:
         """Residuals (sets, N): stretches end to end, channels within each."""
-        chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(self.joints)]), sets.machine)
-        out = np.concatenate(side_by_side(lambda part: self._whitened_residual(part, chosen), self.parts), axis=1)
-        return out if self.day is None else self.day.whiten(out)
+        chosen = ParameterSets(
+            np.ascontiguousarray(sets.joint_parameters[:, list(self.joints)]), sets.machine_parameters
+        )
+        out = np.concatenate(
+            side_by_side(lambda part: self._whitened_residual(part, chosen), self.stretch_replays), axis=1
+        )
+        return out if self.day_to_day_noise is None else self.day_to_day_noise.whiten(out)
 
     def _whitened_residual(self, part: StretchReplay, sets: ParameterSets) -> Array:
         steps, shift = part_increments(self.stage, part, sets)
         weight = row_weights(part, self.whitener)
-        white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
-        sent = part.stretch.sent
+        white = whiten_sets(self.whitener, steps)[:, START_SKIPPED_INCREMENTS:] * weight
+        sent = part.stretch.sent_reference
         least, most = -1.0, 1.0
-        if part.sided and sent is not None:  # one to either side
+        if part.two_sided_alternatives and sent is not None:  # one to either side
             least, most = -min(1.0, sent.unsure_s / part.plant.cycle_s), 0.0
-        guesses = [(difference[None], least, most) for difference in part.between]
-        if part.slower is not None:
-            guesses.append((part.slower[None], -1.0, 1.0))
+        guesses = [(difference[None], least, most) for difference in part.input_guess_differences]
+        if part.valve_delay_differences is not None:
+            guesses.append((part.valve_delay_differences[None], -1.0, 1.0))
         if self.stage == "actuator":
-            guesses.append((shift, -TIMING_S, TIMING_S))
+            guesses.append((shift, -TIMING_UNCERTAINTY_S, TIMING_UNCERTAINTY_S))
         if guesses:
-            columns = [(whiten_sets(self.whitener, signal)[:, SKIPPED:] * weight, a, b) for signal, a, b in guesses]
+            columns = [
+                (whiten_sets(self.whitener, signal)[:, START_SKIPPED_INCREMENTS:] * weight, a, b)
+                for signal, a, b in guesses
+            ]
             white = _remove_log_uncertainty(white, columns)
         return white.transpose(0, 2, 1).reshape(len(white), -1)
 
@@ -95,9 +106,16 @@ def row_weights(part: StretchReplay, whitener: Whitener) -> Array | float:
     Model: 1 / (1 + x^2) over the jump's standard deviation x: near the noise a row counts as chance would have it, far
            above it not at all, rather than one deviation each time.
     """
-    if part.unsure is None:
+    if part.jump_timing_differences is None:
         return 1.0
-    return 1.0 / (1.0 + (UNIFORM * whiten_sets(whitener, part.unsure[None])[:, SKIPPED:]) ** 2)
+    return 1.0 / (
+        1.0
+        + (
+            UNIFORM_SIGMA_PER_HALF_WIDTH
+            * whiten_sets(whitener, part.jump_timing_differences[None])[:, START_SKIPPED_INCREMENTS:]
+        )
+        ** 2
+    )
 
 
 def _remove_log_uncertainty(white: Array, columns: list[tuple[Array, float, float]]) -> Array:
@@ -111,10 +129,10 @@ def _remove_log_uncertainty(white: Array, columns: list[tuple[Array, float, floa
     products = [[(a * b).sum(axis=1) for b, _, _ in columns] for a, _, _ in columns]
     wanted = [-(column * white).sum(axis=1) for column, _, _ in columns]
     amounts = [np.zeros_like(amount) for amount in wanted]
-    for _ in range(PASSES):
+    for _ in range(GAUSS_SEIDEL_SWEEPS):
         for k, (_, least, most) in enumerate(columns):
             others = sum(products[k][i] * amounts[i] for i in range(len(columns)) if i != k)
-            power = np.where(products[k][k] > TINY, products[k][k], np.inf)
+            power = np.where(products[k][k] > POWER_EPSILON, products[k][k], np.inf)
             amounts[k] = np.clip((wanted[k] - others) / power, least, most)
     left = white
     for amount, (column, _, _) in zip(amounts, columns, strict=True):
@@ -124,15 +142,15 @@ def _remove_log_uncertainty(white: Array, columns: list[tuple[Array, float, floa
 
 def part_increments(stage: str, part: StretchReplay, sets: ParameterSets) -> tuple[Array, Array]:
     """20 Hz increments (sets, m, joints) of measured less replayed, and their change per second of delay."""
-    traces = simulate(part.plant, sets, part.drive, LAST[stage])
-    modelled = getattr(traces, OUTPUT[stage])
-    error = part.measured[None, : modelled.shape[1]] - modelled
-    for channel, otherwise in enumerate(part.moved):
+    traces = simulate(part.plant, sets, part.stage_input, DYNAMIC_STAGE_BY_NAME[stage])
+    modelled = getattr(traces, STAGE_OUTPUT_SIGNALS[stage])
+    error = part.measured_output[None, : modelled.shape[1]] - modelled
+    for channel, otherwise in enumerate(part.model_error_by_motion):
         if otherwise is None:
             continue
-        for k in np.nonzero(sets.joint[:, channel, [BREAKAWAY, BREAKAWAY_ONCE]].any(axis=1))[0]:
+        for k in np.nonzero(sets.joint_parameters[:, channel, [BREAKAWAY, BREAKAWAY_ONCE]].any(axis=1))[0]:
             error[k, :, channel] -= otherwise(modelled[k, :, channel])
-    size = max(1, round(BLOCK_S / part.stretch.dt_s))
+    size = max(1, round(BLOCK_DURATION_S / part.stretch.dt_s))
     rows = error.shape[1] // size * size
     shape = (len(error), -1, size, error.shape[2])
     means = error[:, :rows].reshape(shape).mean(axis=2)
@@ -155,13 +173,13 @@ def whiten_sets(whitener: Whitener, steps: Array) -> Array:
     p = whitener.lag_count
     out = steps[:, p:].copy()
     for i in range(p):
-        out -= whitener.a[i] * steps[:, p - 1 - i : steps.shape[1] - 1 - i]
-    return out / whitener.sigma
+        out -= whitener.ar_coefficients[i] * steps[:, p - 1 - i : steps.shape[1] - 1 - i]
+    return out / whitener.innovation_sigma
 
 
 def part_of(stage: str, prepared: PreparedStretch, joints: list[int], replayer: Replayer) -> StretchReplay:
     """One stretch's replay narrowed to some joints (0-based)."""
-    drive = prepared.drives[stage]
+    drive = prepared.stage_inputs[stage]
     signals = {name: getattr(drive, name) for name in ("sent", "ref", "enc", "u", "load", "load_kg")}
     cut = {name: np.ascontiguousarray(values[:, joints]) for name, values in signals.items()}
     narrowed = replace(drive, **cut, enc_start=drive.enc_start[joints].copy(), u_start=drive.u_start[joints].copy())
@@ -171,42 +189,50 @@ def part_of(stage: str, prepared: PreparedStretch, joints: list[int], replayer: 
         raise DiagnosisError(f"{prepared.stretch.name}: the output of stage {stage} was not recorded")
     measured = fill_gaps(output)[:, joints]
     part = StretchReplay(plant, narrowed, measured, prepared.stretch)
-    finer = np.array([0.0 if replayer.baseline_knows(stage, j) else replayer.finer for j in joints])
+    finer = np.array([0.0 if replayer.baseline_knows(stage, j) else replayer.step_refinement_frac for j in joints])
     if stage == "actuator" and finer.any():
-        part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
+        part = replace(part, measured_output=measured - finer * by_steps(part)[: len(measured)])
     own = part_increments(stage, part, neutral_sets(len(joints)))[0][0]
 
     def apart(**inputs: Array) -> Array:
         other = replace(
-            part, drive=replace(part.drive, **{k: np.ascontiguousarray(x[:, joints]) for k, x in inputs.items()})
+            part,
+            stage_input=replace(part.stage_input, **{k: np.ascontiguousarray(x[:, joints]) for k, x in inputs.items()}),
         )
         return own - part_increments(stage, other, neutral_sets(len(joints)))[0][0]
 
-    signal = "u" if drive.first is DynamicStage.ACTUATOR else "ref"
-    jumped = prepared.late.get(stage)
+    signal = "u" if drive.first_stage is DynamicStage.ACTUATOR else "ref"
+    jumped = prepared.late_jump_inputs.get(stage)
     unsure = None if jumped is None else apart(**{signal: getattr(jumped, signal)})
-    between = tuple(apart(**{signal: course}) for course in prepared.others.get(stage, ()))
+    between = tuple(apart(**{signal: course}) for course in prepared.alternative_inputs.get(stage, ()))
     slower = None
-    if stage == "actuator" and drive.first < DynamicStage.ACTUATOR:
+    if stage == "actuator" and drive.first_stage < DynamicStage.ACTUATOR:
         slower = own - part_increments(stage, part, _late_valves(len(joints)))[0][0]
-    return replace(part, between=between, sided=prepared.sided, unsure=unsure, slower=slower)
+    return replace(
+        part,
+        input_guess_differences=between,
+        two_sided_alternatives=prepared.two_sided_alternatives,
+        jump_timing_differences=unsure,
+        valve_delay_differences=slower,
+    )
 
 
 def _late_valves(joints: int) -> ParameterSets:
     sets = neutral_sets(joints)
-    sets.joint[..., LAG] = TIMING_S
+    sets.joint_parameters[..., LAG] = TIMING_UNCERTAINTY_S
     return sets
 
 
 def by_steps(part: StretchReplay) -> Array:
     """What an endless number of steps changes in the modelled course (rows, joints), to first order in the step."""
     own, half = (
-        simulate(replace(part.plant, refined=times), neutral_sets(part.plant.n), part.drive).enc[0] for times in (1, 2)
+        simulate(replace(part.plant, step_refinement_factor=times), neutral_sets(part.plant.n), part.stage_input).enc[0]
+        for times in (1, 2)
     )
     return 2.0 * (half - own)
 
 
 def white_rows(part: StretchReplay, order: int) -> int:
     """White residuals of one channel in a part."""
-    size = max(1, round(BLOCK_S / part.stretch.dt_s))
-    return max(0, len(part.measured) // size - 1 - order - SKIPPED)
+    size = max(1, round(BLOCK_DURATION_S / part.stretch.dt_s))
+    return max(0, len(part.measured_output) // size - 1 - order - START_SKIPPED_INCREMENTS)

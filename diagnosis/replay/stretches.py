@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from diagnosis.datagrams.sent import SentReference, arrivals_of, sent_within
 from diagnosis.log.findings import Finding
-from diagnosis.log.quality import DURATION_MIN_S, EDGE_S, GAP_STEPS, ROWS_MIN, too_long
+from diagnosis.log.quality import DURATION_MIN_S, GAP_MIN_MEDIAN_STEPS, LOG_ROWS_MIN, SEGMENT_EDGE_TOLERANCE_S, too_long
 from diagnosis.log.stamps import even_grid, taken_evenly
 from diagnosis.log.tables import PlcTable, Tables
 from diagnosis.noise.floor import encoder_step
@@ -17,10 +17,12 @@ from machine.effects.dynamics import Actuators
 from machine.rotations import Array
 from recording.run import Segment
 
-MEND_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
-STOOD_RAD = 2e-3  # no joint went further than this from where it was: one posture
-SHARED_ROWS_MAX = 2  # one segment may end where the next begins
-JITTER_MAX = 0.02  # of a step: rows whose stamps are closer to the even grid than this are taken as even
+INTERPOLATED_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
+STANDSTILL_RANGE_MAX_RAD = 2e-3  # no joint went further than this from where it was: one posture
+SEGMENT_OVERLAP_ROWS_MAX = 2  # one segment may end where the next begins
+STAMP_JITTER_MAX_STEP_FRAC = (
+    0.02  # of a step: rows whose stamps are closer to the even grid than this are taken as even
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +36,7 @@ class Stretch:
     """
 
     name: str
-    kind: str
+    segment_kind: str
     repeat_of: str
     t_segment_s: float
     dt_s: float
@@ -42,7 +44,7 @@ class Stretch:
     ref: Array | None
     enc: Array | None
     u: Array | None
-    sent: SentReference | None = None
+    sent_reference: SentReference | None = None
     enc_step: Array | None = None
     ref_logged: bool = True
 
@@ -67,7 +69,7 @@ def stood_still(stretches: tuple[Stretch, ...]) -> bool:
             continue
         known = np.concatenate(rows)
         known = known[np.isfinite(known).all(axis=1)]
-        if len(known) == 0 or np.ptp(known, axis=0).max() > STOOD_RAD:
+        if len(known) == 0 or np.ptp(known, axis=0).max() > STANDSTILL_RANGE_MAX_RAD:
             return False
     return bool(stretches)
 
@@ -81,14 +83,14 @@ def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[
     if plc is None or (plc.enc is None and plc.ref is None):
         return (), []
     findings: list[Finding] = []
-    segments = tables.run.segments or _whole_log_segment(plc, findings)
+    segments = tables.run_info.segments or _whole_log_segment(plc, findings)
     came = arrivals_of(tables, plant, findings)
     enc_step = None if plc.enc is None else np.array([encoder_step(column) for column in plc.enc.T])
     broken = _unfillable_rows(plc)
     own, others = own_rows(plc.t_s, segments, findings)
-    cut = [list(_gap_free_pieces(plc, broken, rows, GAP_STEPS)) for rows in own]
+    cut = [list(_gap_free_pieces(plc, broken, rows, GAP_MIN_MEDIAN_STEPS)) for rows in own]
     if not any(cut):
-        cut = [list(_gap_free_pieces(plc, broken, rows, MEND_ROWS_MAX + GAP_STEPS)) for rows in own]
+        cut = [list(_gap_free_pieces(plc, broken, rows, INTERPOLATED_ROWS_MAX + GAP_MIN_MEDIAN_STEPS)) for rows in own]
         findings += _bridged_rows_findings(cut)
     found: list[Stretch] = []
     named: Counter[str] = Counter()
@@ -131,7 +133,10 @@ def _uneven_stamps(plc: PlcTable, cut: list[list[NDArray[np.int64]]], found: lis
 def _bridged_rows_findings(cut: list[list[NDArray[np.int64]]]) -> list[Finding]:
     if not any(cut):
         return []
-    text = f"rows are missing so often that no stretch is whole; up to {MEND_ROWS_MAX} at a time are filled by lines"
+    text = (
+        f"rows are missing so often that no stretch is whole; up to {INTERPOLATED_ROWS_MAX} at a time are filled "
+        "by lines"
+    )
     return [Finding("bridged", "problem", "plc.csv", f"{text}: look at the logger")]
 
 
@@ -146,7 +151,10 @@ def own_rows(
          was said to have a cause outside the catalogue. Repeats that share rows are refused elsewhere.
     """
     inside = [
-        np.nonzero((t_s >= segment.t_start_plc_s - EDGE_S) & (t_s <= segment.t_end_plc_s + EDGE_S))[0]
+        np.nonzero(
+            (t_s >= segment.t_start_plc_s - SEGMENT_EDGE_TOLERANCE_S)
+            & (t_s <= segment.t_end_plc_s + SEGMENT_EDGE_TOLERANCE_S)
+        )[0]
         for segment in segments
     ]
     repeated = {segment.repeat_of for segment in segments if segment.repeat_of}
@@ -154,10 +162,10 @@ def own_rows(
     taken, shared, left_out = np.zeros(len(t_s), dtype=bool), 0, set[int]()
     for k in sorted(range(len(segments)), key=lambda k: (not first[k], len(inside[k]))):
         again = taken[inside[k]]
-        if not first[k] and again.sum() > SHARED_ROWS_MAX:
+        if not first[k] and again.sum() > SEGMENT_OVERLAP_ROWS_MAX:
             shared += int(again.sum())
             inside[k] = inside[k][~again]
-            if len(inside[k]) < ROWS_MIN or np.ptp(t_s[inside[k]]) < DURATION_MIN_S:
+            if len(inside[k]) < LOG_ROWS_MIN or np.ptp(t_s[inside[k]]) < DURATION_MIN_S:
                 left_out.add(k)
                 continue
         taken[inside[k]] = True
@@ -179,7 +187,7 @@ def _gap_free_pieces(
     cut = too_long(steps, median, longest) | (steps <= 0.0) | (np.diff(rows) > 1)
     for piece in np.split(rows, np.nonzero(cut)[0] + 1):
         for part in np.split(piece, np.nonzero(np.diff(broken[piece].astype(int)))[0] + 1):
-            if len(part) >= ROWS_MIN and not broken[part[0]] and np.ptp(plc.t_s[part]) >= DURATION_MIN_S:
+            if len(part) >= LOG_ROWS_MIN and not broken[part[0]] and np.ptp(plc.t_s[part]) >= DURATION_MIN_S:
                 yield part
 
 
@@ -193,7 +201,7 @@ def _unfillable_rows(plc: PlcTable) -> NDArray[np.bool_]:
                 continue
             edges = np.diff(np.concatenate([[0], missing.astype(int), [0]]))
             for start, end in zip(np.nonzero(edges > 0)[0], np.nonzero(edges < 0)[0], strict=True):
-                if end - start > MEND_ROWS_MAX or start == 0 or end == len(column):
+                if end - start > INTERPOLATED_ROWS_MAX or start == 0 or end == len(column):
                     broken[start:end] = True
     return broken
 
@@ -205,7 +213,9 @@ def _filled_number_findings(plc: PlcTable, broken: NDArray[np.bool_]) -> list[Fi
             count += int((~np.isfinite(values) & ~broken[:, None] & ~np.isnan(values).all(axis=0)).sum())
     if not count:
         return []
-    text = f"{count} single missing numbers (runs of {MEND_ROWS_MAX} rows or fewer) are filled by straight lines"
+    text = (
+        f"{count} single missing numbers (runs of {INTERPOLATED_ROWS_MAX} rows or fewer) are filled by straight lines"
+    )
     return [Finding("not_a_number", "note", "plc.csv", text, count)]
 
 
@@ -216,7 +226,7 @@ def _build_stretch(
     dt = float((t[-1] - t[0]) / (len(t) - 1))
     grid = t[0] + dt * np.arange(len(t))
     when = t
-    if np.abs(t - grid).max() <= JITTER_MAX * dt:
+    if np.abs(t - grid).max() <= STAMP_JITTER_MAX_STEP_FRAC * dt:
         when = grid
     elif taken_evenly(None if plc.enc is None else plc.enc[rows], t, nearest := even_grid(t)):
         when = grid = nearest
@@ -224,7 +234,15 @@ def _build_stretch(
     signals = {name: _resample_signal(getattr(plc, name), rows, when, grid) for name in ("ref", "enc", "u")}
     repeat = segment.repeat_of
     return Stretch(
-        name, segment.kind, repeat, segment.t_start_plc_s, dt, grid, **signals, sent=sent, ref_logged=plc.ref_logged
+        name,
+        segment.kind,
+        repeat,
+        segment.t_start_plc_s,
+        dt,
+        grid,
+        **signals,
+        sent_reference=sent,
+        ref_logged=plc.ref_logged,
     )
 
 

@@ -8,9 +8,13 @@ from diagnosis.report.html import html_section, html_table, wrap_scrollable
 from diagnosis.report.text import place_text
 from diagnosis.verdict import SMALL_MM
 
-SIGNS = {"none": "✓", "effects": "✓", "partly": "◐", "outside": "✗", "undecided": "?"}
-COLUMNS = {"stands": "where the tool stands", "gets_there": "how it gets there", "sees": "what the camera sees"}
-VERDICTS = {
+VERDICT_SYMBOLS = {"none": "✓", "effects": "✓", "partly": "◐", "outside": "✗", "undecided": "?"}
+BUDGET_COLUMN_LABELS = {
+    "stands": "where the tool stands",
+    "gets_there": "how it gets there",
+    "sees": "what the camera sees",
+}
+STAGE_VERDICT_LABELS = {
     "none": "no gap",
     "explained": "explained",
     "partly": "partly explained",
@@ -18,9 +22,9 @@ VERDICTS = {
     "not_measured": "not measured",
 }
 ROW, LABEL, WIDTH, RIGHT = 24, 300, 720, 60
-LISTED = 12  # effects drawn; the table has them all
-SEEN_MM = 0.05  # a step that is narrower than a line is not drawn
-OTHERS = 3  # sets in an effect's place that a line names; the JSON has them all
+DRAWN_EFFECTS_MAX = 12  # effects drawn; the table has them all
+DRAWN_STEP_MIN_MM = 0.05  # a step that is narrower than a line is not drawn
+NAMED_ALTERNATIVES_MAX = 3  # sets in an effect's place that a line names; the JSON has them all
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:
@@ -52,8 +56,8 @@ def _is_small(effect: dict[str, Any]) -> bool:
 
 def _alternatives_text(effect: dict[str, Any]) -> str:
     others = [" + ".join(place_text(member) for member in members) for members in effect["equals"]]
-    more = [f"{len(others) - OTHERS} more"] if len(others) > OTHERS else []
-    return f"  (or {', or '.join([*others[:OTHERS], *more])})" if others else ""
+    more = [f"{len(others) - NAMED_ALTERNATIVES_MAX} more"] if len(others) > NAMED_ALTERNATIVES_MAX else []
+    return f"  (or {', or '.join([*others[:NAMED_ALTERNATIVES_MAX], *more])})" if others else ""
 
 
 def budget_head(result: dict[str, Any], name: str) -> str:
@@ -71,7 +75,8 @@ def budget_head(result: dict[str, Any], name: str) -> str:
     items = "".join(f"<li>{escape(text)}</li>" for text in facts)
     return (
         f"<p class='name'>Error budget of {escape(name)}</p>"
-        f'<header class="{escape(result["verdict"])}"><span aria-hidden="true">{SIGNS[result["verdict"]]}</span>'
+        f'<header class="{escape(result["verdict"])}">'
+        f'<span aria-hidden="true">{VERDICT_SYMBOLS[result["verdict"]]}</span>'
         f"<div><h1>{escape(result['budget']['sentence'])}</h1><ul>{items}</ul></div></header>"
     )
 
@@ -99,7 +104,7 @@ def _waterfall_chart(effects: list[dict[str, Any]], columns: list[dict[str, Any]
     own = [
         effect
         for effect in effects
-        if effect["column"] in names and effect["status"] == "confirmed" and effect["tool_mm"] > SEEN_MM
+        if effect["column"] in names and effect["status"] == "confirmed" and effect["tool_mm"] > DRAWN_STEP_MIN_MM
     ]
     if not columns:
         return ""
@@ -108,12 +113,12 @@ def _waterfall_chart(effects: list[dict[str, Any]], columns: list[dict[str, Any]
     total = sum(effect["squares_mm2"] for effect in own) or 1.0
     scale = (start**2 - end**2) / total  # so that the steps end at what was measured to be left
     rows, level, square = [("nominal model misses", 0.0, start, "before")], start, start**2
-    for effect in own[:LISTED]:
+    for effect in own[:DRAWN_EFFECTS_MAX]:
         square = max(0.0, square - scale * effect["squares_mm2"])
         rows.append((place_text(effect).replace("_", " "), sqrt(square), level, "step"))
         level = sqrt(square)
-    if len(own) > LISTED:
-        rows.append((f"{len(own) - LISTED} smaller effects", end, level, "step"))
+    if len(own) > DRAWN_EFFECTS_MAX:
+        rows.append((f"{len(own) - DRAWN_EFFECTS_MAX} smaller effects", end, level, "step"))
     rows.append(("left with the confirmed effects", 0.0, end, "left"))
     most = max(high for _, _, high, _ in rows) or 1.0
     span = WIDTH - LABEL - RIGHT
@@ -135,7 +140,7 @@ def _waterfall_chart(effects: list[dict[str, Any]], columns: list[dict[str, Any]
 def _columns_table(columns: list[dict[str, Any]]) -> str:
     rows = [
         [
-            COLUMNS[column["column"]],
+            BUDGET_COLUMN_LABELS[column["column"]],
             column["before_mm"],
             column["after_mm"],
             column["floor_mm"],
@@ -150,7 +155,7 @@ def _effects_table(effects: list[dict[str, Any]]) -> str:
     rows = [
         [
             place_text(effect).replace("_", " "),
-            COLUMNS.get(effect["column"], ""),
+            BUDGET_COLUMN_LABELS.get(effect["column"], ""),
             f"{effect['tool_mm']:.3g} ({effect['tool_low_mm']:.3g} to {effect['tool_high_mm']:.3g})",
             f"{100 * effect['share_frac']:.1f} %",
             f"{100 * effect['probability']:.0f} %",
@@ -165,7 +170,7 @@ def _stages_table(stages: list[dict[str, Any]]) -> str:
     rows = [
         [
             stage["stage"] + (f" {stage['joint']}" if stage["joint"] else ""),
-            VERDICTS[stage["verdict"]],
+            STAGE_VERDICT_LABELS[stage["verdict"]],
             stage["before_mm"],
             stage["after_mm"],
             stage["would_measure"],

@@ -8,8 +8,8 @@ from machine.effects.spec import STAGES
 
 BOX_W, BOX_H, STEP = 92, 112, 104
 LEFT, TOP = 6, 6
-BAR_H = 40
-FITS = 15  # letters of a cause across a box; longer ones are drawn narrower
+BAR_HEIGHT_PX = 40
+BOX_TEXT_LETTERS_MAX = 15  # letters of a cause across a box; longer ones are drawn narrower
 
 
 def chain_svg(result: dict[str, Any]) -> str:
@@ -69,13 +69,17 @@ def _stage_box_svg(number: int, stage: str, share: float | None, judged: bool, n
         text = "nothing there" if judged else "not measured"
         out.append(f'<text x="{middle}" y="{TOP + 55}" text-anchor="middle">{text}</text>')
     else:
-        height = BAR_H * share / largest if largest > 0.0 else 0.0
-        base = TOP + 24 + BAR_H
-        out.append(f'<rect class="track" x="{middle - 12}" y="{base - BAR_H}" width="24" height="{BAR_H}"/>')
+        height = BAR_HEIGHT_PX * share / largest if largest > 0.0 else 0.0
+        base = TOP + 24 + BAR_HEIGHT_PX
+        out.append(
+            f'<rect class="track" x="{middle - 12}" y="{base - BAR_HEIGHT_PX}" width="24" height="{BAR_HEIGHT_PX}"/>'
+        )
         out.append(f'<rect class="bar" x="{middle - 12}" y="{base - height:.1f}" width="24" height="{height:.1f}"/>')
         out.append(f'<text x="{middle}" y="{base + 14}" text-anchor="middle">{100 * share:.0f} %</text>')
     for k, text in enumerate(_shorten_effect_list(named)):
-        narrow = f' textLength="{BOX_W - 8}" lengthAdjust="spacingAndGlyphs"' if len(text) > FITS else ""
+        narrow = (
+            f' textLength="{BOX_W - 8}" lengthAdjust="spacingAndGlyphs"' if len(text) > BOX_TEXT_LETTERS_MAX else ""
+        )
         at = f'x="{middle}" y="{TOP + 90 + 11 * k}" text-anchor="middle"'
         out.append(f'<text class="cause" {at}{narrow}>{escape(text)}</text>')
     return f"<g>{''.join(out)}</g>"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.replay.stage_replay import LAST, OUTPUT, Replay, StretchReplay
+from diagnosis.replay.stage_replay import DYNAMIC_STAGE_BY_NAME, STAGE_OUTPUT_SIGNALS, Replay, StretchReplay
 from diagnosis.search.candidates import parameter_sets_with
 from diagnosis.sliding import is_joint_sliding, unit_of
 from diagnosis.whole_model.held_out import HeldOut
@@ -14,10 +14,10 @@ from machine.effects.dynamics import simulate
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-CELLS_MAX = 4
-SIGNALS = {"link": "reference received", "controller": "valve command", "actuator": "joint angle"}
-SLID = {"joint angle": "joint position"}  # of a joint that slides
-SIGNAL_UNITS = {"link": "rad", "controller": "of full command", "actuator": "rad"}
+PLOTTED_CELLS_MAX = 4
+STAGE_OUTPUT_LABELS = {"link": "reference received", "controller": "valve command", "actuator": "joint angle"}
+SLIDING_SIGNAL_LABELS = {"joint angle": "joint position"}  # of a joint that slides
+STAGE_OUTPUT_UNITS = {"link": "rad", "controller": "of full command", "actuator": "rad"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,50 +28,50 @@ class CellResiduals:
     """
 
     t_s: Array
-    before: Array
-    after: Array
-    series: NDArray[np.int64]
+    residual_without_effects: Array
+    residual_with_effects: Array
+    series_index: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayedTrajectory:
     """One held-out trajectory of one joint: t_s, measured, nominal, explained (m,) each, in `unit`."""
 
-    kind: str
+    segment_kind: str
     joint: int
-    signal: str
+    signal_label: str
     unit: str
     t_s: Array
-    measured: Array
-    nominal: Array
-    explained: Array
+    measured_output: Array
+    nominal_output: Array
+    output_with_effects: Array
 
 
 @dataclass(frozen=True, slots=True)
 class CellCurves:
     """The plots of one cell. `replayed` is None where the cell holds no trajectories (points, marker corners)."""
 
-    label: str
-    named: str
+    cell_label: str
+    named_effects: str
     residuals: CellResiduals
-    replayed: ReplayedTrajectory | None
+    replayed_trajectory: ReplayedTrajectory | None
 
 
 def curves_of(cells: Sequence[HeldOut], sliding: tuple[bool, ...]) -> tuple[CellCurves, ...]:
     """Of the cells with the largest gaps, at most four; those with a named effect first."""
     ranked = sorted(cells, key=lambda held_out: (not held_out.fit.hypothesis, -_mean_square_before(held_out)))
-    return tuple(_cell_curves(held_out, sliding) for held_out in ranked[:CELLS_MAX])
+    return tuple(_cell_curves(held_out, sliding) for held_out in ranked[:PLOTTED_CELLS_MAX])
 
 
 def _mean_square_before(held_out: HeldOut) -> float:
-    return float(np.mean(held_out.before**2))
+    return float(np.mean(held_out.residual_without_effects**2))
 
 
 def _cell_curves(held_out: HeldOut, sliding: tuple[bool, ...]) -> CellCurves:
     cell = held_out.cell
     named = " + ".join(effect.name for effect in held_out.fit.hypothesis)
     order = np.argsort(cell.t_s, kind="stable")
-    before, after = held_out.before, held_out.after
+    before, after = held_out.residual_without_effects, held_out.residual_with_effects
     white = CellResiduals(cell.t_s[order], before[order], after[order], cell.rows.series[order])
     return CellCurves(cell.label, named, white, _replayed_trajectory(held_out, sliding))
 
@@ -82,31 +82,31 @@ def _replayed_trajectory(held_out: HeldOut, sliding: tuple[bool, ...]) -> Replay
     Without a named effect: where the gap is largest; nominal and explained are then the same.
     """
     replay = held_out.cell.whitened
-    if not isinstance(replay, Replay) or not replay.parts:
+    if not isinstance(replay, Replay) or not replay.stretch_replays:
         return None
     before, after = (
-        _squares_by_stretch(held_out, replay, held_out.before),
-        _squares_by_stretch(held_out, replay, held_out.after),
+        _squares_by_stretch(held_out, replay, held_out.residual_without_effects),
+        _squares_by_stretch(held_out, replay, held_out.residual_with_effects),
     )
     wanted = before - after if held_out.fit.hypothesis else before
     at, channel = np.unravel_index(int(np.argmax(wanted)), wanted.shape)
-    part = replay.parts[int(at)]
+    part = replay.stretch_replays[int(at)]
     fold = _fold_of(held_out, int(at) * len(replay.joints) + int(channel))
     theta = held_out.theta_without(fold)
-    base = held_out.cell.base
+    base = held_out.cell.baseline_parameters
     traces = [
         _simulated_output(replay, part, sets, int(channel))
         for sets in (base, parameter_sets_with(base, held_out.fit.hypothesis, theta))
     ]
     rows, joint = len(traces[0]), replay.joints[int(channel)]
-    signal = SIGNALS[replay.stage]
+    signal = STAGE_OUTPUT_LABELS[replay.stage]
     return ReplayedTrajectory(
-        part.stretch.kind,
+        part.stretch.segment_kind,
         joint + 1,
-        SLID.get(signal, signal) if is_joint_sliding(sliding, joint) else signal,
-        unit_of(SIGNAL_UNITS[replay.stage], sliding, joint),
+        SLIDING_SIGNAL_LABELS.get(signal, signal) if is_joint_sliding(sliding, joint) else signal,
+        unit_of(STAGE_OUTPUT_UNITS[replay.stage], sliding, joint),
         part.stretch.t_s[:rows] - part.stretch.t_s[0],
-        part.measured[:rows, int(channel)],
+        part.measured_output[:rows, int(channel)],
         *traces,
     )
 
@@ -114,8 +114,8 @@ def _replayed_trajectory(held_out: HeldOut, sliding: tuple[bool, ...]) -> Replay
 def _squares_by_stretch(held_out: HeldOut, replay: Replay, residual: Array) -> Array:
     """Sum of squared held-out residuals by stretch and channel (parts, joints)."""
     series = held_out.cell.rows.series
-    sums = np.bincount(series, weights=residual**2, minlength=len(replay.parts) * len(replay.joints))
-    return np.asarray(sums, dtype=float).reshape(len(replay.parts), len(replay.joints))
+    sums = np.bincount(series, weights=residual**2, minlength=len(replay.stretch_replays) * len(replay.joints))
+    return np.asarray(sums, dtype=float).reshape(len(replay.stretch_replays), len(replay.joints))
 
 
 def _fold_of(held_out: HeldOut, series: int) -> int:
@@ -124,6 +124,8 @@ def _fold_of(held_out: HeldOut, series: int) -> int:
 
 
 def _simulated_output(replay: Replay, part: StretchReplay, sets: ParameterSets, channel: int) -> Array:
-    chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(replay.joints)]), sets.machine)
-    traces = simulate(part.plant, chosen, part.drive, LAST[replay.stage])
-    return np.asarray(getattr(traces, OUTPUT[replay.stage])[0, : len(part.measured), channel], dtype=float)
+    chosen = ParameterSets(np.ascontiguousarray(sets.joint_parameters[:, list(replay.joints)]), sets.machine_parameters)
+    traces = simulate(part.plant, chosen, part.stage_input, DYNAMIC_STAGE_BY_NAME[replay.stage])
+    return np.asarray(
+        getattr(traces, STAGE_OUTPUT_SIGNALS[replay.stage])[0, : len(part.measured_output), channel], dtype=float
+    )

@@ -5,7 +5,7 @@ from html import escape
 from typing import Any
 
 # The page's style sheet: light and dark, nothing loaded from elsewhere.
-STYLE = """
+PAGE_CSS = """
 :root{--ink:#1d2429;--soft:#5c6a73;--paper:#fff;--line:#d4dbe0;--before:#c2571a;--after:#1668b8;
 --measured:#1d2429;
 --good:#1d7a46;--warn:#9a6700;--bad:#b3261e;--tint:#f3f6f8}
@@ -55,7 +55,7 @@ def html_document(title: str, body: str) -> str:
     """The whole page, without scripts."""
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{STYLE}</style>"
+        f"<title>{escape(title)}</title><style>{PAGE_CSS}</style>"
     )
     return f'<!doctype html><html lang="en"><head>{head}</head><body>{body}</body></html>\n'
 

@@ -39,7 +39,7 @@ def next_text(result: dict[str, Any]) -> str:
     )
 
 
-PLACES_MAX = 40
+LISTED_PLACES_MAX = 40
 
 
 def report_page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] = ()) -> str:
@@ -51,24 +51,25 @@ def report_page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] 
         html_section("What cannot be distinguished", _indistinguishable_list(result)),
         html_section("Next experiment", f"<p>{escape(next_text(result))}</p>"),
         html_section("How far the gap shrinks on held-out trajectories", _shrink_table(result)),
-        html_section("What nothing explains", _table_by_columns(result["unexplained"], UNEXPLAINED)),
+        html_section("What nothing explains", _table_by_columns(result["unexplained"], UNEXPLAINED_TABLE_COLUMNS)),
         html_section(
             "What the recording lacked",
             _table_by_columns(result["missing"], (("signal", "signal"), ("costs", "costs"))),
         ),
-        html_section("Findings about the recording", _table_by_columns(result["findings"], FINDINGS)),
+        html_section("Findings about the recording", _table_by_columns(result["findings"], FINDING_TABLE_COLUMNS)),
         _collapsible_section("What the confirmed effects look like", confirmed_effects_html(result)),
         _collapsible_section(
-            "Every place: stage, joint, axis, regime", _table_by_columns(_places_to_show(result), PLACES)
+            "Every place: stage, joint, axis, regime", _table_by_columns(_places_to_show(result), PLACE_TABLE_COLUMNS)
         ),
         _collapsible_section(
-            "Smallest effects this recording could have shown", _table_by_columns(result["detection_limits"], LIMITS)
+            "Smallest effects this recording could have shown",
+            _table_by_columns(result["detection_limits"], DETECTION_LIMIT_TABLE_COLUMNS),
         ),
     ]
     return html_document(f"{name}: {result['verdict']}", "".join(body))
 
 
-UNEXPLAINED = (
+UNEXPLAINED_TABLE_COLUMNS = (
     ("stage", "stage"),
     ("joint", "joint"),
     ("test", "test"),
@@ -76,8 +77,8 @@ UNEXPLAINED = (
     ("p_value", "p"),
     ("lead", "lead"),
 )
-FINDINGS = (("severity", ""), ("text", "finding"))
-PLACES = (
+FINDING_TABLE_COLUMNS = (("severity", ""), ("text", "finding"))
+PLACE_TABLE_COLUMNS = (
     ("stage", "stage"),
     ("joint", "joint"),
     ("axis", "axis"),
@@ -88,8 +89,14 @@ PLACES = (
     ("gap_tcp_mm", "gap at the tcp, mm"),
     ("share_frac", "share"),
 )
-LIMITS = (("name", "effect"), ("joint", "joint"), ("parameter", "parameter"), ("size", "size"), ("unit", "unit"))
-SHRINK = (
+DETECTION_LIMIT_TABLE_COLUMNS = (
+    ("name", "effect"),
+    ("joint", "joint"),
+    ("parameter", "parameter"),
+    ("size", "size"),
+    ("unit", "unit"),
+)
+GAP_CLOSURE_TABLE_COLUMNS = (
     ("stage", "stage"),
     ("joint", "joint"),
     ("measurement", "seen by"),
@@ -117,7 +124,7 @@ def _indistinguishable_list(result: dict[str, Any]) -> str:
 
 def _places_to_show(result: dict[str, Any]) -> list[dict[str, Any]]:
     return [place for place in result["localisation"] if place["regime"] == "all" or place["joint"] is None][
-        :PLACES_MAX
+        :LISTED_PLACES_MAX
     ]
 
 
@@ -126,7 +133,8 @@ def _shrink_table(result: dict[str, Any]) -> str:
     rows = [{"stage": "all", "joint": None, **overall}] if overall else []
     rows += result["shrink"].get("stages", [])
     return _table_by_columns(
-        [{**row, "closed": _percent_text(row["closed_frac"]), "limits": _limits_text(row)} for row in rows], SHRINK
+        [{**row, "closed": _percent_text(row["closed_frac"]), "limits": _limits_text(row)} for row in rows],
+        GAP_CLOSURE_TABLE_COLUMNS,
     )
 
 

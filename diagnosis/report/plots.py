@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from diagnosis.report.curves import CellCurves, CellResiduals, ReplayedTrajectory
-from diagnosis.report.svg import DOTS, CurveLine, autocorrelation, chart, histogram
+from diagnosis.report.svg import DOTS_CSS_CLASS, CurveLine, autocorrelation, chart, histogram
 from machine.rotations import Array
 
 
@@ -17,33 +17,40 @@ def cell_plots(curves: Sequence[CellCurves]) -> str:
 
 
 def _cell_plots(curves: CellCurves, is_open: bool) -> str:
-    named = curves.named.replace("_", " ") or "no effect named"
+    named = curves.named_effects.replace("_", " ") or "no effect named"
     body = (
-        _trajectory_plots(curves.replayed, bool(curves.named)) if curves.replayed is not None else ""
+        _trajectory_plots(curves.replayed_trajectory, bool(curves.named_effects))
+        if curves.replayed_trajectory is not None
+        else ""
     ) + _residual_plots(curves.residuals)
     state = " open" if is_open else ""
-    return f"<details{state}><summary>{escape(curves.label)}: {escape(named)}</summary>{body}</details>"
+    return f"<details{state}><summary>{escape(curves.cell_label)}: {escape(named)}</summary>{body}</details>"
 
 
 def _trajectory_plots(replayed: ReplayedTrajectory, explained: bool) -> str:
     lines = [
-        CurveLine("measured", "measured", replayed.t_s, replayed.measured),
-        CurveLine("nominal model", "before", replayed.t_s, replayed.nominal),
+        CurveLine("measured", "measured", replayed.t_s, replayed.measured_output),
+        CurveLine("nominal model", "before", replayed.t_s, replayed.nominal_output),
     ]
-    apart = [CurveLine("measured less nominal", "before", replayed.t_s, replayed.measured - replayed.nominal)]
+    apart = [
+        CurveLine("measured less nominal", "before", replayed.t_s, replayed.measured_output - replayed.nominal_output)
+    ]
     if explained:
-        lines.append(CurveLine("nominal with the effects", "after", replayed.t_s, replayed.explained))
+        lines.append(CurveLine("nominal with the effects", "after", replayed.t_s, replayed.output_with_effects))
         apart.append(
             CurveLine(
-                "measured less nominal with the effects", "after", replayed.t_s, replayed.measured - replayed.explained
+                "measured less nominal with the effects",
+                "after",
+                replayed.t_s,
+                replayed.measured_output - replayed.output_with_effects,
             )
         )
-    where = f"joint {replayed.joint}, trajectory “{replayed.kind}”"
+    where = f"joint {replayed.joint}, trajectory “{replayed.segment_kind}”"
     held = " The numbers were fitted without trajectories of this kind." if explained else ""
-    unit = f"{replayed.signal} [{replayed.unit}]"
+    unit = f"{replayed.signal_label} [{replayed.unit}]"
     return (
         f"<h3>{escape(where)}</h3><p>Replayed from the measured input of this stage.{held}</p>"
-        + chart(lines, "time [s]", unit, f"{replayed.signal} of {where}: measured, nominal, with the effects")
+        + chart(lines, "time [s]", unit, f"{replayed.signal_label} of {where}: measured, nominal, with the effects")
         + chart(apart, "time [s]", f"difference [{replayed.unit}]", f"difference of {where}", symmetric=True)
     )
 
@@ -52,23 +59,30 @@ def _residual_plots(residuals: CellResiduals) -> str:
     t = residuals.t_s - residuals.t_s[0] if len(residuals.t_s) else residuals.t_s
     together = bool((np.diff(residuals.t_s) == 0.0).any())  # several at an instant: no line leads from one to the next
     along = "pose" if together and bool((residuals.t_s == np.round(residuals.t_s)).all()) else "time [s]"
-    shown = f" {DOTS}" if together else ""
+    shown = f" {DOTS_CSS_CLASS}" if together else ""
     over_time = [
-        CurveLine("before", f"before{shown}", t, residuals.before),
-        CurveLine("after", f"after{shown}", t, residuals.after),
+        CurveLine("before", f"before{shown}", t, residuals.residual_without_effects),
+        CurveLine("after", f"after{shown}", t, residuals.residual_with_effects),
     ]
     lags = np.arange(1, 41, dtype=float)
-    limit = 1.96 / np.sqrt(max(1, len(residuals.before)))
+    limit = 1.96 / np.sqrt(max(1, len(residuals.residual_without_effects)))
     correlated = [
-        CurveLine("before", "before", lags, autocorrelation(residuals.before, residuals.series)),
-        CurveLine("after", "after", lags, autocorrelation(residuals.after, residuals.series)),
+        CurveLine(
+            "before", "before", lags, autocorrelation(residuals.residual_without_effects, residuals.series_index)
+        ),
+        CurveLine("after", "after", lags, autocorrelation(residuals.residual_with_effects, residuals.series_index)),
         CurveLine("95 % of pure noise", "floor", lags, _constant_array(lags, limit)),
         CurveLine("", "floor", lags, _constant_array(lags, -limit)),
     ]
     return (
         "<h3>What is left, in noise floors, on held-out data</h3>"
         + chart(over_time, along, "residual [floors]", f"residual over {along}, before and after", symmetric=True)
-        + histogram(residuals.before, residuals.after, "residual [noise floors]", "distribution of the residual")
+        + histogram(
+            residuals.residual_without_effects,
+            residuals.residual_with_effects,
+            "residual [noise floors]",
+            "distribution of the residual",
+        )
         + chart(correlated, "lag", "autocorrelation", "autocorrelation of the residual")
     )
 

@@ -12,9 +12,9 @@ from machine.rotations import Array
 
 WIDTH, HEIGHT = 720, 210
 LEFT, RIGHT, TOP, BOTTOM = 66, 10, 10, 40
-POINTS_MAX = 700
-TICKS = 5
-DOTS = "dots"
+PLOTTED_POINTS_MAX = 700
+AXIS_TICKS = 5
+DOTS_CSS_CLASS = "dots"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class CurveLine:
     """One line (m,) over x (m,). `css`: class that gives it its colour and dashes; with DOTS: points."""
 
     label: str
-    css: str
+    css_class: str
     x: Array
     y: Array
 
@@ -36,7 +36,7 @@ def chart(lines: Sequence[CurveLine], x_label: str, y_label: str, title: str, sy
     y_range = _axis_range(np.concatenate([line.y for line in shown]), symmetric)
     frame = _Frame(x_range, y_range)
     body = [_axes_svg(frame, x_label, y_label)]
-    body += [f'<path class="{line.css}" d="{_svg_path_data(frame, line)}"/>' for line in shown]
+    body += [f'<path class="{line.css_class}" d="{_svg_path_data(frame, line)}"/>' for line in shown]
     return _svg_element("".join(body), title) + _legend_html(shown)
 
 
@@ -76,16 +76,16 @@ def autocorrelation(values: Array, series: NDArray[np.int64], lags: int = 40) ->
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    x: tuple[float, float]
-    y: tuple[float, float]
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
 
     def px(self, x: Array) -> Array:
-        span = self.x[1] - self.x[0]
-        return LEFT + (x - self.x[0]) / span * (WIDTH - LEFT - RIGHT)
+        span = self.x_range[1] - self.x_range[0]
+        return LEFT + (x - self.x_range[0]) / span * (WIDTH - LEFT - RIGHT)
 
     def py(self, y: Array) -> Array:
-        span = self.y[1] - self.y[0]
-        return HEIGHT - BOTTOM - (y - self.y[0]) / span * (HEIGHT - TOP - BOTTOM)
+        span = self.y_range[1] - self.y_range[0]
+        return HEIGHT - BOTTOM - (y - self.y_range[0]) / span * (HEIGHT - TOP - BOTTOM)
 
 
 def _axis_range(values: Array, symmetric: bool) -> tuple[float, float]:
@@ -101,18 +101,18 @@ def _axis_range(values: Array, symmetric: bool) -> tuple[float, float]:
 
 def _thin_line(line: CurveLine) -> CurveLine:
     """At most 700 points that keep each stretch's extremes."""
-    if len(line.x) <= POINTS_MAX:
+    if len(line.x) <= PLOTTED_POINTS_MAX:
         return line
     kept: list[int] = []
-    for cut in np.array_split(np.arange(len(line.x)), POINTS_MAX // 2):
+    for cut in np.array_split(np.arange(len(line.x)), PLOTTED_POINTS_MAX // 2):
         values = np.nan_to_num(line.y[cut], nan=0.0)
         kept += sorted({int(cut[np.argmin(values)]), int(cut[np.argmax(values)])})
-    return CurveLine(line.label, line.css, line.x[kept], line.y[kept])
+    return CurveLine(line.label, line.css_class, line.x[kept], line.y[kept])
 
 
 def _svg_path_data(frame: _Frame, line: CurveLine) -> str:
     xs, ys = frame.px(line.x), frame.py(line.y)
-    if DOTS in line.css:
+    if DOTS_CSS_CLASS in line.css_class:
         return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in zip(xs, ys, strict=True) if np.isfinite(y))
     pieces, pen = [], "M"
     for x, y in zip(xs, ys, strict=True):
@@ -127,13 +127,13 @@ def _svg_path_data(frame: _Frame, line: CurveLine) -> str:
 def _axes_svg(frame: _Frame, x_label: str, y_label: str) -> str:
     base, right = HEIGHT - BOTTOM, WIDTH - RIGHT
     out = [f'<rect class="frame" x="{LEFT}" y="{TOP}" width="{right - LEFT}" height="{base - TOP}"/>']
-    for value in _tick_values(frame.x):
+    for value in _tick_values(frame.x_range):
         x = float(frame.px(np.array([value]))[0])
-        out.append(f'<text x="{x:.1f}" y="{base + 15}" text-anchor="middle">{_tick_label(value, frame.x)}</text>')
-    for value in _tick_values(frame.y):
+        out.append(f'<text x="{x:.1f}" y="{base + 15}" text-anchor="middle">{_tick_label(value, frame.x_range)}</text>')
+    for value in _tick_values(frame.y_range):
         y = float(frame.py(np.array([value]))[0])
         out.append(f'<line class="grid" x1="{LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        out.append(f'<text x="{LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{_tick_label(value, frame.y)}</text>')
+        out.append(f'<text x="{LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{_tick_label(value, frame.y_range)}</text>')
     middle = (LEFT + right) / 2
     out.append(f'<text x="{middle:.0f}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
     turned = f'transform="translate(13 {(TOP + base) / 2:.0f}) rotate(-90)"'
@@ -144,7 +144,7 @@ def _axes_svg(frame: _Frame, x_label: str, y_label: str) -> str:
 def _tick_values(limits: tuple[float, float]) -> list[float]:
     """Round numbers inside the limits."""
     span = limits[1] - limits[0]
-    raw = span / TICKS
+    raw = span / AXIS_TICKS
     power = 10.0 ** np.floor(np.log10(raw))
     step = float(power * min((m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw), default=10.0))
     first = np.ceil(limits[0] / step)
@@ -170,7 +170,7 @@ def _normal_bin_shares(edges: Array) -> tuple[Array, Array]:
 
 def _legend_html(lines: Sequence[CurveLine]) -> str:
     keys = "".join(
-        f'<span><svg width="26" height="10" aria-hidden="true"><path class="{line.css}" d="M1 5L25 5"/></svg> '
+        f'<span><svg width="26" height="10" aria-hidden="true"><path class="{line.css_class}" d="M1 5L25 5"/></svg> '
         f"{escape(line.label)}</span>"
         for line in lines
         if line.label

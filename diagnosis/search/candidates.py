@@ -10,21 +10,23 @@ from machine.effects.registry import effect_of, effects_of
 from machine.effects.spec import Effect, Stage
 from machine.rotations import Array
 
-SIZES = (0.004, 0.012, 0.035, 0.1, 0.25, 0.6)  # of the bound: where the scan looks, neutral 0
+SCAN_SIZE_FRACS = (0.004, 0.012, 0.035, 0.1, 0.25, 0.6)  # of the bound: where the scan looks, neutral 0
 BENT_BY_GRAVITY, CRANE_NM = ("gravity_sag", "base_compliance"), 3e4
-POOR = 3  # sizes beyond those of good machines
-LIMITS = 9  # sizes scanned between the bounds of an effect that limits (neutral 1 or inf)
-NARROW = {"stiction": 50}  # sizes of effects whose cost has a valley far narrower than the way there
-PHASES = (-2.0, -0.4, 1.2, 2.7)
-SWINGS = ("link_flexibility",)  # effects with a frequency of their own
-FREQUENCIES_HZ = tuple(np.geomspace(0.8, 6.0, 24))  # the cost has a valley a tenth of a frequency wide
-DROOP = "supply_droop"  # couples all joints
+EXTENDED_SCAN_COUNT = 3  # sizes beyond those of good machines
+LIMIT_SCAN_COUNT = 9  # sizes scanned between the bounds of an effect that limits (neutral 1 or inf)
+DENSE_SCAN_COUNT_BY_EFFECT = {
+    "stiction": 50
+}  # sizes of effects whose cost has a valley far narrower than the way there
+SCAN_PHASES_RAD = (-2.0, -0.4, 1.2, 2.7)
+OSCILLATION_EFFECTS = ("link_flexibility",)  # effects with a frequency of their own
+SCAN_FREQUENCIES_HZ = tuple(np.geomspace(0.8, 6.0, 24))  # the cost has a valley a tenth of a frequency wide
+SUPPLY_DROOP_EFFECT = "supply_droop"  # couples all joints
 #: Effects of the joint stage that the encoder shows against the valve command.
-SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")
+ENCODER_VISIBLE_EFFECTS = ("encoder_scale", "encoder_eccentricity")
 #: Effects of the joint stage that points or markers behind the encoder show.
-SEEN_BEHIND_ENCODER = ("encoder_bias", "encoder_scale", "encoder_eccentricity", "backlash")
+LINK_SIDE_VISIBLE_EFFECTS = ("encoder_bias", "encoder_scale", "encoder_eccentricity", "backlash")
 #: Effects that need the encoders' course in time.
-SEEN_IN_MOTION = ("backlash", "link_flexibility")
+MOTION_VISIBLE_EFFECTS = ("backlash", "link_flexibility")
 
 Variant = tuple[str, int | None, str, tuple[float, ...]]
 
@@ -41,18 +43,18 @@ class Candidate:
     name: str
     joint: int | None
     stage: str
-    option: str
-    slots: tuple[ParameterSlot, ...]
-    fixed: tuple[tuple[ParameterSlot, float], ...] = ()
-    counted: int = 0
+    variant_option: str
+    parameter_slots: tuple[ParameterSlot, ...]
+    fixed_parameters: tuple[tuple[ParameterSlot, float], ...] = ()
+    share_sample_count: int = 0
     read_off: bool = False
-    cycles: tuple[float, float] | None = None
+    cycle_and_delay_s: tuple[float, float] | None = None
 
     def with_whole_delay(self, theta: Array) -> Array:
         """Numbers (slots,) with the delay at the nearest whole number of cycles."""
-        if self.cycles is None:
+        if self.cycle_and_delay_s is None:
             return theta
-        cycle_s, nominal_s = self.cycles
+        cycle_s, nominal_s = self.cycle_and_delay_s
         return np.round((theta + nominal_s) / cycle_s) * cycle_s - nominal_s
 
     @property
@@ -63,24 +65,24 @@ class Candidate:
     @property
     def without_variant(self) -> Variant:
         """The same with what distinguishes its variants: a length of a or of d, a tilt about x or about y."""
-        return self.name, self.joint, self.option, tuple(value for _, value in self.fixed)
+        return self.name, self.joint, self.variant_option, tuple(value for _, value in self.fixed_parameters)
 
     @property
     def has_narrow_minimum(self) -> bool:
         """Whether its valley is so narrow that a scanned size is better than where any slope leads."""
-        return self.name in NARROW
+        return self.name in DENSE_SCAN_COUNT_BY_EFFECT
 
     @property
     def vector(self) -> bool:
         """Whether its numbers are the components of a direction."""
-        return len(self.slots) > 1 and self.slots[0].parameter == self.slots[1].parameter
+        return len(self.parameter_slots) > 1 and self.parameter_slots[0].parameter == self.parameter_slots[1].parameter
 
     def scan_points(self) -> Array:
         """Where the scan looks (m, slots)."""
         if self.vector:
-            return _starts_around_zero(self.slots)  # a direction's vector: along each axis, both signs
-        grids = [_slot_start_values(slot) for slot in self.slots]
-        if self.fixed:  # many variants of one effect, each as strong as it is large
+            return _starts_around_zero(self.parameter_slots)  # a direction's vector: along each axis, both signs
+        grids = [_slot_start_values(slot) for slot in self.parameter_slots]
+        if self.fixed_parameters:  # many variants of one effect, each as strong as it is large
             grids[0] = grids[0][::2]
         return np.array(list(product(*grids)))
 
@@ -102,8 +104,8 @@ def candidates_of_effects(names: tuple[str, ...], joints: tuple[int, ...]) -> tu
 
 def arm_candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
     """What changes where a link is for its encoder. `moving`: whether the encoders' course in time is known, too."""
-    found = candidates_of("structure", joints, True) + candidates_of_effects(SEEN_BEHIND_ENCODER, joints)
-    return tuple(candidate for candidate in found if moving or candidate.name not in SEEN_IN_MOTION)
+    found = candidates_of("structure", joints, True) + candidates_of_effects(LINK_SIDE_VISIBLE_EFFECTS, joints)
+    return tuple(candidate for candidate in found if moving or candidate.name not in MOTION_VISIBLE_EFFECTS)
 
 
 def on_an_arm(candidate: Candidate, torque_nm: float) -> Candidate:
@@ -115,26 +117,32 @@ def on_an_arm(candidate: Candidate, torque_nm: float) -> Candidate:
     if candidate.name not in BENT_BY_GRAVITY or scale == 1.0:
         return candidate
     slots = (
-        replace(slot, high=scale * slot.high, highest=scale * slot.highest, start=scale * slot.start, scale=scale)
-        for slot in candidate.slots
+        replace(
+            slot,
+            typical_max=scale * slot.typical_max,
+            upper_bound=scale * slot.upper_bound,
+            start_value=scale * slot.start_value,
+            size_scale=scale,
+        )
+        for slot in candidate.parameter_slots
     )
-    return replace(candidate, slots=tuple(slots))
+    return replace(candidate, parameter_slots=tuple(slots))
 
 
 def _of_effect(effect: Effect, joints: tuple[int, ...], machine: bool) -> list[Candidate]:
     places: tuple[int | None, ...] = joints
     if effect.scope == "machine":
         places = (None,) if machine else ()
-    options = effect.choice.options if effect.choice else ("",)
+    options = effect.quantity_choice.options if effect.quantity_choice else ("",)
     return [variant for joint in places for option in options for variant in _candidate_variants(effect, joint, option)]
 
 
 def _candidate_variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]:
     slots = slots_of(effect.name, joint, option)
     whole = {
-        parameter.name: range(int(parameter.low), int(parameter.high) + 1)
+        parameter.name: range(int(parameter.plausible_min), int(parameter.plausible_max) + 1)
         for parameter in effect.parameters
-        if parameter.integer
+        if parameter.is_integer
     }
     if not whole:
         return [Candidate(effect.name, joint, effect.stage, option, slots)]
@@ -158,37 +166,41 @@ def with_baseline_shapes(base: ParameterSets, candidates: tuple[Candidate, ...])
 
 
 def _with_baseline_shape(base: ParameterSets, candidate: Candidate) -> Candidate:
-    size, *shape = candidate.slots
-    if candidate.vector or not shape or base.get(size) == size.neutral:
+    size, *shape = candidate.parameter_slots
+    if candidate.vector or not shape or base.get(size) == size.neutral_value:
         return candidate
-    if candidate.name in SWINGS:
-        return replace(candidate, slots=(size,), fixed=tuple((slot, base.get(slot)) for slot in shape))
-    return replace(candidate, slots=(size, *(replace(slot, start=base.get(slot)) for slot in shape)))
+    if candidate.name in OSCILLATION_EFFECTS:
+        return replace(
+            candidate, parameter_slots=(size,), fixed_parameters=tuple((slot, base.get(slot)) for slot in shape)
+        )
+    return replace(candidate, parameter_slots=(size, *(replace(slot, start_value=base.get(slot)) for slot in shape)))
 
 
 def _slot_start_values(slot: ParameterSlot) -> Array:
     spec = slot.spec
-    known = [slot.start] if slot.start != spec.start else []
+    known = [slot.start_value] if slot.start_value != spec.start_value else []
     if slot.parameter == "phase_rad":
-        return np.array([*PHASES, *known])
+        return np.array([*SCAN_PHASES_RAD, *known])
     if slot.parameter == "frequency_hz":
-        return np.array([*FREQUENCIES_HZ, *known])
+        return np.array([*SCAN_FREQUENCIES_HZ, *known])
     if spec.role != "size":
-        return np.array([slot.start])
-    if slot.low > 0.0 and slot.neutral == 0.0:  # read off the data
-        return np.array([slot.start])
-    if slot.neutral != 0.0:
-        return np.geomspace(max(slot.low, 1e-6), slot.high, LIMITS)
-    above = slot.high * np.array(SIZES)
-    if slot.effect in NARROW:
-        above = np.concatenate([above[:2], np.linspace(0.0, slot.high, NARROW[slot.effect] + 1)[1:]])
-    if slot.highest > slot.high:
-        above = np.append(above, np.linspace(slot.high, slot.highest, POOR + 1)[:-1])
-    return np.concatenate([slot.low * np.array(SIZES), above]) if slot.low < 0.0 else above
+        return np.array([slot.start_value])
+    if slot.lower_bound > 0.0 and slot.neutral_value == 0.0:  # read off the data
+        return np.array([slot.start_value])
+    if slot.neutral_value != 0.0:
+        return np.geomspace(max(slot.lower_bound, 1e-6), slot.typical_max, LIMIT_SCAN_COUNT)
+    above = slot.typical_max * np.array(SCAN_SIZE_FRACS)
+    if slot.effect in DENSE_SCAN_COUNT_BY_EFFECT:
+        above = np.concatenate(
+            [above[:2], np.linspace(0.0, slot.typical_max, DENSE_SCAN_COUNT_BY_EFFECT[slot.effect] + 1)[1:]]
+        )
+    if slot.upper_bound > slot.typical_max:
+        above = np.append(above, np.linspace(slot.typical_max, slot.upper_bound, EXTENDED_SCAN_COUNT + 1)[:-1])
+    return np.concatenate([slot.lower_bound * np.array(SCAN_SIZE_FRACS), above]) if slot.lower_bound < 0.0 else above
 
 
 def _starts_around_zero(slots: tuple[ParameterSlot, ...]) -> Array:
-    sizes = np.array([slot.high for slot in slots]) * np.eye(len(slots))
+    sizes = np.array([slot.typical_max for slot in slots]) * np.eye(len(slots))
     return np.concatenate([share * sign * sizes for share in (0.02, 0.1) for sign in (1.0, -1.0)])
 
 
@@ -202,15 +214,15 @@ def parameter_sets_with(base: ParameterSets, candidates: tuple[Candidate, ...], 
     sets = base.repeated_sets(len(thetas))
     column = 0
     for candidate in candidates:
-        size = candidate.slots[0].parameter
-        for slot, value in candidate.fixed:
+        size = candidate.parameter_slots[0].parameter
+        for slot, value in candidate.fixed_parameters:
             sets.put(slot, value)
-        for slot in candidate.slots:
+        for slot in candidate.parameter_slots:
             values = thetas[:, column]
             column += 1
             if slot.parameter != size:
                 sets.put(slot, values)
-            elif slot.neutral == 0.0:
+            elif slot.neutral_value == 0.0:
                 sets.put(slot, base.get(slot) + values)
             else:
                 sets.put(slot, np.minimum(base.get(slot), values))

@@ -15,9 +15,9 @@ from diagnosis.search.candidates import Candidate
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-BLOCKS_MIN = 12
+SCORE_BLOCKS_MIN = 12
 BLOCK_ROWS_MAX = 100  # 5 s at 20 Hz
-DRIVEN_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly in time; poses and corners are not
+DYNAMIC_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly in time; poses and corners are not
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +31,12 @@ class ResidualRows:
     block: NDArray[np.int64]
     series: NDArray[np.int64]
     channel: NDArray[np.int64]
-    alike: NDArray[np.int64] | None = None
+    correlation_group: NDArray[np.int64] | None = None
 
     @property
     def dependent_rows(self) -> NDArray[np.int64]:
         """Which rows do not speak for themselves (N,)."""
-        return self.block if self.alike is None else self.alike
+        return self.block if self.correlation_group is None else self.correlation_group
 
     @property
     def row_count(self) -> int:
@@ -62,7 +62,7 @@ class Cell:
     joint: int | None
     unit: str
     candidates: tuple[Candidate, ...]
-    base: ParameterSets
+    baseline_parameters: ParameterSets
     whitened: Callable[[ParameterSets], Array]
     rows: ResidualRows
     scale: Array
@@ -70,15 +70,15 @@ class Cell:
     floor_known: bool
     regressors: tuple[tuple[str, Array], ...]
     t_s: Array
-    usual: tuple[tuple[str, float], ...] | None = None
-    restless: str = ""
-    parts: tuple["Cell", ...] = ()
+    baseline_gain_nats: tuple[tuple[str, float], ...] | None = None
+    loose_target_text: str = ""
+    joined_cells: tuple["Cell", ...] = ()
     at_noise: Callable[[Whitener], "Cell"] | None = None
-    course: ParameterSets | None = None
+    upstream_parameters: ParameterSets | None = None
 
     def by_part(self, values: Array) -> tuple[tuple["Cell", Array], ...]:
         """The cells that this one joins, a plain one itself, each with its own of values (N, ...)."""
-        parts = self.parts or (self,)
+        parts = self.joined_cells or (self,)
         cuts = np.cumsum([part.rows.row_count for part in parts])[:-1]
         return tuple(zip(parts, np.split(values, cuts), strict=True))
 
@@ -91,7 +91,7 @@ class Cell:
 def blocks_of(series_lengths: list[int]) -> tuple[NDArray[np.int64], int]:
     """Block numbers of rows in series laid end to end, and how many: at most 5 s each, at least 12 in all."""
     total = sum(series_lengths)
-    size = max(1, min(BLOCK_ROWS_MAX, total // BLOCKS_MIN))
+    size = max(1, min(BLOCK_ROWS_MAX, total // SCORE_BLOCKS_MIN))
     out, first = [], 0
     for length in series_lengths:
         parts = max(1, round(length / size))

@@ -13,13 +13,15 @@ from machine.effects.registry import effect_of
 from machine.errors import MachineFileError
 from machine.rotations import Array
 
-SOFT = 3.0  # whitened residuals beyond it count linearly (soft-L1)
-STEP_SHARE = 2e-3  # of the range: large against rounding and kinks
-ROUNDS = 10
-SETTLED_NATS = 0.02
-SETTLED_SHARE = 1e-5
-CURVED = 0.5  # of what a straight valley would have gained: below it the valley is curved, and followed
-DAMPINGS = (1e-6, 1e-2, 1.0)
+SOFT_L1_THRESHOLD = 3.0  # whitened residuals beyond it count linearly (soft-L1)
+FINITE_DIFFERENCE_STEP_FRAC = 2e-3  # of the range: large against rounding and kinks
+MAX_ITERATIONS = 10
+CONVERGENCE_NATS = 0.02
+CONVERGENCE_COST_FRAC = 1e-5
+CURVED_VALLEY_GAIN_MAX_FRAC = (
+    0.5  # of what a straight valley would have gained: below it the valley is curved, and followed
+)
+TRIAL_DAMPINGS = (1e-6, 1e-2, 1.0)
 Hypothesis = tuple[Candidate, ...]
 
 
@@ -31,7 +33,7 @@ class Fit:
     theta: Array
     residual: Array
     J: Array
-    cost: float
+    cost_nats: float
 
     @property
     def k(self) -> int:
@@ -46,26 +48,26 @@ class Fit:
     @property
     def effect_slices(self) -> tuple[tuple[Candidate, slice], ...]:
         """Each effect with where its numbers stand among all."""
-        ends = np.cumsum([len(candidate.slots) for candidate in self.hypothesis]).tolist()
+        ends = np.cumsum([len(candidate.parameter_slots) for candidate in self.hypothesis]).tolist()
         return tuple(
-            (candidate, slice(end - len(candidate.slots), end))
+            (candidate, slice(end - len(candidate.parameter_slots), end))
             for candidate, end in zip(self.hypothesis, ends, strict=True)
         )
 
 
 def soft_l1_costs(residual: Array) -> Array:
     """Soft-L1 cost of each residual [nats]; 1/2 r^2 while small."""
-    return SOFT**2 * (np.sqrt(1.0 + (residual / SOFT) ** 2) - 1.0)
+    return SOFT_L1_THRESHOLD**2 * (np.sqrt(1.0 + (residual / SOFT_L1_THRESHOLD) ** 2) - 1.0)
 
 
 def soft_l1_weights(residual: Array) -> Array:
     """Of each residual in a Gauss-Newton step."""
-    return 1.0 / np.sqrt(1.0 + (residual / SOFT) ** 2)
+    return 1.0 / np.sqrt(1.0 + (residual / SOFT_L1_THRESHOLD) ** 2)
 
 
 def residuals_at(cell: Cell, hypothesis: Hypothesis, thetas: Array) -> Array:
     """Residuals (m, N) at each row of thetas (m, k)."""
-    return evaluated_at(cell, parameter_sets_with(cell.base, hypothesis, thetas))
+    return evaluated_at(cell, parameter_sets_with(cell.baseline_parameters, hypothesis, thetas))
 
 
 def evaluated_at(cell: Cell, sets: ParameterSets) -> Array:
@@ -81,25 +83,27 @@ def neutral_fit(cell: Cell) -> Fit:
 
 def parameter_bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
     """Lower and upper bounds (k,) each."""
-    slots = [slot for candidate in hypothesis for slot in candidate.slots]
-    return np.array([slot.low for slot in slots]), np.array([slot.highest for slot in slots])
+    slots = [slot for candidate in hypothesis for slot in candidate.parameter_slots]
+    return np.array([slot.lower_bound for slot in slots]), np.array([slot.upper_bound for slot in slots])
 
 
 def parameter_spans(hypothesis: Hypothesis) -> Array:
     """The ruler of each number (k,): what good machines have of it, from end to end."""
-    return np.array([slot.high - slot.low for candidate in hypothesis for slot in candidate.slots])
+    return np.array(
+        [slot.typical_max - slot.lower_bound for candidate in hypothesis for slot in candidate.parameter_slots]
+    )
 
 
 def residual_jacobian(cell: Cell, hypothesis: Hypothesis, theta: Array, residual: Array) -> Array:
     """(N, k) by finite steps away from the nearer bound, one kernel call."""
     high = parameter_bounds(hypothesis)[1]
-    steps = STEP_SHARE * parameter_spans(hypothesis)
+    steps = FINITE_DIFFERENCE_STEP_FRAC * parameter_spans(hypothesis)
     signs = np.where(theta + steps > high, -1.0, 1.0)
     moved = theta + np.diag(signs * steps)
     return ((residuals_at(cell, hypothesis, moved) - residual) / (signs * steps)[:, None]).T
 
 
-def fit_hypothesis(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) -> Fit:
+def fit_hypothesis(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = MAX_ITERATIONS) -> Fit:
     """Gauss-Newton with damping inside bounds from one start.
 
     Model:  min sum rho(r(theta)); each round solves (J'WJ + d diag) step = -J'Wr for three dampings d and takes the
@@ -120,7 +124,7 @@ def fit_hypothesis(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int
         tried = residuals_at(cell, hypothesis, trials)
         totals = soft_l1_costs(tried).sum(axis=1)
         promised = -0.5 * float((trials[0] - theta) @ (J.T @ (soft_l1_weights(residual) * residual)))
-        if len(theta) > 1 and cost - float(totals.min()) < CURVED * promised:
+        if len(theta) > 1 and cost - float(totals.min()) < CURVED_VALLEY_GAIN_MAX_FRAC * promised:
             bent = np.clip(trials + _curvature_corrections(J, residual, theta, trials, tried), low, high)
             trials, tried = (
                 np.concatenate([trials, bent]),
@@ -133,7 +137,7 @@ def fit_hypothesis(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int
             break
         theta, residual, cost = trials[best], tried[best], float(totals[best])
         J = residual_jacobian(cell, hypothesis, theta, residual)
-        if gained < SETTLED_NATS + SETTLED_SHARE * cost:
+        if gained < CONVERGENCE_NATS + CONVERGENCE_COST_FRAC * cost:
             break
     kinks = np.clip(_at_kinks(hypothesis, theta), low, high)
     if not np.array_equal(kinks, theta):
@@ -146,9 +150,9 @@ def fit_hypothesis(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int
 
 def _at_kinks(hypothesis: Hypothesis, theta: Array) -> Array:
     """Theta (k,) with what has a kink at the nearest one."""
-    if all(candidate.cycles is None for candidate in hypothesis):
+    if all(candidate.cycle_and_delay_s is None for candidate in hypothesis):
         return theta
-    cuts = np.cumsum([len(candidate.slots) for candidate in hypothesis])[:-1]
+    cuts = np.cumsum([len(candidate.parameter_slots) for candidate in hypothesis])[:-1]
     return np.concatenate(
         [candidate.with_whole_delay(own) for candidate, own in zip(hypothesis, np.split(theta, cuts), strict=True)]
     )
@@ -165,7 +169,7 @@ def damped_steps(J: Array, residual: Array, span: Array) -> Array:
     """Steps (dampings, k), the least damped first."""
     H, g = normal_equations(J, residual, span)
     diagonal = np.diag(np.diag(H)) + 1e-9 * np.eye(len(g)) * max(1.0, float(np.trace(H)))
-    return np.array([np.linalg.lstsq(H + d * diagonal, -g, rcond=None)[0] * span for d in DAMPINGS])
+    return np.array([np.linalg.lstsq(H + d * diagonal, -g, rcond=None)[0] * span for d in TRIAL_DAMPINGS])
 
 
 def _curvature_corrections(J: Array, residual: Array, theta: Array, trials: Array, tried: Array) -> Array:
@@ -180,18 +184,20 @@ def entries_of(found: Fit) -> list[EffectEntry]:
     out = []
     for candidate, values in found.by_effect:
         effect = effect_of(candidate.name)
-        parameters: dict[str, object] = {slot.parameter: value for slot, value in candidate.fixed}
+        parameters: dict[str, object] = {slot.parameter: value for slot, value in candidate.fixed_parameters}
         if effect.direction is not None:
             size = float(np.linalg.norm(values))
             parameters |= {effect.size.name: min(size, effect.size.highest_value)}
             if size > 0.0:
-                along = np.zeros(len(effect.direction.default))  # a base is tilted about its level axes only
+                along = np.zeros(len(effect.direction.default_vector))  # a base is tilted about its level axes only
                 along[: len(values)] = values / size
                 parameters[effect.direction.name] = along.tolist()
         else:
-            parameters |= {slot.parameter: float(value) for slot, value in zip(candidate.slots, values, strict=True)}
-        if effect.choice is not None and candidate.option:
-            parameters[effect.choice.name] = candidate.option
+            parameters |= {
+                slot.parameter: float(value) for slot, value in zip(candidate.parameter_slots, values, strict=True)
+            }
+        if effect.quantity_choice is not None and candidate.variant_option:
+            parameters[effect.quantity_choice.name] = candidate.variant_option
         try:
             out.append(make_entry(effect, candidate.joint, parameters))
         except MachineFileError as error:

@@ -6,9 +6,13 @@ from diagnosis.search.cell import Cell
 
 Progress = Callable[[str, float, float], None]  # what is being done, work done, work in all; a second, more or less
 
-FIT_S = {"link": 3e-6, "controller": 3e-6, "actuator": 3e-5}  # of a row and a candidate, on one usual core
-FIT_BEHIND_S = 2e-5  # the same of points and corners
-CONCLUDING = 0.35  # of all fits' cost: weighing, held-out data, where it lies, the next experiment
+FIT_COST_S_BY_STAGE = {
+    "link": 3e-6,
+    "controller": 3e-6,
+    "actuator": 3e-5,
+}  # of a row and a candidate, on one usual core
+LINK_SIDE_FIT_COST_S = 2e-5  # the same of points and corners
+CONCLUSION_COST_FRAC = 0.35  # of all fits' cost: weighing, held-out data, where it lies, the next experiment
 
 
 def no_progress(_text: str, _done: float, _all: float) -> None:
@@ -48,14 +52,14 @@ class WorkProgress:
     def report_concluding_progress(self, text: str, share: float) -> None:
         """Every fit is done, and so large a share of what comes after them."""
         self._waiting, self._text = [], text
-        self._concluded = share * CONCLUDING * self._ended
+        self._concluded = share * CONCLUSION_COST_FRAC * self._ended
         self._report_progress()
 
     def _report_progress(self) -> None:
         fits = self._ended + self._cost + sum(self._waiting)
-        self._progress(self._text, self._ended + self._done + self._concluded, (1.0 + CONCLUDING) * fits)
+        self._progress(self._text, self._ended + self._done + self._concluded, (1.0 + CONCLUSION_COST_FRAC) * fits)
 
 
 def fit_s(cell: Cell) -> float:
     """What fitting a cell usually takes [s]."""
-    return FIT_S.get(cell.stage, FIT_BEHIND_S) * cell.rows.row_count * len(cell.candidates)
+    return FIT_COST_S_BY_STAGE.get(cell.stage, LINK_SIDE_FIT_COST_S) * cell.rows.row_count * len(cell.candidates)

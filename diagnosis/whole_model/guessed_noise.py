@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.behind.saturated import unexplained_by_mixtures
-from diagnosis.noise.floor import ORDER_MAX, Whitener, block_increments, fit_whitener
+from diagnosis.noise.floor import AR_ORDER_MAX, Whitener, block_increments, fit_whitener
 from diagnosis.replay.stage_replay import Replay
 from diagnosis.search.candidates import parameter_sets_with
 from diagnosis.search.cell import Cell
@@ -17,15 +17,17 @@ from diagnosis.search.fit import Fit, evaluated_at
 from diagnosis.whole_model.quiet_loop import quiet_loop
 from machine.rotations import Array
 
-SLOW_ROWS = 400  # 20 s
-SETTLED = 0.05  # change of the noise's size
-SHARE_MAX = 0.2  # of the motion's own increments: more than this is not noise, but a model that does not fit
-TAKEN = ("whitened", "rows", "scale", "quiet", "regressors", "t_s")  # by the noise, of a cell
+CENTRING_WINDOW_ROWS = 400  # 20 s
+NOISE_CONVERGENCE_FRAC = 0.05  # change of the noise's size
+NOISE_TO_MOTION_MAX_FRAC = (
+    0.2  # of the motion's own increments: more than this is not noise, but a model that does not fit
+)
+NOISE_DEPENDENT_CELL_FIELDS = ("whitened", "rows", "scale", "quiet", "regressors", "t_s")  # by the noise, of a cell
 
 
 def by_noise_of(cell: Cell, other: Cell) -> Cell:
     """The cell with the other one's noise."""
-    return replace(cell, **{name: getattr(other, name) for name in TAKEN})
+    return replace(cell, **{name: getattr(other, name) for name in NOISE_DEPENDENT_CELL_FIELDS})
 
 
 def noise_about(cell: Cell, about: Fit) -> Whitener | None:
@@ -35,7 +37,7 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
     Model: one linear step in all effects together, its degrees of freedom counted; autoregression of what it leaves.
     Why by commands without the disturbance: effects of a command that follows the noise would take most of it away.
     """
-    replay, at = cell.whitened, parameter_sets_with(cell.base, about.hypothesis, about.theta)
+    replay, at = cell.whitened, parameter_sets_with(cell.baseline_parameters, about.hypothesis, about.theta)
     if not isinstance(replay, Replay):
         return None
     quiet = quiet_loop(cell)
@@ -45,16 +47,18 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
     if not all(runs):
         return None
     found = [fit_whitener(own) for own in runs]
-    a = np.zeros((ORDER_MAX, len(found)))
+    a = np.zeros((AR_ORDER_MAX, len(found)))
     for j, whitener in enumerate(found):
-        a[: whitener.lag_count, j] = whitener.a[:, 0]
-    unit = replay.whitener.sigma * np.sqrt(len(left) / dof)
+        a[: whitener.lag_count, j] = whitener.ar_coefficients[:, 0]
+    unit = replay.whitener.innovation_sigma * np.sqrt(len(left) / dof)
     noise_rms = unit * np.array([np.sqrt(np.mean(np.concatenate(own) ** 2)) for own in runs])
-    moved = np.concatenate([block_increments(part.measured, part.stretch.dt_s) for part in replay.parts])
-    if (noise_rms > SHARE_MAX * np.sqrt(np.mean(moved**2, axis=0))).any():
+    moved = np.concatenate(
+        [block_increments(part.measured_output, part.stretch.dt_s) for part in replay.stretch_replays]
+    )
+    if (noise_rms > NOISE_TO_MOTION_MAX_FRAC * np.sqrt(np.mean(moved**2, axis=0))).any():
         return None
     order = max(whitener.lag_count for whitener in found)
-    return Whitener(a[:order], unit * np.array([float(whitener.sigma[0]) for whitener in found]))
+    return Whitener(a[:order], unit * np.array([float(whitener.innovation_sigma[0]) for whitener in found]))
 
 
 def _centred_residual_runs(cell: Cell, left: Array, channel: int) -> list[Array]:
@@ -65,9 +69,9 @@ def _centred_residual_runs(cell: Cell, left: Array, channel: int) -> list[Array]
     """
     own = cell.rows.channel == channel
     runs = [left[own & (cell.rows.series == number)][:, None] for number in np.unique(cell.rows.series[own])]
-    return [_about_its_mean(run) for run in runs if len(run) > 2 * ORDER_MAX]
+    return [_about_its_mean(run) for run in runs if len(run) > 2 * AR_ORDER_MAX]
 
 
 def _about_its_mean(run: Array) -> Array:
-    pieces = np.array_split(run, max(1, len(run) // SLOW_ROWS))
+    pieces = np.array_split(run, max(1, len(run) // CENTRING_WINDOW_ROWS))
     return np.concatenate([piece - piece.mean(axis=0) for piece in pieces])

@@ -9,7 +9,7 @@ from diagnosis.search.cell import Cell
 from diagnosis.search.fit import Fit, normal_equations, parameter_bounds, parameter_spans, residuals_at, soft_l1_costs
 from machine.rotations import Array
 
-DAMPINGS = (0.1, 1.0, 10.0, 100.0)  # of a step that leads astray, over each number's own curvature
+TRIAL_DAMPINGS = (0.1, 1.0, 10.0, 100.0)  # of a step that leads astray, over each number's own curvature
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,14 +22,14 @@ class HeldOut:
 
     cell: Cell
     fit: Fit
-    folds: NDArray[np.int64]
-    thetas: Array
-    before: Array
-    after: Array
+    fold_numbers: NDArray[np.int64]
+    thetas_without_fold: Array
+    residual_without_effects: Array
+    residual_with_effects: Array
 
     def theta_without(self, fold: int) -> Array:
         """The numbers (k,) without one fold."""
-        return np.asarray(self.thetas[int(np.searchsorted(self.folds, fold))])
+        return np.asarray(self.thetas_without_fold[int(np.searchsorted(self.fold_numbers, fold))])
 
 
 def held_out(cell: Cell, found: Fit) -> HeldOut:
@@ -49,8 +49,12 @@ def held_out(cell: Cell, found: Fit) -> HeldOut:
     residuals = residuals_at(cell, found.hypothesis, thetas)
     worse = np.nonzero((soft_l1_costs(residuals) * kept).sum(axis=1) > kept @ soft_l1_costs(found.residual))[0]
     if len(worse):
-        damped = np.array([[_theta_after_bounded_step(found, kept[k], damping) for k in worse] for damping in DAMPINGS])
-        there = residuals_at(cell, found.hypothesis, damped.reshape(-1, found.k)).reshape(len(DAMPINGS), len(worse), -1)
+        damped = np.array(
+            [[_theta_after_bounded_step(found, kept[k], damping) for k in worse] for damping in TRIAL_DAMPINGS]
+        )
+        there = residuals_at(cell, found.hypothesis, damped.reshape(-1, found.k)).reshape(
+            len(TRIAL_DAMPINGS), len(worse), -1
+        )
         damped = np.concatenate([damped, np.tile(found.theta, (1, len(worse), 1))])
         there = np.concatenate([there, np.tile(found.residual, (1, len(worse), 1))])
         best = np.argmin((soft_l1_costs(there) * kept[worse]).sum(axis=2), axis=0), np.arange(len(worse))

@@ -13,18 +13,20 @@ from numpy.typing import NDArray
 
 from diagnosis.search.candidates import Candidate, parameter_sets_with
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import STEP_SHARE, evaluated_at, soft_l1_weights
+from diagnosis.search.fit import FINITE_DIFFERENCE_STEP_FRAC, evaluated_at, soft_l1_weights
 from diagnosis.whole_model.subsets import LinearProblem, Members
 from machine.effects.layout import ParameterSets
 from machine.effects.registry import effect_of
 from machine.rotations import Array
 
-SLAB = 3.0  # times the catalogue's prior scale: wide, so that a poor machine is not an outlier
-SCANNED_AT_ONCE = 64  # parameter sets in one call, for memory
-CHANGED_SINCE = 0.02  # of the effects that a machine has: how many are expected to change between two diagnoses
-STEP_CYCLES = 10.0  # of a delay: many treads of its staircase, and little against any motion
-RANK = 1e-9  # of a column's power: less is rounding
-TWINS = 1e-5  # of the cosine between columns, by finite steps of different length
+SLAB_TO_PRIOR_SCALE_RATIO = 3.0  # times the catalogue's prior scale: wide, so that a poor machine is not an outlier
+PARAMETER_SET_BATCH_SIZE = 64  # parameter sets in one call, for memory
+PRIOR_CHANGED_EFFECT_FRAC = (
+    0.02  # of the effects that a machine has: how many are expected to change between two diagnoses
+)
+DELAY_DIFFERENCE_STEP_CYCLES = 10.0  # of a delay: many treads of its staircase, and little against any motion
+COLUMN_POWER_MIN_FRAC = 1e-9  # of a column's power: less is rounding
+COLLINEARITY_TOLERANCE = 1e-5  # of the cosine between columns, by finite steps of different length
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,24 +35,24 @@ class EffectTerm:
 
     effect: Candidate
     theta: Array
-    present: bool
+    is_present: bool
 
     @property
     def is_smooth(self) -> bool:
         """Whether its size has a slope at absence and nothing else has to be known of it."""
-        sizes = {slot.parameter for slot in self.effect.slots}
-        slot = self.effect.slots[0]
+        sizes = {slot.parameter for slot in self.effect.parameter_slots}
+        slot = self.effect.parameter_slots[0]
         return (
             len(sizes) == 1
-            and not self.effect.fixed
-            and slot.neutral == 0.0
-            and not effect_of(self.effect.name).threshold
+            and not self.effect.fixed_parameters
+            and slot.neutral_value == 0.0
+            and not effect_of(self.effect.name).has_threshold
         )
 
     @property
     def absent_size(self) -> float:
         """The size at which the effect vanishes."""
-        return float(self.effect.slots[0].neutral)
+        return float(self.effect.parameter_slots[0].neutral_value)
 
     @property
     def limits(self) -> bool:
@@ -60,8 +62,8 @@ class EffectTerm:
     @property
     def size_count(self) -> int:
         """How many of its numbers are sizes; the others are shapes."""
-        first = self.effect.slots[0].parameter
-        return sum(slot.parameter == first for slot in self.effect.slots)
+        first = self.effect.parameter_slots[0].parameter
+        return sum(slot.parameter == first for slot in self.effect.parameter_slots)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +74,12 @@ class LinearModel:
     (terms,), prior, of a term being there.
     """
 
-    terms: tuple[EffectTerm, ...]
+    effect_terms: tuple[EffectTerm, ...]
     residual: Array
     J: Array
-    x: Array
-    first: NDArray[np.int64]
-    weight: Array
+    parameter_offsets: Array
+    term_first_column: NDArray[np.int64]
+    robust_weight: Array
     log_odds: Array
 
     def twin_pairs(self) -> tuple[tuple[int, int], ...]:
@@ -85,11 +87,11 @@ class LinearModel:
 
         Why: two numbers that do the same would be played against each other to imitate the model's curvature.
         """
-        single = np.nonzero(np.diff(self.first) == 1)[0]
-        columns = self.J[:, self.first[single]] * np.sqrt(self.weight)[:, None]
+        single = np.nonzero(np.diff(self.term_first_column) == 1)[0]
+        columns = self.J[:, self.term_first_column[single]] * np.sqrt(self.robust_weight)[:, None]
         norm = np.linalg.norm(columns, axis=0)
         unit = columns / np.where(norm > 0.0, norm, 1.0)
-        alike = np.abs(unit.T @ unit) > 1.0 - TWINS
+        alike = np.abs(unit.T @ unit) > 1.0 - COLLINEARITY_TOLERANCE
         odds = self.log_odds[single]
         out = []
         for i in range(len(single)):
@@ -100,40 +102,48 @@ class LinearModel:
 
     def choice_problem(self, trust: Array) -> LinearProblem:
         """The choice among its terms. `trust`: (N,), at most 1, how far each row speaks for itself."""
-        w = np.sqrt(self.weight * trust)
+        w = np.sqrt(self.robust_weight * trust)
         white = self.J * w[:, None]
         H = white.T @ white
-        c = H @ self.x - white.T @ (w * self.residual)
-        shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
+        c = H @ self.parameter_offsets - white.T @ (w * self.residual)
+        shown = [
+            term for term, columns in zip(self.effect_terms, np.diff(self.term_first_column), strict=True) if columns
+        ]
         nonnegative = np.concatenate([np.zeros(0, dtype=bool), *(_nonnegative_columns(term) for term in shown)])
-        return LinearProblem(H, c, self.prior_deviations, self.first, nonnegative, self.log_odds)
+        return LinearProblem(H, c, self.prior_deviations, self.term_first_column, nonnegative, self.log_odds)
 
     @property
     def prior_deviations(self) -> Array:
         """Prior deviations of the columns' numbers (k,)."""
-        shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
+        shown = [
+            term for term, columns in zip(self.effect_terms, np.diff(self.term_first_column), strict=True) if columns
+        ]
         return np.concatenate([np.zeros(0), *(_prior_deviations(term) for term in shown)])
 
     def columns(self, k: int) -> Array:
         """Columns of one term (N, its columns)."""
-        return self.J[:, self.first[k] : self.first[k + 1]]
+        return self.J[:, self.term_first_column[k] : self.term_first_column[k + 1]]
 
     def relinearised_at(self, terms: tuple[EffectTerm, ...], residual: Array) -> "LinearModel":
         """The same columns, where present terms have other numbers that leave another residual, for a further step."""
         x = np.concatenate([_parameter_offsets(term, True) for term in terms])
-        return replace(self, terms=terms, residual=residual, x=x, weight=soft_l1_weights(residual))
+        return replace(
+            self, effect_terms=terms, residual=residual, parameter_offsets=x, robust_weight=soft_l1_weights(residual)
+        )
 
     @property
     def present_terms(self) -> Members:
         """Terms that are present (terms,)."""
-        return np.array([term.present for term in self.terms], dtype=bool)
+        return np.array([term.is_present for term in self.effect_terms], dtype=bool)
 
 
 def pack_terms(cell: Cell, terms: Sequence[EffectTerm], thetas: Array | None = None) -> ParameterSets:
     """Parameter sets with the present terms; `thetas` (m, numbers of the present ones) in place of their own."""
-    some = [term for term in terms if term.present]
+    some = [term for term in terms if term.is_present]
     own = np.concatenate([term.theta for term in some])[None] if some else np.zeros((1, 0))
-    return parameter_sets_with(cell.base, tuple(term.effect for term in some), own if thetas is None else thetas)
+    return parameter_sets_with(
+        cell.baseline_parameters, tuple(term.effect for term in some), own if thetas is None else thetas
+    )
 
 
 def linearise_terms(cell: Cell, terms: Sequence[EffectTerm], to_move: bool = False, absent: bool = True) -> LinearModel:
@@ -143,7 +153,7 @@ def linearise_terms(cell: Cell, terms: Sequence[EffectTerm], to_move: bool = Fal
     base = pack_terms(cell, terms)
     residual = evaluated_at(cell, base)[0]
     tangents = _tangent_columns(cell, terms, residual, to_move)
-    smooth = [k for k, term in enumerate(terms) if absent and not term.present and term.is_smooth]
+    smooth = [k for k, term in enumerate(terms) if absent and not term.is_present and term.is_smooth]
     steps = [(k, row) for k in smooth for row in np.diag(_difference_steps(terms[k]))]
     moved = _residuals_with_effect(cell, base, [(terms[k].effect, row) for k, row in steps])
     columns: dict[int, list[Array]] = {k: [] for k in range(len(terms))}
@@ -155,15 +165,18 @@ def linearise_terms(cell: Cell, terms: Sequence[EffectTerm], to_move: bool = Fal
         .T
     )
     w = np.sqrt(soft_l1_weights(residual))
-    scanned = absent and any(not term.present and not term.is_smooth for term in terms)
+    scanned = absent and any(not term.is_present and not term.is_smooth for term in terms)
     Q = np.linalg.qr(known * w[:, None])[0] if scanned and known.size else np.zeros((len(residual), 0))
     out = list(terms)
     for k, term in enumerate(terms):
-        if term.present:
+        if term.is_present:
             columns[k] = tangents[k]
         elif absent and not term.is_smooth:
             out[k], columns[k] = _best_start_and_secant(cell, base, term, residual, w, Q)
-    x = [_parameter_offsets(term, to_move) if term.present else np.zeros(len(columns[k])) for k, term in enumerate(out)]
+    x = [
+        _parameter_offsets(term, to_move) if term.is_present else np.zeros(len(columns[k]))
+        for k, term in enumerate(out)
+    ]
     first = np.concatenate([[0], np.cumsum([len(columns[k]) for k in range(len(out))])]).astype(np.int64)
     J = np.array([column for k in range(len(out)) for column in columns[k]]).reshape(-1, len(residual)).T
     odds = np.array([log_odds_of(cell, term) for term in out])
@@ -193,11 +206,11 @@ def _parameter_offsets(term: EffectTerm, to_move: bool) -> Array:
 
 def _tangent_columns(cell: Cell, terms: Sequence[EffectTerm], residual: Array, to_move: bool) -> dict[int, list[Array]]:
     """Columns of the present terms: tangents, and for a size with a threshold the secant back to absence."""
-    some = [k for k, term in enumerate(terms) if term.present]
+    some = [k for k, term in enumerate(terms) if term.is_present]
     if not some:
         return {}
     theta = np.concatenate([terms[k].theta for k in some])
-    high = np.concatenate([[slot.highest for slot in terms[k].effect.slots] for k in some])
+    high = np.concatenate([[slot.upper_bound for slot in terms[k].effect.parameter_slots] for k in some])
     step = np.concatenate([_difference_steps(terms[k]) for k in some])
     step = np.where(theta + step > high, -step, step)
     at, moves = 0, []
@@ -234,7 +247,7 @@ def _best_start_and_secant(
     own -= Q @ (Q.T @ own)
     whole = np.einsum("ij,ij->i", white, white)
     power = whole - ((white @ Q) ** 2).sum(axis=1)  # of what Q leaves of a column
-    shown = power > RANK * whole
+    shown = power > COLUMN_POWER_MIN_FRAC * whole
     gain = np.where(shown, np.maximum(-(white @ own), 0.0) ** 2 / np.where(shown, power, 1.0), 0.0)
     best = int(np.argmax(gain))
     size = 1.0 if term.limits else starts[best, 0]
@@ -245,7 +258,7 @@ def _start_values(term: EffectTerm) -> Array:
     """Where an absent term may be (m, slots); one size alone where the change is in proportion to it."""
     starts = term.effect.scan_points()
     starts = starts[starts[:, 0] != term.absent_size]
-    if term.limits or effect_of(term.effect.name).threshold or not len(starts):
+    if term.limits or effect_of(term.effect.name).has_threshold or not len(starts):
         return starts
     sizes = np.unique(starts[:, 0])
     return starts[starts[:, 0] == sizes[len(sizes) // 2]]
@@ -254,47 +267,58 @@ def _start_values(term: EffectTerm) -> Array:
 def _residuals_with_effect(cell: Cell, base: ParameterSets, moves: Sequence[tuple[Candidate, Array]]) -> list[Array]:
     """Residuals with one further effect each."""
     out: list[Array] = []
-    for k in range(0, len(moves), SCANNED_AT_ONCE):
-        part = moves[k : k + SCANNED_AT_ONCE]
+    for k in range(0, len(moves), PARAMETER_SET_BATCH_SIZE):
+        part = moves[k : k + PARAMETER_SET_BATCH_SIZE]
         sets = base.repeated_sets(len(part))
         for row, (effect, theta) in enumerate(part):
             one = parameter_sets_with(base, (effect,), theta)
-            sets.joint[row], sets.machine[row] = one.joint[0], one.machine[0]
+            sets.joint_parameters[row], sets.machine_parameters[row] = (
+                one.joint_parameters[0],
+                one.machine_parameters[0],
+            )
         out.extend(evaluated_at(cell, sets))
     return out
 
 
 def _in_parts(cell: Cell, sets: ParameterSets) -> list[Array]:
     out: list[Array] = []
-    for k in range(0, sets.set_count, SCANNED_AT_ONCE):
-        own = slice(k, k + SCANNED_AT_ONCE)
-        out.extend(evaluated_at(cell, ParameterSets(sets.joint[own].copy(), sets.machine[own].copy())))
+    for k in range(0, sets.set_count, PARAMETER_SET_BATCH_SIZE):
+        own = slice(k, k + PARAMETER_SET_BATCH_SIZE)
+        out.extend(
+            evaluated_at(cell, ParameterSets(sets.joint_parameters[own].copy(), sets.machine_parameters[own].copy()))
+        )
     return out
 
 
 def _difference_steps(term: EffectTerm) -> Array:
-    if term.effect.cycles is not None:  # the cost is a staircase of PLC cycles and logged rows
-        return np.full(1, STEP_CYCLES * term.effect.cycles[0])
-    return STEP_SHARE * np.array([slot.high - slot.low for slot in term.effect.slots])
+    if term.effect.cycle_and_delay_s is not None:  # the cost is a staircase of PLC cycles and logged rows
+        return np.full(1, DELAY_DIFFERENCE_STEP_CYCLES * term.effect.cycle_and_delay_s[0])
+    return FINITE_DIFFERENCE_STEP_FRAC * np.array(
+        [slot.typical_max - slot.lower_bound for slot in term.effect.parameter_slots]
+    )
 
 
 def _prior_deviations(term: EffectTerm) -> Array:
     """(columns,) prior deviations: sizes by the catalogue, shapes of a present term by their range."""
-    slots = term.effect.slots if term.present else term.effect.slots[: term.size_count]
+    slots = term.effect.parameter_slots if term.is_present else term.effect.parameter_slots[: term.size_count]
     out = []
     for k, slot in enumerate(slots):
         if term.limits and k == 0:
             out.append(1.0)
             continue
-        scale = slot.spec.prior.scale * slot.scale if k < term.size_count else 0.0
-        span = slot.high - slot.low
-        out.append(SLAB * scale if scale > 0.0 else (span if np.isfinite(span) else max(abs(slot.start), 1e-9)))
+        scale = slot.spec.prior.scale * slot.size_scale if k < term.size_count else 0.0
+        span = slot.typical_max - slot.lower_bound
+        out.append(
+            SLAB_TO_PRIOR_SCALE_RATIO * scale
+            if scale > 0.0
+            else (span if np.isfinite(span) else max(abs(slot.start_value), 1e-9))
+        )
     return np.array(out)
 
 
 def _nonnegative_columns(term: EffectTerm) -> Members:
-    columns = len(term.theta) if term.present else term.size_count
-    first = term.limits or term.effect.slots[0].low >= 0.0
+    columns = len(term.theta) if term.is_present else term.size_count
+    first = term.limits or term.effect.parameter_slots[0].lower_bound >= 0.0
     return np.array([first and k < term.size_count for k in range(columns)], dtype=bool)
 
 
@@ -303,7 +327,7 @@ def log_odds_of(cell: Cell, term: EffectTerm) -> float:
 
     Why less what it usually gains: by so much it explains the wrong form of the machine's own model.
     """
-    share = effect_of(term.effect.name).prevalence
-    if cell.usual is None:
+    share = effect_of(term.effect.name).prior_probability
+    if cell.baseline_gain_nats is None:
         return float(np.log(share / (1.0 - share)))
-    return float(np.log(CHANGED_SINCE * share)) - dict(cell.usual).get(term.effect.name, 0.0)
+    return float(np.log(PRIOR_CHANGED_EFFECT_FRAC * share)) - dict(cell.baseline_gain_nats).get(term.effect.name, 0.0)

@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from diagnosis.whole_model.evidence import FOUND_90_OF_98, Evidence
+from diagnosis.whole_model.evidence import DETECTION_LIMIT_SIGMAS, Evidence
 from machine.rotations import Array
 
 #: Figures of the evidence, each the better the larger.
-FEATURES = ("gain", "size", "alone", "detectable", "agreement", "remainder", "noise_known")
-CONFIRMED = 0.9  # probability from which an effect is confirmed; below a half nothing is "found"
-LIKELY = 0.5
-CAP = 1e3
-AGREES = 0.01  # a size that is the same to a hundredth is the same
-LEAST_SHARE = 1e-4  # of what is left: below, an effect is lost in it
-RIDGE = 2.5**-2.0
+EVIDENCE_FEATURE_NAMES = ("gain", "size", "alone", "detectable", "agreement", "remainder", "noise_known")
+CONFIRMED_PROBABILITY = 0.9  # probability from which an effect is confirmed; below a half nothing is "found"
+LIKELY_PROBABILITY = 0.5
+FEATURE_VALUE_MAX = 1e3
+SIZE_AGREEMENT_FRAC = 0.01  # a size that is the same to a hundredth is the same
+EXPLAINED_FRAC_MIN = 1e-4  # of what is left: below, an effect is lost in it
+RIDGE_PENALTY = 2.5**-2.0
 
 
 def evidence_features(evidence: Evidence) -> Array:
@@ -33,15 +33,15 @@ def evidence_features(evidence: Evidence) -> Array:
     Why a size over its deviation is at most the root of twice the gain: the deviation of a shape or a threshold may be
     far too small (Hauck, Donner 1977); the likelihood ratio is not misled by it.
     """
-    z = min(evidence.z, float(np.sqrt(2.0 * max(evidence.gain_nats, 0.0))))
+    z = min(evidence.size_z_score, float(np.sqrt(2.0 * max(evidence.gain_nats, 0.0))))
     return np.array(
         [
-            np.log1p(np.clip(evidence.gain_nats, 0.0, CAP)),
-            np.log1p(min(z, CAP)),
-            np.log1p(min(evidence.alone, CAP)),
-            min(z / FOUND_90_OF_98, 1.0),
-            -np.log(AGREES + min(evidence.scatter, 1.0)),
-            np.log(max(evidence.above, LEAST_SHARE)),
+            np.log1p(np.clip(evidence.gain_nats, 0.0, FEATURE_VALUE_MAX)),
+            np.log1p(min(z, FEATURE_VALUE_MAX)),
+            np.log1p(min(evidence.full_model_z_score, FEATURE_VALUE_MAX)),
+            min(z / DETECTION_LIMIT_SIGMAS, 1.0),
+            -np.log(SIZE_AGREEMENT_FRAC + min(evidence.size_scatter_frac, 1.0)),
+            np.log(max(evidence.explained_frac, EXPLAINED_FRAC_MIN)),
             float(evidence.noise_known),
         ]
     )
@@ -55,7 +55,11 @@ def probability(evidence: Evidence) -> float:
     are not, and the calibration takes their place.
     """
     if evidence.prior_nats is not None:
-        share = 1.0 if np.isinf(evidence.z) else 1.0 / (1.0 + (evidence.scatter * evidence.z) ** 2)
+        share = (
+            1.0
+            if np.isinf(evidence.size_z_score)
+            else 1.0 / (1.0 + (evidence.size_scatter_frac * evidence.size_z_score) ** 2)
+        )
         return float(logistic(evidence.prior_nats + share * (evidence.gain_nats - evidence.prior_nats)))
     return probability_of(evidence_features(evidence))
 
@@ -63,7 +67,9 @@ def probability(evidence: Evidence) -> float:
 def probability_of(figures: Array) -> float:
     """The same from the figures (FEATURES,) of its evidence."""
     table = trained_calibration()
-    weights = [float(table["weights"].get(name, 0.0)) for name in FEATURES]  # 0: a figure that is newer than the fit
+    weights = [
+        float(table["weights"].get(name, 0.0)) for name in EVIDENCE_FEATURE_NAMES
+    ]  # 0: a figure that is newer than the fit
     return float(logistic(float(table["intercept"]) + figures @ np.array(weights)))
 
 
@@ -79,7 +85,7 @@ def trained_calibration() -> dict[str, Any]:
     return json.loads(text)
 
 
-def fit_logistic(X: Array, right: Array, penalty: float = RIDGE) -> tuple[float, Array]:
+def fit_logistic(X: Array, right: Array, penalty: float = RIDGE_PENALTY) -> tuple[float, Array]:
     """Intercept and weights, none below zero, that make `right` (n,) most likely from figures X (n, k).
 
     Model:  logistic regression, figures standardised, w_j ~ N(0, 1 / penalty): finite where the data are separable.

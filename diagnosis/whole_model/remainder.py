@@ -6,15 +6,15 @@ from scipy.stats import rankdata
 from diagnosis.whole_model.solve import WholeFit
 from machine.rotations import Array
 
-LEVELS = 12  # of a signal, with as many rows each
-WORTH = 0.05  # of the remainder: a signal that explains less is not a lead
+SIGNAL_LEVEL_BINS = 12  # of a signal, with as many rows each
+LEAD_EXPLAINED_MIN_FRAC = 0.05  # of the remainder: a signal that explains less is not a lead
 
 
 def lead_of(fit: WholeFit) -> str:
     """The strongest lead in words: what moved by itself, else a signal that explains a twentieth of what is left."""
-    if fit.cell.restless:
-        return fit.cell.restless
-    residual = fit.best.lin.residual
+    if fit.cell.loose_target_text:
+        return fit.cell.loose_target_text
+    residual = fit.best_fit.linear_model.residual
     found = [
         (explained_share(own, values), name)
         for part, own in fit.cell.by_part(residual)
@@ -22,7 +22,7 @@ def lead_of(fit: WholeFit) -> str:
         if len(values) == len(own)
     ]
     share, name = max(found, default=(0.0, ""))
-    return f"goes with the {name} (explains {100 * share:.0f} % of it)" if share > WORTH else ""
+    return f"goes with the {name} (explains {100 * share:.0f} % of it)" if share > LEAD_EXPLAINED_MIN_FRAC else ""
 
 
 def explained_share(residual: Array, values: Array) -> float:
@@ -30,7 +30,7 @@ def explained_share(residual: Array, values: Array) -> float:
 
     Source: adjusted R squared.
     """
-    level = np.floor((rankdata(values) - 1.0) * LEVELS / len(values)).astype(np.int64)
+    level = np.floor((rankdata(values) - 1.0) * SIGNAL_LEVEL_BINS / len(values)).astype(np.int64)
     names, of = np.unique(level, return_inverse=True)
     count = np.bincount(of)
     mean = np.bincount(of, weights=residual) / count

@@ -10,7 +10,7 @@ from diagnosis.search.candidates import Candidate
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import Fit, evaluated_at, soft_l1_costs, soft_l1_weights
 from diagnosis.whole_model.linear import EffectTerm, LinearModel, linearise_terms, pack_terms
-from diagnosis.whole_model.refine import SETTLED_NATS, bounded, refine_present_terms
+from diagnosis.whole_model.refine import CONVERGENCE_NATS, bounded, refine_present_terms
 from diagnosis.whole_model.subsets import (
     LinearProblem,
     Members,
@@ -21,9 +21,9 @@ from diagnosis.whole_model.subsets import (
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-ROUNDS = 6
-FALLS = 0.9  # of the noise: a round that lowers it less ends the approach
-CLEAR_NATS = 50.0  # by the linear model: a set that is so much worse is not refitted
+MAX_ITERATIONS = 6
+NOISE_STALL_RATIO = 0.9  # of the noise: a round that lowers it less ends the approach
+REFIT_SCORE_DEFICIT_MAX_NATS = 50.0  # by the linear model: a set that is so much worse is not refitted
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,19 +32,19 @@ class Fitted:
     of the set [nats, up to a constant of the part].
     """
 
-    lin: LinearModel
-    problem: LinearProblem
-    score: float
+    linear_model: LinearModel
+    subset_problem: LinearProblem
+    log_posterior_nats: float
 
     @property
     def current_terms(self) -> tuple[EffectTerm, ...]:
         """The library's terms as they stand."""
-        return self.lin.terms
+        return self.linear_model.effect_terms
 
     @property
     def present_terms(self) -> Members:
         """Which terms are present (terms,)."""
-        return self.lin.present_terms
+        return self.linear_model.present_terms
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +58,11 @@ class WholeFit:
     """
 
     cell: Cell
-    best: Fitted
-    trust: Array
-    rivals: dict[int, Fitted | None]
-    twins: tuple[tuple[int, int], ...]
-    settled: bool
+    best_fit: Fitted
+    correlation_weight: Array
+    rival_fit_by_term: dict[int, Fitted | None]
+    collinear_term_pairs: tuple[tuple[int, int], ...]
+    converged: bool
 
 
 def fit_and_prune(cell: Cell, library: tuple[Candidate, ...], start: tuple[EffectTerm, ...] = ()) -> WholeFit:
@@ -71,7 +71,7 @@ def fit_and_prune(cell: Cell, library: tuple[Candidate, ...], start: tuple[Effec
     Model: rounds of (columns about where the terms stand; best set of the linear model; Gauss-Newton of that set). At
            the end the best set without each term is refitted; where one of these is better, it takes the place.
     """
-    terms = start or tuple(EffectTerm(effect, np.zeros(len(effect.slots)), False) for effect in library)
+    terms = start or tuple(EffectTerm(effect, np.zeros(len(effect.parameter_slots)), False) for effect in library)
     twins = _equivalent_term_pairs(cell, terms)
     own = np.ones(len(terms), dtype=bool)
     own[[out for _, out in twins]] = False
@@ -81,11 +81,11 @@ def fit_and_prune(cell: Cell, library: tuple[Candidate, ...], start: tuple[Effec
     if not start:
         fitted, trust = _grow_from_empty_set(cell, fitted, trust, own)
     settled, rivals = False, dict[int, Fitted | None]()
-    for _ in range(ROUNDS):
-        problem = fitted.problem
+    for _ in range(MAX_ITERATIONS):
+        problem = fitted.subset_problem
         best = best_set(problem, fitted.present_terms, own)
         if not (best == fitted.present_terms).all():
-            fitted, trust, changed = _accept_if_better(cell, fitted, trust, fitted.lin, best)
+            fitted, trust, changed = _accept_if_better(cell, fitted, trust, fitted.linear_model, best)
             if changed:
                 continue
         columns = _tangent_columns(cell, fitted)
@@ -93,8 +93,12 @@ def fit_and_prune(cell: Cell, library: tuple[Candidate, ...], start: tuple[Effec
             int(k): _refit_without_term(cell, fitted, int(k), own, trust, columns)
             for k in np.nonzero(fitted.present_terms)[0]
         }
-        better = max((rival for rival in rivals.values() if rival is not None), key=lambda one: one.score, default=None)
-        if better is None or better.score <= fitted.score + SETTLED_NATS:
+        better = max(
+            (rival for rival in rivals.values() if rival is not None),
+            key=lambda one: one.log_posterior_nats,
+            default=None,
+        )
+        if better is None or better.log_posterior_nats <= fitted.log_posterior_nats + CONVERGENCE_NATS:
             settled = True
             break
         fitted = _linearised_fit(cell, better.current_terms, trust)
@@ -108,20 +112,22 @@ def _grow_from_empty_set(cell: Cell, fitted: Fitted, trust: Array, own: Members)
     changes are expected, and the whole model may settle on several small ones in place of one with a narrow optimum:
     then effects enter one at a time, each refitted before the next.
     """
-    terms = tuple(replace(term, present=False) for term in fitted.current_terms)
+    terms = tuple(replace(term, is_present=False) for term in fitted.current_terms)
     own_trust = trusted_rows(cell, terms)
     grown = _linearised_fit(cell, terms, own_trust)
-    if cell.usual is None:
-        even = grown.lin.choice_problem(np.ones(cell.rows.row_count))
-        return _accept_if_better(cell, fitted, trust, grown.lin, best_set(even, grown.present_terms, own))[:2]
+    if cell.baseline_gain_nats is None:
+        even = grown.linear_model.choice_problem(np.ones(cell.rows.row_count))
+        return _accept_if_better(cell, fitted, trust, grown.linear_model, best_set(even, grown.present_terms, own))[:2]
     for _ in range(int(own.sum())):
-        members = best_addition(grown.problem, grown.present_terms, own)
+        members = best_addition(grown.subset_problem, grown.present_terms, own)
         if members is None:
             break
-        grown, own_trust, better = _accept_if_better(cell, grown, own_trust, grown.lin, members)
+        grown, own_trust, better = _accept_if_better(cell, grown, own_trust, grown.linear_model, members)
         if not better:
             break
-    return (grown, own_trust) if grown.score > score_at(fitted.lin, own_trust) else (fitted, trust)
+    return (
+        (grown, own_trust) if grown.log_posterior_nats > score_at(fitted.linear_model, own_trust) else (fitted, trust)
+    )
 
 
 def _accept_if_better(
@@ -131,7 +137,7 @@ def _accept_if_better(
     terms = refine_present_terms(cell, _terms_of_chosen_set(lin, lin.choice_problem(trust), members), trust)
     own_trust = trusted_rows(cell, terms)
     tried = _linearised_fit(cell, terms, own_trust)
-    better = tried.score > score_at(fitted.lin, own_trust)
+    better = tried.log_posterior_nats > score_at(fitted.linear_model, own_trust)
     return (tried, own_trust, True) if better else (fitted, trust, False)
 
 
@@ -143,9 +149,9 @@ def _fit_by_graduated_noise(cell: Cell, terms: tuple[EffectTerm, ...], own: Memb
     Source: graduated non-convexity by the scale of the noise: Black, Rangarajan 1996, sec. 5.
     """
     even = np.ones(cell.rows.row_count)
-    terms = tuple(replace(term, present=bool(term.is_smooth and own[k])) for k, term in enumerate(terms))
-    left = _by_part(cell, tuple(replace(term, present=False) for term in terms))
-    for k in range(ROUNDS):
+    terms = tuple(replace(term, is_present=bool(term.is_smooth and own[k])) for k, term in enumerate(terms))
+    left = _by_part(cell, tuple(replace(term, is_present=False) for term in terms))
+    for k in range(MAX_ITERATIONS):
         near = replace(cell, whitened=_InflatedResidual(cell.whitened, left))
         terms = refine_present_terms(near, terms, even)
         lin = linearise_terms(near, terms)
@@ -154,7 +160,7 @@ def _fit_by_graduated_noise(cell: Cell, terms: tuple[EffectTerm, ...], own: Memb
             near, _terms_of_chosen_set(lin, problem, best_set(problem, own if k == 0 else lin.present_terms, own)), even
         )
         before, left = left, _by_part(cell, terms)
-        if (left > FALLS * before).all():
+        if (left > NOISE_STALL_RATIO * before).all():
             break
     return terms
 
@@ -164,10 +170,10 @@ class _InflatedResidual:
     """Residuals by a noise that is larger by `times` (N,)."""
 
     whitened: Callable[[ParameterSets], Array]
-    times: Array
+    noise_ratio: Array
 
     def __call__(self, sets: ParameterSets) -> Array:
-        return np.asarray(self.whitened(sets) / self.times, dtype=float)
+        return np.asarray(self.whitened(sets) / self.noise_ratio, dtype=float)
 
 
 def _by_part(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
@@ -181,15 +187,15 @@ def _by_part(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
 def _equivalent_term_pairs(cell: Cell, terms: tuple[EffectTerm, ...]) -> tuple[tuple[int, int], ...]:
     """Pairs of smooth terms that do the same where both are absent: the one kept, and the one it stands for."""
     smooth = [k for k, term in enumerate(terms) if term.is_smooth]
-    absent = tuple(replace(terms[k], theta=np.zeros_like(terms[k].theta), present=False) for k in smooth)
+    absent = tuple(replace(terms[k], theta=np.zeros_like(terms[k].theta), is_present=False) for k in smooth)
     return tuple((smooth[kept], smooth[out]) for kept, out in linearise_terms(cell, absent).twin_pairs())
 
 
 def fit_of(terms: Sequence[EffectTerm], lin: LinearModel | None = None) -> Fit:
     """The present terms as a plain fit, for what compares, writes or plans by one. `lin`: about them, for J."""
-    some = [term for term in terms if term.present]
+    some = [term for term in terms if term.is_present]
     theta = np.concatenate([term.theta for term in some]) if some else np.zeros(0)
-    cols = np.repeat(lin.present_terms, np.diff(lin.first)) if lin is not None else np.zeros(0, dtype=bool)
+    cols = np.repeat(lin.present_terms, np.diff(lin.term_first_column)) if lin is not None else np.zeros(0, dtype=bool)
     residual = np.zeros(0) if lin is None else lin.residual
     J = np.zeros((0, len(theta))) if lin is None else lin.J[:, cols]
     effects = tuple(term.effect for term in some)
@@ -199,8 +205,8 @@ def fit_of(terms: Sequence[EffectTerm], lin: LinearModel | None = None) -> Fit:
 def refit_terms(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
     """Some present terms of a fit (the same objects), fitted again as if nothing else were there."""
     kept = {id(term) for term in terms}
-    whole = all(id(term) in kept for term in fit.best.current_terms if term.present)
-    return tuple(term for term in (fit.best.current_terms if whole else _with_only(fit, terms)) if term.present)
+    whole = all(id(term) in kept for term in fit.best_fit.current_terms if term.is_present)
+    return tuple(term for term in (fit.best_fit.current_terms if whole else _with_only(fit, terms)) if term.is_present)
 
 
 def refit_reduced(fit: WholeFit, terms: Sequence[EffectTerm]) -> WholeFit:
@@ -211,20 +217,24 @@ def refit_reduced(fit: WholeFit, terms: Sequence[EffectTerm]) -> WholeFit:
 def refit_with_exchanged_term(fit: WholeFit, term: EffectTerm, others: Sequence[EffectTerm]) -> WholeFit:
     """A fit with other terms of its library in the place of a present one, fitted again."""
     entering = {id(other) for other in others}
-    members = np.array([(mine.present and mine is not term) or id(mine) in entering for mine in fit.best.current_terms])
-    chosen = _terms_of_chosen_set(fit.best.lin, fit.best.problem, members)
-    return _standing_at(fit, refine_present_terms(fit.cell, chosen, fit.trust))
+    members = np.array(
+        [(mine.is_present and mine is not term) or id(mine) in entering for mine in fit.best_fit.current_terms]
+    )
+    chosen = _terms_of_chosen_set(fit.best_fit.linear_model, fit.best_fit.subset_problem, members)
+    return _standing_at(fit, refine_present_terms(fit.cell, chosen, fit.correlation_weight))
 
 
 def _standing_at(fit: WholeFit, terms: tuple[EffectTerm, ...]) -> WholeFit:
     trust = trusted_rows(fit.cell, terms)
-    return replace(fit, best=_linearised_fit(fit.cell, terms, trust), trust=trust, rivals={})
+    return replace(
+        fit, best_fit=_linearised_fit(fit.cell, terms, trust), correlation_weight=trust, rival_fit_by_term={}
+    )
 
 
 def _with_only(fit: WholeFit, terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
     kept = {id(term) for term in terms}
-    some = tuple(replace(term, present=id(term) in kept) for term in fit.best.current_terms)
-    return refine_present_terms(fit.cell, some, fit.trust)
+    some = tuple(replace(term, is_present=id(term) in kept) for term in fit.best_fit.current_terms)
+    return refine_present_terms(fit.cell, some, fit.correlation_weight)
 
 
 def _linearised_fit(cell: Cell, terms: tuple[EffectTerm, ...], trust: Array, absent: bool = True) -> Fitted:
@@ -235,9 +245,9 @@ def _linearised_fit(cell: Cell, terms: tuple[EffectTerm, ...], trust: Array, abs
 def score_at(lin: LinearModel, trust: Array) -> float:
     """Log posterior of the present set where it stands: Laplace, with the costs as they are [nats]."""
     problem, members = lin.choice_problem(trust), lin.present_terms
-    cols = np.repeat(members, np.diff(lin.first))
-    x, slab = lin.x[cols], problem.slab[cols]
-    A = np.eye(len(x)) + slab[:, None] * problem.H[np.ix_(cols, cols)] * slab
+    cols = np.repeat(members, np.diff(lin.term_first_column))
+    x, slab = lin.parameter_offsets[cols], problem.prior_sigma[cols]
+    A = np.eye(len(x)) + slab[:, None] * problem.normal_matrix[np.ix_(cols, cols)] * slab
     prior = float(problem.log_odds[members].sum()) - 0.5 * float(((x / slab) ** 2).sum())
     return prior - float((soft_l1_costs(lin.residual) * trust).sum()) - 0.5 * float(np.linalg.slogdet(A)[1])
 
@@ -249,13 +259,15 @@ def _refit_without_term(
 
     `columns`: tangents of the best set's terms; those that enter have theirs in its linear model.
     """
-    problem = fitted.problem
+    problem = fitted.subset_problem
     members = best_set_without(problem, fitted.present_terms, term, own)
-    if problem.score(fitted.present_terms) - problem.score(members) > CLEAR_NATS:
+    if problem.score(fitted.present_terms) - problem.score(members) > REFIT_SCORE_DEFICIT_MAX_NATS:
         return None
-    chosen = _terms_of_chosen_set(fitted.lin, problem, members)
+    chosen = _terms_of_chosen_set(fitted.linear_model, problem, members)
     entering = {
-        k: fitted.lin.columns(k) for k, chosen_term in enumerate(chosen) if chosen_term.present and k not in columns
+        k: fitted.linear_model.columns(k)
+        for k, chosen_term in enumerate(chosen)
+        if chosen_term.is_present and k not in columns
     }
     short = [k for k, J in entering.items() if J.shape[1] < len(chosen[k].theta)]  # shapes have no column while absent
     given = None if short else {**columns, **entering}
@@ -263,7 +275,7 @@ def _refit_without_term(
 
 
 def _tangent_columns(cell: Cell, fitted: Fitted) -> dict[int, Array]:
-    some = [k for k, term in enumerate(fitted.current_terms) if term.present]
+    some = [k for k, term in enumerate(fitted.current_terms) if term.is_present]
     lin = linearise_terms(cell, tuple(fitted.current_terms[k] for k in some), to_move=True)
     return {k: lin.columns(at) for at, k in enumerate(some)}
 
@@ -274,11 +286,11 @@ def _terms_of_chosen_set(lin: LinearModel, problem: LinearProblem, members: Memb
     """
     x, _ = problem.estimate(members)
     out = []
-    for k, term in enumerate(lin.terms):
+    for k, term in enumerate(lin.effect_terms):
         theta = term.theta.copy()
         scanned = term.limits or term.effect.has_narrow_minimum
-        if members[k] and not scanned and (term.is_smooth or not term.present):
-            theta[: term.size_count] = x[lin.first[k] : lin.first[k] + term.size_count]
+        if members[k] and not scanned and (term.is_smooth or not term.is_present):
+            theta[: term.size_count] = x[lin.term_first_column[k] : lin.term_first_column[k] + term.size_count]
         out.append(EffectTerm(term.effect, bounded(term, theta), bool(members[k])))
     return tuple(out)
 
@@ -290,9 +302,9 @@ def trusted_rows(cell: Cell, terms: tuple[EffectTerm, ...]) -> Array:
             working likelihood of independent rows has to be scaled so that its mean drop is that of the true one.
     Source: Pauli, Racugno, Ventura 2011, eq. 2.4 (magnitude adjustment of a composite likelihood).
     """
-    lin = linearise_terms(cell, tuple(term for term in terms if term.present))
+    lin = linearise_terms(cell, tuple(term for term in terms if term.is_present))
     out, start = np.ones(len(lin.residual)), 0
-    for part in cell.parts or (cell,):
+    for part in cell.joined_cells or (cell,):
         own = slice(start, start + part.rows.row_count)
         start += part.rows.row_count
         out[own] = _magnitude_adjustment(lin.J[own], lin.residual[own], part.rows.dependent_rows)

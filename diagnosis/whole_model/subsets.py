@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from machine.rotations import Array
 
-AT_BOUND_NATS = 7.0  # price of a number that would be negative and cannot: the set without it is always better
-TRIED = 200  # exchanges that are tried with the bounds
+BOUND_PENALTY_NATS = 7.0  # price of a number that would be negative and cannot: the set without it is always better
+EXCHANGE_TRIALS_MAX = 200  # exchanges that are tried with the bounds
 Members = NDArray[np.bool_]
 
 
@@ -26,10 +26,10 @@ class LinearProblem:
     `nonnegative`: (k,), columns whose number cannot be negative. `log_odds`: (terms,), prior, of a term being there.
     """
 
-    H: Array
-    c: Array
-    slab: Array
-    first: NDArray[np.int64]
+    normal_matrix: Array
+    normal_rhs: Array
+    prior_sigma: Array
+    term_first_column: NDArray[np.int64]
     nonnegative: Members
     log_odds: Array
 
@@ -40,26 +40,45 @@ class LinearProblem:
 
     def score(self, members: Members) -> float:
         """Log posterior of a set, up to a constant [nats]."""
-        return float(_subset_score(self.H, self.c, self.slab, self.first, self.nonnegative, self.log_odds, members))
+        return float(
+            _subset_score(
+                self.normal_matrix,
+                self.normal_rhs,
+                self.prior_sigma,
+                self.term_first_column,
+                self.nonnegative,
+                self.log_odds,
+                members,
+            )
+        )
 
     def estimate(self, members: Members) -> tuple[Array, Array]:
         """x (k,), zero outside the set, and its covariance (k, k)."""
-        cols = np.nonzero(np.repeat(members, np.diff(self.first)))[0]
-        kept, x = _solve_bounded_subset(self.H, self.c, self.slab, self.nonnegative, cols)[1:]
-        out, S = np.zeros(len(self.c)), np.zeros_like(self.H)
-        out[kept] = x * self.slab[kept]
+        cols = np.nonzero(np.repeat(members, np.diff(self.term_first_column)))[0]
+        kept, x = _solve_bounded_subset(self.normal_matrix, self.normal_rhs, self.prior_sigma, self.nonnegative, cols)[
+            1:
+        ]
+        out, S = np.zeros(len(self.normal_rhs)), np.zeros_like(self.normal_matrix)
+        out[kept] = x * self.prior_sigma[kept]
         own = np.ix_(kept, kept)
-        S[own] = np.linalg.inv(self.H[own] + np.diag(self.slab[kept] ** -2.0))
+        S[own] = np.linalg.inv(self.normal_matrix[own] + np.diag(self.prior_sigma[kept] ** -2.0))
         return out, S
 
     def misfit_nats(self, x: Array) -> float:
         """1/2 |J x - y|^2 - 1/2 |y|^2 [nats]."""
-        return float(0.5 * x @ self.H @ x - self.c @ x)
+        return float(0.5 * x @ self.normal_matrix @ x - self.normal_rhs @ x)
 
 
 def best_set(problem: LinearProblem, start: Members, allowed: Members) -> Members:
     """The set at which no addition, removal or exchange of one term helps, from `start`; only `allowed` terms enter."""
-    given = (problem.H, problem.c, problem.slab, problem.first, problem.nonnegative, problem.log_odds)
+    given = (
+        problem.normal_matrix,
+        problem.normal_rhs,
+        problem.prior_sigma,
+        problem.term_first_column,
+        problem.nonnegative,
+        problem.log_odds,
+    )
     return np.asarray(_hill_climb_subset(*given, start & allowed, allowed))
 
 
@@ -85,7 +104,7 @@ def _solve_bounded_subset(H, c, slab, nonnegative, cols):
         own = cols[keep]
         m = own.shape[0]
         if m == 0:
-            return -AT_BOUND_NATS * cols.shape[0], own, np.zeros(0)
+            return -BOUND_PENALTY_NATS * cols.shape[0], own, np.zeros(0)
         A, b = np.empty((m, m)), np.empty(m)
         for i in range(m):
             b[i] = c[own[i]] * slab[own[i]]
@@ -100,7 +119,7 @@ def _solve_bounded_subset(H, c, slab, nonnegative, cols):
             if nonnegative[own[i]] and x[i] < worst:
                 worst, at = x[i], i
         if at < 0:
-            value = 0.5 * np.sum(z * z) - AT_BOUND_NATS * (cols.shape[0] - m)
+            value = 0.5 * np.sum(z * z) - BOUND_PENALTY_NATS * (cols.shape[0] - m)
             for i in range(m):
                 value -= np.log(L[i, i])
             return value, own, x
@@ -163,7 +182,7 @@ def _with_each(G, b, first, nonnegative, log_odds, P, own, members):
                     S[i, j] -= row[q] * G[own[q], first[t] + j]
             S[i, i] += 1.0
         if m == 1 and nonnegative[first[t]] and r[0] < 0.0:
-            out[t] = log_odds[t] - AT_BOUND_NATS
+            out[t] = log_odds[t] - BOUND_PENALTY_NATS
             continue
         values, vectors = np.linalg.eigh(0.5 * (S + S.T))
         values = np.maximum(values, 1.0)  # less is rounding
@@ -252,7 +271,7 @@ def _hill_climb_subset(H, c, slab, first, nonnegative, log_odds, start, allowed)
         if found:
             continue
         flat = _swap_score_changes(G, b, first, nonnegative, log_odds, P, own, members, flips).ravel()
-        for at in np.argsort(-flat)[:TRIED]:  # exchanges only where no single step helps
+        for at in np.argsort(-flat)[:EXCHANGE_TRIALS_MAX]:  # exchanges only where no single step helps
             if flat[at] < 0.0:
                 break
             t, u = at // terms, at % terms

@@ -17,7 +17,7 @@ from diagnosis.behind.points import rigid_fit
 from diagnosis.reading.read import Read
 from diagnosis.replay.replayer import closed_loop, replayer_of
 from diagnosis.search.candidates import parameter_sets_with
-from diagnosis.search.cell import DRIVEN_STAGES, Cell
+from diagnosis.search.cell import DYNAMIC_STAGES, Cell
 from diagnosis.whole_model.linear import EffectTerm
 from machine.effects.dynamics import DynamicStage, simulate
 from machine.effects.encoders import true_angles
@@ -28,10 +28,12 @@ from machine.effects.structure import tcp_poses
 from machine.poses import transform_points
 from machine.rotations import Array
 
-ROWS = 400  # postures and rows of motion at which the tool is looked at: the RMS is then known to a few percent
-FRAMES = 60
-NUDGE = 1e-4
-COLUMNS = ("stands", "gets_there", "sees")
+TOOL_SAMPLES_MAX = (
+    400  # postures and rows of motion at which the tool is looked at: the RMS is then known to a few percent
+)
+CAMERA_FRAMES_MAX = 60
+FINITE_DIFFERENCE_STEP = 1e-4
+BUDGET_COLUMN_NAMES = ("stands", "gets_there", "sees")
 ARM_STAGES = ("joint", "structure")
 CAMERA_STAGES = ("camera", "time")
 
@@ -42,11 +44,11 @@ class ToolError:
     model's miss (m, 3) as it was measured, `left`: with the effects that are kept; None where only the model says it.
     """
 
-    column: str
-    terms: tuple[EffectTerm, ...]
+    budget_column: str
+    effect_terms: tuple[EffectTerm, ...]
     by_effect: Array
-    measured: Array | None = None
-    left: Array | None = None
+    measured_error_m: Array | None = None
+    remaining_error_m: Array | None = None
 
     @property
     def total_error(self) -> Array:
@@ -71,7 +73,7 @@ def tool_errors(
 
     `kept`: the terms with which a machine file is left, in place of all.
     """
-    some = tuple(term for term in terms if term.present)
+    some = tuple(term for term in terms if term.is_present)
     found = (
         tool_position_error(whole, some),
         gets_there(whole, some, some if kept is None else kept),
@@ -86,13 +88,17 @@ def tool_position_error(whole: Read, terms: tuple[EffectTerm, ...]) -> ToolError
     Where nothing outside the machine measured points on it, it is unknown where its base stands: a motion of the whole
     is then left out, and what counts is how the tool's places lie to each other.
     """
-    nominal = whole.nominal
+    nominal = whole.nominal_machine
     if nominal is None or nominal.arm is None:
         return None
     arm, own = nominal.arm, tuple(term for term in terms if term.effect.stage in ARM_STAGES)
     paths, tables = paths_of(whole.stretches), whole.tables
     times = np.concatenate([path.t_s for path in paths]) if paths else np.zeros(0)
-    times = times[np.unique(np.linspace(0, len(times) - 1, min(ROWS, len(times))).astype(int))] if len(times) else times
+    times = (
+        times[np.unique(np.linspace(0, len(times) - 1, min(TOOL_SAMPLES_MAX, len(times))).astype(int))]
+        if len(times)
+        else times
+    )
     at = path_index(paths, times)
     table = tables.static if tables is not None else None
     static = np.zeros((0, nominal.n)) if table is None or table.q is None else np.unique(table.q, axis=0)
@@ -104,7 +110,7 @@ def tool_position_error(whole: Read, terms: tuple[EffectTerm, ...]) -> ToolError
         rows = [true_angles(sets, static, k)] + ([link_angles(paths, sets, k, at, times)] if len(times) else [])
         return tcp_poses(arm, plain, np.concatenate(rows), k)[:, :3, 3]
 
-    base = pack_under(nominal.baseline, nominal.n)
+    base = pack_under(nominal.baseline_effects, nominal.n)
     surveyed = tables is not None and (tables.static is not None or tables.tracker is not None)
     here = tool(base, 0)
 
@@ -117,16 +123,16 @@ def tool_position_error(whole: Read, terms: tuple[EffectTerm, ...]) -> ToolError
 
 def gets_there(whole: Read, terms: tuple[EffectTerm, ...], kept: Sequence[EffectTerm]) -> ToolError | None:
     """How the tool follows what was sent, the loop closed: simulated, and against the encoders as recorded."""
-    nominal = whole.nominal
+    nominal = whole.nominal_machine
     replayer = replayer_of(nominal, whole.stretches) if nominal is not None and whole.stretches else None
     if nominal is None or nominal.arm is None or replayer is None or not nominal.has_controller:
         return None
-    own = tuple(term for term in terms if term.effect.stage in DRIVEN_STAGES)
-    arm, base = nominal.arm, pack_under(nominal.baseline, nominal.n)
+    own = tuple(term for term in terms if term.effect.stage in DYNAMIC_STAGES)
+    arm, base = nominal.arm, pack_under(nominal.baseline_effects, nominal.n)
     runs = [found for stretch in whole.stretches if (found := closed_loop(replayer, stretch)) is not None]
     if not runs:
         return None
-    step = max(1, sum(len(encoders) for _, _, encoders in runs) // (2 * ROWS))
+    step = max(1, sum(len(encoders) for _, _, encoders in runs) // (2 * TOOL_SAMPLES_MAX))
     plain = neutral_sets(nominal.n)
 
     def tool(sets: ParameterSets) -> list[Array]:
@@ -136,7 +142,7 @@ def gets_there(whole: Read, terms: tuple[EffectTerm, ...], kept: Sequence[Effect
         ]
 
     measured = tcp_poses(arm, plain, np.concatenate([encoders[::step] for _, _, encoders in runs]))[:, :3, 3]
-    stays = [term for term in kept if term.effect.stage in DRIVEN_STAGES]
+    stays = [term for term in kept if term.effect.stage in DYNAMIC_STAGES]
     without, with_kept = tool(base)[0], tool(_parameters_with_terms(base, stays))[0]
     return ToolError("gets_there", own, split_among_effects(base, own, tool), measured - without, measured - with_kept)
 
@@ -145,31 +151,39 @@ def camera_error(cells: Sequence[Cell], terms: tuple[EffectTerm, ...]) -> ToolEr
     """By how much the camera misplaces what it looks at."""
     own = tuple(term for term in terms if term.effect.stage in CAMERA_STAGES)
     parts = [
-        (part.base, part.whitened)
+        (part.baseline_parameters, part.whitened)
         for cell in cells
-        for part in (cell.parts or (cell,))
+        for part in (cell.joined_cells or (cell,))
         if isinstance(part.whitened, CornerResidual)
     ]
     if not parts:
         return None
-    base, corners = min(parts, key=lambda one: one[1].on != "ooi")
-    camera = corners.nominal.camera
+    base, corners = min(parts, key=lambda one: one[1].marker_carrier != "ooi")
+    camera = corners.nominal_machine.camera
     if camera is None:
         return None
-    few = np.unique(np.linspace(0, len(corners.frames.t_s) - 1, FRAMES).astype(int))
-    frames = replace(corners.frames, t_s=corners.frames.t_s[few], pixels=corners.frames.pixels[few])
-    corners = replace(corners, frames=frames, at=corners.at[few])
+    few = np.unique(np.linspace(0, len(corners.camera_frames.t_s) - 1, CAMERA_FRAMES_MAX).astype(int))
+    frames = replace(
+        corners.camera_frames, t_s=corners.camera_frames.t_s[few], corners_px=corners.camera_frames.corners_px[few]
+    )
+    corners = replace(corners, camera_frames=frames, path_index=corners.path_index[few])
 
     def seen(sets: ParameterSets, k: int, moved: Array | None = None) -> Array:
         plain = without_encoders(sets)
         place = corners.T_base_ooi if moved is None else corners.T_base_ooi @ moved
         Ts, later = (corners.poses(sets, plain, k, late_s) @ place for late_s in (0.0, 0.01))
         found = seen_corners(sets, camera, frames.markers, Ts, later, 0.01, which=k)
-        both = np.stack([found.left, found.right], axis=1)
-        return np.where(np.isfinite(frames.pixels), both, 0.0).reshape(len(few), -1)
+        both = np.stack([found.left_px, found.right_px], axis=1)
+        return np.where(np.isfinite(frames.corners_px), both, 0.0).reshape(len(few), -1)
 
     here = seen(base, 0)
-    J = np.stack([(seen(base, 0, small_motion(NUDGE * axis)) - here) / NUDGE for axis in np.eye(6)], axis=2)
+    J = np.stack(
+        [
+            (seen(base, 0, small_motion(FINITE_DIFFERENCE_STEP * axis)) - here) / FINITE_DIFFERENCE_STEP
+            for axis in np.eye(6)
+        ],
+        axis=2,
+    )
     inverse = np.linalg.pinv(np.nan_to_num(J))
 
     def placed(sets: ParameterSets) -> list[Array]:
@@ -194,7 +208,10 @@ def split_among_effects(
     every = [base, _parameters_with_terms(base, terms), *alone, *others]
     sets = base.repeated_sets(len(every))
     for k, sets_of in enumerate(every):
-        sets.joint[k], sets.machine[k] = sets_of.joint[0], sets_of.machine[0]
+        sets.joint_parameters[k], sets.machine_parameters[k] = (
+            sets_of.joint_parameters[0],
+            sets_of.machine_parameters[0],
+        )
     at = tool(sets)
     none, everything = at[0], at[1]
     if not terms:

@@ -27,8 +27,8 @@ class Arm:
 
     before: Array
     after: Array
-    zero: Array
-    moves: Array
+    q_offset: Array
+    motion_factor: Array
     prismatic: Array
     length_before: Array
     length_after: Array

@@ -11,8 +11,8 @@ from machine.errors import MachineError
 from machine.poses import pose
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
 
-LENGTH_MIN_M = 1e-9  # a shorter link has no direction of its own
-SKEW_MIN = 0.05  # sine between two axes: below it they are parallel, and no normal of both is their own
+LINK_LENGTH_MIN_M = 1e-9  # a shorter link has no direction of its own
+SKEW_AXES_SINE_MIN = 0.05  # sine between two axes: below it they are parallel, and no normal of both is their own
 
 
 def arm_from_urdf(
@@ -53,15 +53,15 @@ def arm_from_chain(
     pending = np.eye(4)
     parts: list[_Part] = []
     for joint in chain:
-        pending = pending if joint.rising else pending @ joint.T_parent_joint
-        if joint.kind != "fixed" and (joint_names is None or joint.name in joint_names):
+        pending = pending if joint.child_to_parent else pending @ joint.T_parent_joint
+        if joint.joint_type != "fixed" and (joint_names is None or joint.name in joint_names):
             parts.append(_Part(joint, pending))
             pending = np.eye(4)
-        pending = pending @ np.linalg.inv(joint.T_parent_joint) if joint.rising else pending
+        pending = pending @ np.linalg.inv(joint.T_parent_joint) if joint.child_to_parent else pending
     _require_no_follower(chain, joint_names)
     names = tuple(joint_names) if joint_names is not None else tuple(part.joint.name for part in parts)
     if not parts:
-        moving = [joint.name for joint in chain if joint.kind != "fixed"]
+        moving = [joint.name for joint in chain if joint.joint_type != "fixed"]
         raise MachineError(f"urdf: none of {list(names)} moves on the chain, whose joints are {moving}; name those")
     tcp = pending @ (np.eye(4) if T_flange_tcp is None else T_flange_tcp)
     return _arm_from_parts(parts, names, tcp, np.array([0.0, 0.0, -9.81]) if gravity is None else gravity), names
@@ -69,12 +69,13 @@ def arm_from_chain(
 
 def _require_no_follower(chain: Sequence[UrdfJoint], joint_names: Sequence[str] | None) -> None:
     """That no joint of the chain moves with another one's reading: it would be held at 0, or be a joint of its own."""
-    known = [joint.name for joint in chain if joint.kind != "fixed"] if joint_names is None else list(joint_names)
+    known = [joint.name for joint in chain if joint.joint_type != "fixed"] if joint_names is None else list(joint_names)
     for joint in chain:
         measured = joint_names is not None and joint.name in joint_names
-        if joint.kind != "fixed" and joint.mimics in known and not measured:
+        if joint.joint_type != "fixed" and joint.mimicked_joint in known and not measured:
             raise MachineError(
-                f"urdf: joint {joint.name!r} mimics {joint.mimics!r}, and one reading that moves two joints is not "
+                f"urdf: joint {joint.name!r} mimics {joint.mimicked_joint!r}, and one reading that moves two joints "
+                "is not "
                 f"modelled; record {joint.name!r} as a joint of its own and give it a [[joint]]"
             )
 
@@ -101,10 +102,14 @@ def _arm_from_parts(parts: list[_Part], names: Sequence[str], T_flange_tcp: Arra
         length_before[i, 0] = _axis_offset_direction(last, part)
         last = part.joint.axis / np.linalg.norm(part.joint.axis)
         length_after[i, 1, 2] = 1.0
-        moves[i] = -1.0 if part.joint.rising else 1.0
-        prismatic[i] = float(part.joint.kind == "prismatic")
-        if not part.joint.rising and part.joint.mass is not None and part.joint.com is not None:
-            mass[i], com[i] = part.joint.mass, part.joint.com
+        moves[i] = -1.0 if part.joint.child_to_parent else 1.0
+        prismatic[i] = float(part.joint.joint_type == "prismatic")
+        if (
+            not part.joint.child_to_parent
+            and part.joint.child_mass_kg is not None
+            and part.joint.child_com_m is not None
+        ):
+            mass[i], com[i] = part.joint.child_mass_kg, part.joint.child_com_m
     zero = np.zeros(n)
     return Arm(before, after, zero, moves, prismatic, length_before, length_after, mass, com, gravity, T_flange_tcp)
 
@@ -118,10 +123,10 @@ def _axis_offset_direction(last: Array | None, part: _Part) -> Array:
     axis = part.T_last_joint[:3, :3] @ part.joint.axis / np.linalg.norm(part.joint.axis)
     normal = offset - (offset @ axis) * axis
     both = np.zeros(3) if last is None else np.cross(last, axis)
-    if float(np.linalg.norm(both)) > SKEW_MIN:
+    if float(np.linalg.norm(both)) > SKEW_AXES_SINE_MIN:
         normal = both if offset @ both >= 0.0 else -both
     length = float(np.linalg.norm(normal))
-    return normal / length if length > LENGTH_MIN_M else np.zeros(3)
+    return normal / length if length > LINK_LENGTH_MIN_M else np.zeros(3)
 
 
 def axis_turn(axis: Array) -> Array:

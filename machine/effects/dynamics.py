@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from machine.description import Machine
 from machine.effects import kernel
-from machine.effects.layout import JOINT_COLUMNS, MACHINE_COLUMNS, ParameterSets
+from machine.effects.layout import N_JOINT_PARAMETERS, N_MACHINE_PARAMETERS, ParameterSets
 from machine.errors import MachineError
 from machine.rotations import Array
 
 TIE_S, ROUNDINGS = 1e-9, 4.0  # of a stamp: seconds since 1970 are known to a quarter of a microsecond
-STEP_MAX_S = 1e-3  # of the integration (the nominal model's definition)
-STEP_ANGLE_MAX = 0.8  # valve's angular frequency times step: stable to 1.2 at any damping below 1
+INTEGRATION_STEP_MAX_S = 1e-3  # of the integration (the nominal model's definition)
+INTEGRATION_PHASE_MAX_RAD = 0.8  # valve's angular frequency times step: stable to 1.2 at any damping below 1
 
 
 class DynamicStage(IntEnum):
@@ -35,7 +35,7 @@ class Actuators:
     cycle_s: float
     log_cycle_s: float
     transport_delay_s: float
-    refined: int = 1  # times as many steps as the nominal model's definition asks for
+    step_refinement_factor: int = 1  # times as many steps as the nominal model's definition asks for
 
     def __post_init__(self) -> None:
         """Refuse wrong shapes, values, and a log cycle that is not a multiple of the PLC's cycle."""
@@ -72,9 +72,11 @@ class Actuators:
     def substeps(self) -> int:
         """Integration steps per PLC cycle."""
         wn, damping = self.joints[:, kernel.WN], self.joints[:, kernel.ZETA]
-        fastest = np.where(damping > 1.0, 2.0 * damping * wn, wn / STEP_ANGLE_MAX).max()  # [1/s], a step's share of it
-        steps = int(np.ceil(max(self.cycle_s / STEP_MAX_S, self.cycle_s * float(fastest)) - 1e-9))
-        return self.refined * steps
+        fastest = np.where(
+            damping > 1.0, 2.0 * damping * wn, wn / INTEGRATION_PHASE_MAX_RAD
+        ).max()  # [1/s], a step's share of it
+        steps = int(np.ceil(max(self.cycle_s / INTEGRATION_STEP_MAX_S, self.cycle_s * float(fastest)) - 1e-9))
+        return self.step_refinement_factor * steps
 
 
 def actuators_of(machine: Machine) -> Actuators:
@@ -94,10 +96,10 @@ class Drive:
     `kept`: for each reference the last one that is known to have arrived; empty where losses are not known one by one.
     """
 
-    first: DynamicStage
-    cycles: int
+    first_stage: DynamicStage
+    n_cycles: int
     sent: Array
-    latest: NDArray[np.int64]
+    latest_sent_indices: NDArray[np.int64]
     ref: Array
     enc: Array
     u: Array
@@ -105,7 +107,7 @@ class Drive:
     load_kg: Array
     enc_start: Array
     u_start: Array
-    kept: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    last_arrived_indices: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,27 +220,33 @@ def simulate(
     Raises:  MachineError: shapes do not fit.
     """
     n = plant.n
-    if sets.joint.shape[1:] != (n, JOINT_COLUMNS) or sets.machine.shape != (sets.set_count, MACHINE_COLUMNS):
-        raise MachineError(f"parameters have shapes {sets.joint.shape}, {sets.machine.shape}; the plant has {n} joints")
-    if last < drive.first:
-        raise MachineError(f"a run cannot begin at stage {drive.first.name} and end at {last.name}; swap them")
-    if drive.first is DynamicStage.LINK and last is DynamicStage.CONTROLLER:
+    if sets.joint_parameters.shape[1:] != (n, N_JOINT_PARAMETERS) or sets.machine_parameters.shape != (
+        sets.set_count,
+        N_MACHINE_PARAMETERS,
+    ):
+        raise MachineError(
+            f"parameters have shapes {sets.joint_parameters.shape}, {sets.machine_parameters.shape}; the plant has "
+            f"{n} joints"
+        )
+    if last < drive.first_stage:
+        raise MachineError(f"a run cannot begin at stage {drive.first_stage.name} and end at {last.name}; swap them")
+    if drive.first_stage is DynamicStage.LINK and last is DynamicStage.CONTROLLER:
         raise MachineError("a controller behind the link needs the encoders; begin at CONTROLLER, or end at ACTUATOR")
-    rows = (drive.cycles - 1) // plant.cycles_per_row + 1
+    rows = (drive.n_cycles - 1) // plant.cycles_per_row + 1
     traces = SimulatedTraces(*(np.empty((sets.set_count, rows, n)) for _ in range(4)))
     kernel.run_stages(
-        int(drive.first),
+        int(drive.first_stage),
         int(last),
-        sets.joint,
-        sets.machine,
+        sets.joint_parameters,
+        sets.machine_parameters,
         plant.joints,
         plant.cycle_s,
         plant.substeps,
         plant.cycles_per_row,
         plant.whole_delay_s,
         drive.sent,
-        drive.latest,
-        drive.kept,
+        drive.latest_sent_indices,
+        drive.last_arrived_indices,
         drive.ref,
         drive.enc,
         drive.u,

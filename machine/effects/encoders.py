@@ -11,7 +11,7 @@ FIXED_POINT_STEPS = 16  # contraction below 0.14 inside the bounds: rounding aft
 
 def true_angles(sets: ParameterSets, readings: Array, which: int = 0) -> Array:
     """Motor-side angles (m, n) [rad] that readings stand for."""
-    P = sets.joint[which]
+    P = sets.joint_parameters[which]
     q = np.array(readings, dtype=float)
     if not np.any(P[:, ECC_AMPLITUDE]):
         return (q - P[:, BIAS]) / (1.0 + P[:, SCALE])
@@ -28,4 +28,4 @@ def angles_at_rest(sets: ParameterSets, readings: Array, sides: Array | None = N
           when the link trails; 0 (without `sides`) where it is not known.
     """
     q = true_angles(sets, readings, which)
-    return q if sides is None else q + 0.5 * sets.joint[which, :, BACKLASH] * np.asarray(sides, dtype=float)
+    return q if sides is None else q + 0.5 * sets.joint_parameters[which, :, BACKLASH] * np.asarray(sides, dtype=float)

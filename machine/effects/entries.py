@@ -13,11 +13,11 @@ from machine.effects.registry import NAMES, effect_named
 from machine.effects.spec import Effect, Parameter
 from machine.errors import MachineFileError
 
-SWING = "link_flexibility"
+OSCILLATION_EFFECT_NAME = "link_flexibility"
 Vector = tuple[float, ...]
 
 
-FACTORS = (  # sizes x of a factor 1 + x
+GAIN_FACTOR_EFFECT_NAMES = (  # sizes x of a factor 1 + x
     "flow_gain_error",
     "valve_asymmetry",
     "controller_gain_error",
@@ -27,8 +27,8 @@ FACTORS = (  # sizes x of a factor 1 + x
     "marker_size_error",
     "odometry_scale",
 )
-SHARES = ("valve_deadband", "packet_loss")
-SUM_MAX = 0.95
+FRACTION_EFFECT_NAMES = ("valve_deadband", "packet_loss")
+EFFECT_SIZE_SUM_MAX = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +69,19 @@ def _require_sums(entries: tuple[EffectEntry, ...]) -> None:
     """That what adds up to a factor leaves one above zero, and what takes a share of the whole leaves some of it."""
     sums: dict[tuple[str, int | None], float] = {}
     for entry in entries:
-        if entry.name in (*FACTORS, *SHARES):
+        if entry.name in (*GAIN_FACTOR_EFFECT_NAMES, *FRACTION_EFFECT_NAMES):
             size = entry.value(_effect_of_entry(entry).size.name)
             sums[entry.name, entry.joint] = sums.get((entry.name, entry.joint), 0.0) + size
     for (name, joint), total in sums.items():
-        if (name in FACTORS and total <= -SUM_MAX) or (name in SHARES and total >= SUM_MAX):
+        if (name in GAIN_FACTOR_EFFECT_NAMES and total <= -EFFECT_SIZE_SUM_MAX) or (
+            name in FRACTION_EFFECT_NAMES and total >= EFFECT_SIZE_SUM_MAX
+        ):
             where = "" if joint is None else f", joint {joint}"
-            limit = f"above {-SUM_MAX:g}" if name in FACTORS else f"below {SUM_MAX:g}"
+            limit = (
+                f"above {-EFFECT_SIZE_SUM_MAX:g}"
+                if name in GAIN_FACTOR_EFFECT_NAMES
+                else f"below {EFFECT_SIZE_SUM_MAX:g}"
+            )
             raise MachineFileError(
                 f"effect {name}{where}: its entries add up to {total:g}; they must stay {limit}: leave one out"
             )
@@ -124,7 +130,7 @@ def make_entry(effect: Effect, joint: int | None, parameters: Mapping[str, objec
     Raises: MachineFileError: a parameter is unknown, missing, not a number or out of bounds.
     """
     where = where or effect.name
-    words = [extra.name for extra in (effect.choice, effect.direction) if extra is not None]
+    words = [extra.name for extra in (effect.quantity_choice, effect.direction) if extra is not None]
     names = [parameter.name for parameter in effect.parameters]
     for given in parameters:
         if given not in names and given not in words:
@@ -132,7 +138,10 @@ def make_entry(effect: Effect, joint: int | None, parameters: Mapping[str, objec
     if effect.size.name not in parameters:
         raise MachineFileError(f"{where}: {effect.size.name} is missing [{effect.size.unit}]; it says how large it is")
     values = tuple(
-        (parameter.name, _checked_parameter_value(parameter, parameters.get(parameter.name, parameter.neutral), where))
+        (
+            parameter.name,
+            _checked_parameter_value(parameter, parameters.get(parameter.name, parameter.neutral_value), where),
+        )
         for parameter in effect.parameters
     )
     return EffectEntry(
@@ -148,12 +157,15 @@ def _checked_parameter_value(parameter: Parameter, value: object, where: str) ->
     if isinstance(value, bool) or not isinstance(value, int | float) or not _is_number(value):
         raise MachineFileError(f"{where}: {parameter.name} = {repr(value)[:60]} is not a number [{parameter.unit}]")
     if not parameter.in_bounds(float(value)):
-        whole = "whole numbers " if parameter.integer else ""
+        whole = "whole numbers " if parameter.is_integer else ""
         neutral = (
-            f" (neutral {parameter.neutral:g})" if not parameter.low <= parameter.neutral <= parameter.high else ""
+            f" (neutral {parameter.neutral_value:g})"
+            if not parameter.plausible_min <= parameter.neutral_value <= parameter.plausible_max
+            else ""
         )
         raise MachineFileError(
-            f"{where}: {parameter.name} = {value:g} is outside {whole}{parameter.low:g} .. {parameter.max_admitted:g}"
+            f"{where}: {parameter.name} = {value:g} is outside {whole}{parameter.plausible_min:g} .. "
+            f"{parameter.max_admitted:g}"
             f"{neutral} [{parameter.unit}]; {parameter.meaning}"
         )
     return float(value)
@@ -168,27 +180,30 @@ def _is_number(value: float) -> bool:
 
 
 def _chosen_option(effect: Effect, parameters: Mapping[str, object], where: str) -> str:
-    if effect.choice is None:
+    if effect.quantity_choice is None:
         return ""
-    given = parameters.get(effect.choice.name, effect.choice.options[0])
-    if given not in effect.choice.options:
-        options = " or ".join(repr(option) for option in effect.choice.options)
-        raise MachineFileError(f"{where}: {effect.choice.name} = {given!r}; give {options}: {effect.choice.meaning}")
+    given = parameters.get(effect.quantity_choice.name, effect.quantity_choice.options[0])
+    if given not in effect.quantity_choice.options:
+        options = " or ".join(repr(option) for option in effect.quantity_choice.options)
+        raise MachineFileError(
+            f"{where}: {effect.quantity_choice.name} = {given!r}; give {options}: {effect.quantity_choice.meaning}"
+        )
     return str(given)
 
 
 def _unit_direction(effect: Effect, parameters: Mapping[str, object], where: str) -> Vector:
     if effect.direction is None:
         return ()
-    dims, name = len(effect.direction.default), effect.direction.name
-    given = parameters.get(name, effect.direction.default)
+    dims, name = len(effect.direction.default_vector), effect.direction.name
+    given = parameters.get(name, effect.direction.default_vector)
     numbers = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else []
     good = len(numbers) == dims and all(isinstance(x, int | float) and _is_number(x) for x in numbers)
     vector = np.array(numbers, dtype=float) if good else np.zeros(dims)
     length = float(np.linalg.norm(vector))
     if not (math.isfinite(length) and length > 1e-9):
         raise MachineFileError(
-            f"{where}: {name} = {repr(given)[:60]}; give {dims} numbers, not all 0, in {effect.direction.frame} axes"
+            f"{where}: {name} = {repr(given)[:60]}; give {dims} numbers, not all 0, in "
+            f"{effect.direction.reference_frame} axes"
         )
     return tuple(float(x) for x in vector / length)
 
@@ -201,8 +216,8 @@ def entries_to_toml(entries: Iterable[EffectEntry]) -> str:
 def _entry_to_toml(entry: EffectEntry) -> str:
     effect = _effect_of_entry(entry)
     pairs = [f"{name} = {_toml_number(effect, name, value)}" for name, value in entry.values]
-    if effect.choice is not None:
-        pairs.append(f'{effect.choice.name} = "{entry.option or effect.choice.options[0]}"')
+    if effect.quantity_choice is not None:
+        pairs.append(f'{effect.quantity_choice.name} = "{entry.option or effect.quantity_choice.options[0]}"')
     if effect.direction is not None:
         pairs.append(f"{effect.direction.name} = [{', '.join(repr(x) for x in entry.direction)}]")
     joint = f"joint = {entry.joint}\n" if entry.joint is not None else ""
@@ -211,7 +226,9 @@ def _entry_to_toml(entry: EffectEntry) -> str:
 
 def _toml_number(effect: Effect, name: str, value: float) -> str:
     parameter = effect.parameter(name)
-    return str(int(value)) if parameter is not None and parameter.integer else repr(float(value))  # inf is TOML's too
+    return (
+        str(int(value)) if parameter is not None and parameter.is_integer else repr(float(value))
+    )  # inf is TOML's too
 
 
 def _effect_of_entry(entry: EffectEntry) -> Effect:
@@ -232,7 +249,11 @@ def pack_effects(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets
     packed = neutral_sets(n_joints)
     for entry in entries:
         effect = _effect_of_entry(entry)
-        if entry.joint is not None and effect.name == SWING and packed.joint[0, entry.joint - 1, FLEX_GAIN] != 0.0:
+        if (
+            entry.joint is not None
+            and effect.name == OSCILLATION_EFFECT_NAME
+            and packed.joint_parameters[0, entry.joint - 1, FLEX_GAIN] != 0.0
+        ):
             _step_aside(packed, entry.joint)
         for name, value in entry.values:
             parameter = effect.parameter(name)
@@ -249,33 +270,35 @@ def pack_under(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
     """The same, to put a hypothesis on: the one oscillation of a joint makes room for a second one."""
     packed = pack_effects(entries, n_joints)
     for joint in range(1, n_joints + 1):
-        row = packed.joint[0, joint - 1]
+        row = packed.joint_parameters[0, joint - 1]
         if row[FLEX_GAIN] != 0.0 and row[KNOWN_GAIN] == 0.0:
             _step_aside(packed, joint)
     return packed
 
 
 def _step_aside(packed: ParameterSets, joint: int) -> None:
-    row = packed.joint[0, joint - 1]
+    row = packed.joint_parameters[0, joint - 1]
     if row[KNOWN_GAIN] != 0.0:
         raise MachineFileError(
-            f"effect {SWING}, joint {joint}: a third oscillation of one joint; two are modelled. "
+            f"effect {OSCILLATION_EFFECT_NAME}, joint {joint}: a third oscillation of one joint; two are modelled. "
             "Add the gains of those whose frequencies are alike, or leave the smallest one out"
         )
     row[[KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING]] = row[[FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]]
-    row[[FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]] = neutral_sets(joint).joint[0, 0, [FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]]
+    row[[FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]] = neutral_sets(joint).joint_parameters[
+        0, 0, [FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]
+    ]
 
 
 def _apply_parameter(
     packed: ParameterSets, entry: EffectEntry, effect: Effect, parameter: Parameter, value: float
 ) -> None:
     column = column_of(effect, parameter.name, entry.option)
-    row = packed.machine[0] if entry.joint is None else packed.joint[0, entry.joint - 1]
+    row = packed.machine_parameters[0] if entry.joint is None else packed.joint_parameters[0, entry.joint - 1]
     if effect.direction is not None:
         row[column : column + len(entry.direction)] += value * np.array(entry.direction)
     elif parameter.role == "shape":
         row[column] = value
-    elif parameter.neutral == 0.0:
+    elif parameter.neutral_value == 0.0:
         row[column] += value
     else:
         row[column] = min(row[column], value)

@@ -29,11 +29,13 @@ KV, WN, ZETA, KP, TAU = 0, 1, 2, 3, 4
 LINK, CONTROLLER, ACTUATOR, JOINT = 0, 1, 2, 3
 # A link behind its joint: backlash position [rad], its speed, both oscillations [rad] and their speeds.
 SIDE, SIDE_D, BEND, BEND_D, KNOWN_BEND, KNOWN_BEND_D = 0, 1, 2, 3, 4, 5
-BEHIND = 6
-FREE = 8  # coefficients of two free oscillations over one cycle
+N_LINK_STATES = 6
+N_FREE_MOTION_COEFFICIENTS = 8  # coefficients of two free oscillations over one cycle
 
-RESTICK_SHARE = 0.2  # of the breakaway command: below it a moving joint sticks again (Coulomb below static friction)
-LOSS_STREAM = 0x7061636B65745F6C  # "packet_l": the stream of packet_loss
+RESTICK_COMMAND_FRAC = (
+    0.2  # of the breakaway command: below it a moving joint sticks again (Coulomb below static friction)
+)
+PACKET_LOSS_RANDOM_SEED = 0x7061636B65745F6C  # "packet_l": the stream of packet_loss
 
 Late = tuple[int, float]  # by so many whole cycles, and part of one
 Gains = tuple[float, float, float]  # 1 / (1 - dead band), and the flow gain out and back [rad/s]
@@ -149,7 +151,7 @@ def _stiction_direction(moving: float, x: float, breakaway: float, once: float) 
 
     `once`: the part of it that a moving joint does not feel again before its spool changes sides.
     """
-    if moving != 0.0 and (x * moving <= 0.0 or abs(x) <= RESTICK_SHARE * breakaway):
+    if moving != 0.0 and (x * moving <= 0.0 or abs(x) <= RESTICK_COMMAND_FRAC * breakaway):
         moving = 0.0
     if moving == 0.0 and abs(x) > breakaway + once:
         moving = 1.0 if x > 0.0 else -1.0
@@ -202,7 +204,7 @@ def link_side_course(p: Array, enc: Array, cycle_s: float, side: float = 0.0) ->
     cycle: what `run` does in its last stage, for one joint and set. `side`: of its play, where it stands before the
     first row: -1 to 1, 0 in the middle.
     """
-    free, behind, out = np.zeros(FREE), np.zeros(BEHIND), np.zeros(len(enc))
+    free, behind, out = np.zeros(N_FREE_MOTION_COEFFICIENTS), np.zeros(N_LINK_STATES), np.zeros(len(enc))
     _free_oscillations(p, cycle_s, free)
     behind[SIDE] = _true_angle(enc[0], p) + 0.5 * side * p[BACKLASH]
     for k in range(len(enc)):
@@ -249,7 +251,7 @@ def run_stages(
         late, kept = (0, 0.0), np.zeros(0, np.int64)
         if first == LINK:
             known = G[LOSS] > 0.0 and kept_in.shape[0] > 0
-            kept = kept_in if known else _last_arrived_datagrams(sent.shape[0], G[LOSS], LOSS_STREAM)
+            kept = kept_in if known else _last_arrived_datagrams(sent.shape[0], G[LOSS], PACKET_LOSS_RANDOM_SEED)
             delay = (delay_s + G[DELAY]) / cycle_s
             whole = int(np.floor(delay + 1e-9))
             late = (whole, delay - whole if delay - whole > 1e-9 else 0.0)
@@ -283,7 +285,7 @@ def _simulate_one_joint(
     gains = _flow_gains(p, nominal[KV])
     friction, sprung, spring = p[FRICTION], p[OIL_PERIOD] > 0.0, np.zeros(4)
     _oil_spring_motion(p, dt, spring)
-    free, behind = np.zeros(FREE), np.zeros(BEHIND)
+    free, behind = np.zeros(N_FREE_MOTION_COEFFICIENTS), np.zeros(N_LINK_STATES)
     _free_oscillations(p, cycle_s, free)
     ref = float(sent[kept[latest[0]], 0]) if first == LINK else float(enc_start[0])
     enc, q = enc_start[0], _true_angle(enc_start[0], p)
@@ -347,7 +349,7 @@ def _simulate_coupled_joints(
     play, slow, spool, spool_d, speed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     moving, q, enc, pull = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     oil, pushed, q_d, spring = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 4))
-    behind, free = np.zeros((n, BEHIND)), np.zeros((n, FREE))
+    behind, free = np.zeros((n, N_LINK_STATES)), np.zeros((n, N_FREE_MOTION_COEFFICIENTS))
     pt1, slow_share, gains = np.zeros(n), np.zeros(n), np.zeros((n, 3))
     for j in range(n):
         pt1[j] = _first_order_lag_share(cycle_s, nominal[j, TAU] * (1.0 + P[j, PT1_LAG]))

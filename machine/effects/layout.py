@@ -14,14 +14,20 @@ from machine.rotations import Array
 
 # Columns behind the kernel's own, used by structure, camera and clocks.
 SAG, LENGTH_A, LENGTH_D, TILT_X, TILT_Y = 30, 31, 32, 33, 34
-JOINT_COLUMNS = 35
+N_JOINT_PARAMETERS = 35
 CLOCK_OFFSET, CLOCK_RATE_PPM, BASE_TILT, BASE_COMPLIANCE = 4, 5, slice(6, 9), 9
 FOCAL, PRINCIPAL, K1, MARKER_SIZE = 10, slice(11, 13), 13, 14
 HAND_EYE_ROTATION, HAND_EYE_TRANSLATION, STEREO = slice(15, 18), slice(18, 21), slice(21, 24)
 LATENCY, READOUT, ODOMETRY_SCALE, STAMP_ROW, CLOCK_ZERO = 24, 25, 26, 27, 28
 TOOL_MARKER_ROTATION, TOOL_MARKER_TRANSLATION = slice(29, 32), slice(32, 35)
-CAMERA_COLUMNS = [*range(FOCAL, STEREO.stop), READOUT, ODOMETRY_SCALE, STAMP_ROW, *range(29, 35)]  # no pose of the arm
-MACHINE_COLUMNS = 35
+CAMERA_PARAMETER_COLUMNS = [
+    *range(FOCAL, STEREO.stop),
+    READOUT,
+    ODOMETRY_SCALE,
+    STAMP_ROW,
+    *range(29, 35),
+]  # no pose of the arm
+N_MACHINE_PARAMETERS = 35
 
 # (effect, parameter, option or "") -> column; a direction's size stands in as many columns as the vector has.
 _JOINT: dict[tuple[str, str, str], int] = {
@@ -99,13 +105,13 @@ class ParameterSlot:
     option: str
     scope: Scope
     column: int
-    low: float
-    high: float
-    highest: float
-    neutral: float
-    start: float
-    index: int = 0
-    scale: float = 1.0
+    lower_bound: float
+    typical_max: float
+    upper_bound: float
+    neutral_value: float
+    start_value: float
+    component_index: int = 0
+    size_scale: float = 1.0
 
     @property
     def spec(self) -> Parameter:
@@ -117,34 +123,36 @@ class ParameterSlot:
 class ParameterSets:
     """Parameters of many sets: joints (sets, n, JOINT_COLUMNS), machine (sets, MACHINE_COLUMNS). Written in place."""
 
-    joint: Array
-    machine: Array
+    joint_parameters: Array
+    machine_parameters: Array
 
     @property
     def set_count(self) -> int:
         """Number of parameter sets."""
-        return self.joint.shape[0]
+        return self.joint_parameters.shape[0]
 
     def put(
         self, slot: ParameterSlot, values: float | Array, sets: slice | int | NDArray[np.int64] = slice(None)
     ) -> None:
         """Write one number into some sets (all without `sets`)."""
         if slot.joint is None:
-            self.machine[sets, slot.column] = values
+            self.machine_parameters[sets, slot.column] = values
         else:
-            self.joint[sets, slot.joint - 1, slot.column] = values
+            self.joint_parameters[sets, slot.joint - 1, slot.column] = values
 
     def get(self, slot: ParameterSlot, which: int = 0) -> float:
         """Read one number of one set."""
         if slot.joint is None:
-            return float(self.machine[which, slot.column])
-        return float(self.joint[which, slot.joint - 1, slot.column])
+            return float(self.machine_parameters[which, slot.column])
+        return float(self.joint_parameters[which, slot.joint - 1, slot.column])
 
     def repeated_sets(self, sets: int) -> "ParameterSets":
         """This single set, `sets` times, to be written on."""
         if self.set_count != 1:
             raise MachineError(f"parameters hold {self.set_count} sets; give one to repeat")
-        return ParameterSets(np.repeat(self.joint, sets, axis=0), np.repeat(self.machine, sets, axis=0))
+        return ParameterSets(
+            np.repeat(self.joint_parameters, sets, axis=0), np.repeat(self.machine_parameters, sets, axis=0)
+        )
 
 
 def neutral_sets(n_joints: int, sets: int = 1) -> ParameterSets:
@@ -156,19 +164,19 @@ def neutral_sets(n_joints: int, sets: int = 1) -> ParameterSets:
 @cache
 def _neutral_parameters() -> tuple[Array, Array]:
     """A joint's numbers (JOINT_COLUMNS,) and the machine's (MACHINE_COLUMNS,)."""
-    joint, machine = np.zeros(JOINT_COLUMNS), np.zeros(MACHINE_COLUMNS)
+    joint, machine = np.zeros(N_JOINT_PARAMETERS), np.zeros(N_MACHINE_PARAMETERS)
     for effect in EFFECTS:
         for parameter in effect.parameters:
             for column in _parameter_columns(effect, parameter.name):
-                (machine if effect.scope == "machine" else joint)[column] = parameter.neutral
+                (machine if effect.scope == "machine" else joint)[column] = parameter.neutral_value
     return joint, machine
 
 
 def _parameter_columns(effect: Effect, parameter: str) -> list[int]:
     if effect.scope == "machine":
         first = _MACHINE[effect.name, parameter]
-        return list(range(first, first + (len(effect.direction.default) if effect.direction else 1)))
-    options = effect.choice.options if effect.choice else ("",)
+        return list(range(first, first + (len(effect.direction.default_vector) if effect.direction else 1)))
+    options = effect.quantity_choice.options if effect.quantity_choice else ("",)
     return [_JOINT[effect.name, parameter, option] for option in options]
 
 
@@ -176,7 +184,9 @@ def column_of(effect: Effect, parameter: str, option: str = "") -> int:
     """The (first) column of a parameter; without an option, of the choice's first one."""
     if effect.scope == "machine":
         return _MACHINE[effect.name, parameter]
-    return _JOINT[effect.name, parameter, option or (effect.choice.options[0] if effect.choice else "")]
+    return _JOINT[
+        effect.name, parameter, option or (effect.quantity_choice.options[0] if effect.quantity_choice else "")
+    ]
 
 
 def slots_of(name: str, joint: int | None, option: str = "") -> tuple[ParameterSlot, ...]:
@@ -187,19 +197,19 @@ def slots_of(name: str, joint: int | None, option: str = "") -> tuple[ParameterS
     effect = effect_of(name)
     if (joint is None) != (effect.scope == "machine"):
         raise MachineError(f"effect {name}: joint = {joint}; it belongs to {'the machine' if joint else 'one joint'}")
-    option = option or (effect.choice.options[0] if effect.choice else "")
+    option = option or (effect.quantity_choice.options[0] if effect.quantity_choice else "")
     slots: list[ParameterSlot] = []
     for parameter in sorted(effect.parameters, key=lambda one: one.role != "size"):
         column = column_of(effect, parameter.name, option)
-        bounds = (parameter.low, parameter.high, parameter.highest_value, parameter.neutral)
+        bounds = (parameter.plausible_min, parameter.plausible_max, parameter.highest_value, parameter.neutral_value)
         if effect.direction is None:
             slots.append(
-                ParameterSlot(name, parameter.name, joint, option, effect.scope, column, *bounds, parameter.start)
+                ParameterSlot(name, parameter.name, joint, option, effect.scope, column, *bounds, parameter.start_value)
             )
             continue
-        for index, along in enumerate(effect.direction.default[: effect.direction.fitted]):
-            around = (-parameter.high, parameter.high, parameter.high, 0.0)
-            start = parameter.start if along else 0.3 * parameter.start
+        for index, along in enumerate(effect.direction.default_vector[: effect.direction.n_fitted_components]):
+            around = (-parameter.plausible_max, parameter.plausible_max, parameter.plausible_max, 0.0)
+            start = parameter.start_value if along else 0.3 * parameter.start_value
             slots.append(
                 ParameterSlot(name, parameter.name, None, "", "machine", column + index, *around, start, index)
             )

@@ -38,7 +38,7 @@ def true_times(sets: ParameterSets, t_camera_s: Array, t_start_s: float, which: 
     Model: t_camera = t_true + offset + rate (t_true - t_start - zero) + latency; identity at neutral.
     Args:  t_camera_s: stamps mapped by the best known offset (m,) [s]. t_start_s: start of the recording [s].
     """
-    G = sets.machine[which]
+    G = sets.machine_parameters[which]
     t_zero_s = t_start_s + G[CLOCK_ZERO]
     rate = 1e-6 * G[CLOCK_RATE_PPM]
     stamps = np.asarray(t_camera_s, dtype=float)
@@ -47,7 +47,7 @@ def true_times(sets: ParameterSets, t_camera_s: Array, t_start_s: float, which: 
 
 def camera_mount(sets: ParameterSets, T_tcp_cam_left: Array, which: int = 0) -> Array:
     """True T_tcp_cam_left (4, 4): turned about its own axes, moved along the tcp's."""
-    G = sets.machine[which]
+    G = sets.machine_parameters[which]
     T = np.array(T_tcp_cam_left, dtype=float)
     if np.any(G[HAND_EYE_ROTATION]):
         T[:3, :3] = T[:3, :3] @ rotation_from_rotvec(G[HAND_EYE_ROTATION])
@@ -57,7 +57,7 @@ def camera_mount(sets: ParameterSets, T_tcp_cam_left: Array, which: int = 0) -> 
 
 def tool_place(sets: ParameterSets, T_tcp_tool: Array, which: int = 0) -> Array:
     """T_tcp_tool (4, 4) as the tool's markers show it: turned and moved in the tool's own frame."""
-    G = sets.machine[which]
+    G = sets.machine_parameters[which]
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation_from_rotvec(G[TOOL_MARKER_ROTATION]), G[TOOL_MARKER_TRANSLATION]
     return np.asarray(T_tcp_tool @ T, dtype=float)
@@ -65,7 +65,7 @@ def tool_place(sets: ParameterSets, T_tcp_tool: Array, which: int = 0) -> Array:
 
 def true_camera(sets: ParameterSets, camera: StereoCamera, which: int = 0) -> StereoCamera:
     """The camera as it is: focal lengths, principal point, first radial coefficient."""
-    G = sets.machine[which]
+    G = sets.machine_parameters[which]
     k1, k2, p1, p2, k3 = camera.distortion
     return replace(
         camera,
@@ -81,13 +81,13 @@ def true_camera(sets: ParameterSets, camera: StereoCamera, which: int = 0) -> St
 class Corners:
     """Corners of each marker in each sample: left and right (m, markers, 4, 2) [px]; NaN behind an eye."""
 
-    left: Array
-    right: Array
+    left_px: Array
+    right_px: Array
 
 
 def marker_points(sets: ParameterSets, markers: tuple[Marker, ...], which: int = 0) -> Array:
     """True corners on the object (markers, 4, 3) [m]."""
-    size = 1.0 + sets.machine[which, MARKER_SIZE]
+    size = 1.0 + sets.machine_parameters[which, MARKER_SIZE]
     points = [
         marker_corners(marker.side_m * size) @ marker.T_on_marker[:3, :3].T + marker.T_on_marker[:3, 3]
         for marker in markers
@@ -119,7 +119,7 @@ def seen_corners(
         )
     lens, points = true_camera(sets, camera, which), marker_points(sets, markers, which)
     left, right = _both_eyes(sets, lens, poses, points, which)
-    readout = float(sets.machine[which, READOUT])
+    readout = float(sets.machine_parameters[which, READOUT])
     if readout == 0.0 or Ts_cam_object_later is None:
         return Corners(left, right)
     if not dt_s > 0.0:
@@ -127,7 +127,9 @@ def seen_corners(
     later = _both_eyes(sets, lens, np.asarray(Ts_cam_object_later, dtype=float), points, which)
     return Corners(
         *(
-            _rolling_shutter_pixels(now, two, camera.height_px, readout / dt_s, float(sets.machine[which, STAMP_ROW]))
+            _rolling_shutter_pixels(
+                now, two, camera.height_px, readout / dt_s, float(sets.machine_parameters[which, STAMP_ROW])
+            )
             for now, two in zip((left, right), later, strict=True)
         )
     )
@@ -141,7 +143,7 @@ def _rolling_shutter_pixels(
 
 
 def _both_eyes(sets: ParameterSets, lens: StereoCamera, poses: Array, points: Array, which: int) -> tuple[Array, Array]:
-    turn = sets.machine[which, STEREO]
+    turn = sets.machine_parameters[which, STEREO]
     R_left_right = rotation_from_rotvec(turn) if np.any(turn) else np.eye(3)  # p_right = R^T p
     numbers = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, *lens.distortion])
     shape = (len(poses), *points.shape[:2], 2)

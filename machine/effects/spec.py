@@ -33,44 +33,46 @@ class Parameter:
 
     name: str
     unit: str
-    low: float
-    high: float
-    start: float
+    plausible_min: float
+    plausible_max: float
+    start_value: float
     prior: Prior
     meaning: str
-    neutral: float = 0.0
+    neutral_value: float = 0.0
     role: Literal["size", "shape"] = "size"
-    integer: bool = False
-    most: float | None = None
-    lightest: float | None = None
+    is_integer: bool = False
+    poor_machine_max: float | None = None
+    light_arm_max: float | None = None
     open_frac: float = 0.0
     open_size: float = 0.0
 
     @property
     def highest_value(self) -> float:
         """The largest value that is believed at all."""
-        return self.high if self.most is None else self.most
+        return self.plausible_max if self.poor_machine_max is None else self.poor_machine_max
 
     @property
     def max_admitted(self) -> float:
         """The largest value that a machine file may hold."""
-        return self.highest_value if self.lightest is None else self.lightest
+        return self.highest_value if self.light_arm_max is None else self.light_arm_max
 
     def in_bounds(self, value: float) -> bool:
         """Whether a value lies inside the bounds; a size may also be neutral."""
-        inside = self.low <= value <= self.max_admitted and (not self.integer or value == round(value))
-        return inside or (self.role == "size" and value == self.neutral)
+        inside = self.plausible_min <= value <= self.max_admitted and (not self.is_integer or value == round(value))
+        return inside or (self.role == "size" and value == self.neutral_value)
 
     def draw_value(self, rng: np.random.Generator) -> float:
         """A value from the prior, inside the bounds."""
         if self.prior.kind == "log_uniform":
-            value = math.exp(rng.uniform(math.log(self.low), math.log(self.high)))
+            value = math.exp(rng.uniform(math.log(self.plausible_min), math.log(self.plausible_max)))
         elif self.prior.kind == "uniform":
-            value = float(rng.uniform(self.low, self.high))
+            value = float(rng.uniform(self.plausible_min, self.plausible_max))
         else:
             drawn = float(rng.normal(0.0, self.prior.scale))
-            value = min(max(abs(drawn) if self.prior.kind == "half_normal" else drawn, self.low), self.high)
-        return float(round(value)) if self.integer else value
+            value = min(
+                max(abs(drawn) if self.prior.kind == "half_normal" else drawn, self.plausible_min), self.plausible_max
+            )
+        return float(round(value)) if self.is_integer else value
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +92,9 @@ class Direction:
     """
 
     name: str
-    default: tuple[float, ...]
-    frame: str
-    fitted: int = 3
+    default_vector: tuple[float, ...]
+    reference_frame: str
+    n_fitted_components: int = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,10 +112,10 @@ class Effect:
     looks_like: str
     distinguished_by: str
     source: str
-    choice: QuantityChoice | None = None
+    quantity_choice: QuantityChoice | None = None
     direction: Direction | None = None
-    prevalence: float = 0.1
-    threshold: bool = False
+    prior_probability: float = 0.1
+    has_threshold: bool = False
 
     def parameter(self, name: str) -> Parameter | None:
         """The parameter of this name; None if there is none."""

@@ -9,10 +9,10 @@ from machine.effects.layout import BASE_COMPLIANCE, BASE_TILT, LENGTH_A, LENGTH_
 from machine.errors import MachineError
 from machine.rotations import Array
 
-TORQUE_MIN_NM = 1.0  # a joint that gravity loads less than this in every posture carries no load,
-TORQUE_MIN_SHARE = 0.01  # on a small machine less than this of the most loaded joint's,
-TORQUE_NONE_NM = 1e-3  # and on none this
-POSTURES = 2048  # Halton points over the joints' ranges for the reference torques
+LOADED_TORQUE_MIN_NM = 1.0  # a joint that gravity loads less than this in every posture carries no load,
+LOADED_TORQUE_MIN_FRAC = 0.01  # on a small machine less than this of the most loaded joint's,
+LOADED_TORQUE_FLOOR_NM = 1e-3  # and on none this
+N_TORQUE_POSTURES = 2048  # Halton points over the joints' ranges for the reference torques
 
 
 @njit(cache=True)
@@ -180,7 +180,7 @@ def _link_poses_and_torques(arm: Arm, sets: ParameterSets, qs: Array, which: int
     qs = np.array(qs, dtype=float, order="C")
     if qs.ndim != 2 or qs.shape[1] != arm.n or not np.isfinite(qs).all():
         raise MachineError(f"joint vectors have shape {qs.shape}; the arm has {arm.n} joints: give finite (m, {arm.n})")
-    P, G = sets.joint[which], sets.machine[which]
+    P, G = sets.joint_parameters[which], sets.machine_parameters[which]
     before, after = arm.before.copy(), arm.after.copy()
     for column, row in ((LENGTH_A, 0), (LENGTH_D, 1)):
         before[:, :3, 3] += P[:, column, None] * arm.length_before[:, row]
@@ -193,8 +193,8 @@ def _link_poses_and_torques(arm: Arm, sets: ParameterSets, qs: Array, which: int
     fixed = (
         before,
         after,
-        arm.zero,
-        arm.moves,
+        arm.q_offset,
+        arm.motion_factor,
         arm.prismatic,
         *bodies,
         tilts,
@@ -213,18 +213,18 @@ def reference_torques(arm: Arm, sets: ParameterSets, q_min: Array, q_max: Array)
     Model: over 2048 Halton points of the box q_min..q_max, so the same for the same machine file.
     """
     span = np.asarray(q_max, dtype=float) - np.asarray(q_min, dtype=float)
-    qs = np.asarray(q_min, dtype=float) + span * _halton_points(POSTURES, arm.n)
+    qs = np.asarray(q_min, dtype=float) + span * _halton_points(N_TORQUE_POSTURES, arm.n)
     largest = np.abs(gravity_torques(arm, sets, qs)).max(axis=0)
-    least = np.clip(TORQUE_MIN_SHARE * largest.max(initial=0.0), TORQUE_NONE_NM, TORQUE_MIN_NM)
+    least = np.clip(LOADED_TORQUE_MIN_FRAC * largest.max(initial=0.0), LOADED_TORQUE_FLOOR_NM, LOADED_TORQUE_MIN_NM)
     return np.where(largest > least, largest, np.inf)
 
 
 def loads_along(arm: Arm, sets: ParameterSets, qs: Array, torque_reference: Array) -> tuple[Array, Array]:
     """(load, load per kg at the tcp), each (m, n), along a motion (m, n): what the actuators' terms are driven by."""
-    one = ParameterSets(sets.joint[:1].copy(), sets.machine[:1].copy())
-    one.machine[0, PAYLOAD] = 0.0
+    one = ParameterSets(sets.joint_parameters[:1].copy(), sets.machine_parameters[:1].copy())
+    one.machine_parameters[0, PAYLOAD] = 0.0
     empty = gravity_torques(arm, one, qs)
-    one.machine[0, PAYLOAD] = 1.0
+    one.machine_parameters[0, PAYLOAD] = 1.0
     return empty / torque_reference, (gravity_torques(arm, one, qs) - empty) / torque_reference
 
 

@@ -12,7 +12,7 @@ from machine.rotations import Array, rotation_about
 
 Kind = Literal["revolute", "prismatic", "fixed"]
 KINDS: dict[str, Kind] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
-LINKS_SHOWN = 12
+SHOWN_LINKS_MAX = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +24,15 @@ class UrdfJoint:
     """
 
     name: str
-    kind: Kind
-    rising: bool
+    joint_type: Kind
+    child_to_parent: bool
     T_parent_joint: Array
     axis: Array
-    lower: float
-    upper: float
-    mass: float | None
-    com: Array | None
-    mimics: str = ""
+    lower_limit: float
+    upper_limit: float
+    child_mass_kg: float | None
+    child_com_m: Array | None
+    mimicked_joint: str = ""
     velocity_max: float = np.inf
 
 
@@ -83,7 +83,7 @@ def _joint_path_to_tip(
     links = {_link_name(joint, "child") for joint in joints} | {_link_name(joint, "parent") for joint in joints}
     for link in (base, tip):
         if link not in links:
-            known = ", ".join(sorted(links)[:LINKS_SHOWN])
+            known = ", ".join(sorted(links)[:SHOWN_LINKS_MAX])
             raise MachineError(f"urdf: there is no link {link!r}; it has {known} ...")
     up, down = rise(base), rise(tip)
     while up and down and up[-1] is down[-1]:

@@ -11,7 +11,7 @@ from protocol import codes, layout
 from protocol.c_header import c_header
 from protocol.codes import PlcState
 from protocol.errors import LocalProtocolError
-from protocol.layout import AXES, Block, Field
+from protocol.layout import N_AXIS_SLOTS, Block, Field
 from protocol.limits import cfg_id
 from protocol.plc_events import PlcAction
 from protocol.plc_states import TRANSITIONS, PlcEvent
@@ -34,39 +34,43 @@ class Dut:
     """One data type: its name and its declaration."""
 
     name: str
-    text: str
+    declaration: str
 
 
 def duts() -> tuple[Dut, ...]:
     """Structs and unions of the wire, of the limits table, and of the machine's readings."""
     knots = f"    aKnots : ARRAY[0..{layout.KNOTS_PER_COMMAND - 1}] OF ST_HmKnot; // {layout.KNOTS_OFFSET}"
     command = [
-        *_field_declarations(layout.HEADER),
-        *_field_declarations(layout.COMMAND_BODY),
+        *_field_declarations(layout.HEADER_LAYOUT),
+        *_field_declarations(layout.COMMAND_BODY_LAYOUT),
         knots,
-        *_field_declarations(layout.COMMAND_TAIL),
+        *_field_declarations(layout.COMMAND_TAIL_LAYOUT),
     ]
     return (
-        _struct_dut("ST_HmKnot", "One point of the reference.", _field_declarations(layout.KNOT)),
+        _struct_dut("ST_HmKnot", "One point of the reference.", _field_declarations(layout.KNOT_LAYOUT)),
         _struct_dut("ST_HmCmd", "PC to PLC; comments: byte offsets.", command),
         _struct_dut(
-            "ST_HmState", "PLC to PC.", [*_field_declarations(layout.HEADER), *_field_declarations(layout.STATE_BODY)]
+            "ST_HmState",
+            "PLC to PC.",
+            [*_field_declarations(layout.HEADER_LAYOUT), *_field_declarations(layout.STATE_BODY_LAYOUT)],
         ),
-        _struct_dut("ST_HmLimits", "What cfg_id is the CRC-32 of; never sent.", _field_declarations(layout.LIMITS)),
+        _struct_dut(
+            "ST_HmLimits", "What cfg_id is the CRC-32 of; never sent.", _field_declarations(layout.LIMIT_TABLE_LAYOUT)
+        ),
         _struct_dut("ST_HmSample", "This machine's readings of one cycle: rad, rad/s, Pa, degC.", _SAMPLE),
         _union_dut("U_HmCmd", "ST_HmCmd", layout.COMMAND_SIZE),
         _union_dut("U_HmState", "ST_HmState", layout.STATE_SIZE),
-        _union_dut("U_HmLimits", "ST_HmLimits", layout.LIMITS.codec.size),
+        _union_dut("U_HmLimits", "ST_HmLimits", layout.LIMIT_TABLE_LAYOUT.codec.size),
         _union_dut("U_HmSample", "ST_HmSample", _SAMPLE_SIZE),
     )
 
 
-_SAMPLE_SIZE = 2 * 8 * AXES + 2 * 4 * AXES + 16
+_SAMPLE_SIZE = 2 * 8 * N_AXIS_SLOTS + 2 * 4 * N_AXIS_SLOTS + 16
 _SAMPLE = [
-    f"    aQ : ARRAY[0..{AXES - 1}] OF LREAL; // encoders",
-    f"    aQd : ARRAY[0..{AXES - 1}] OF LREAL;",
-    f"    aPa : ARRAY[0..{AXES - 1}] OF REAL; // chamber pressures",
-    f"    aPb : ARRAY[0..{AXES - 1}] OF REAL;",
+    f"    aQ : ARRAY[0..{N_AXIS_SLOTS - 1}] OF LREAL; // encoders",
+    f"    aQd : ARRAY[0..{N_AXIS_SLOTS - 1}] OF LREAL;",
+    f"    aPa : ARRAY[0..{N_AXIS_SLOTS - 1}] OF REAL; // chamber pressures",
+    f"    aPb : ARRAY[0..{N_AXIS_SLOTS - 1}] OF REAL;",
     "    fSupply : REAL;",
     "    fTank : REAL;",
     "    fOil : REAL;",
@@ -79,10 +83,10 @@ def _field_declarations(block: Block) -> list[str]:
 
 
 def _iec_type(field: Field) -> str:
-    if field.count == 1:
-        return field.iec
-    base = "BYTE" if field.iec == "USINT" else field.iec
-    return f"ARRAY[0..{field.count - 1}] OF {base}"
+    if field.array_length == 1:
+        return field.iec_type
+    base = "BYTE" if field.iec_type == "USINT" else field.iec_type
+    return f"ARRAY[0..{field.array_length - 1}] OF {base}"
 
 
 def _struct_dut(name: str, purpose: str, lines: list[str]) -> Dut:
@@ -99,7 +103,7 @@ def _union_dut(name: str, struct: str, size: int) -> Dut:
     return Dut(name, text)
 
 
-MANIFEST = "MANIFEST.txt"
+MANIFEST_FILE_NAME = "MANIFEST.txt"
 
 
 # The TwinCAT files of one machine, as a table from path to bytes; the same input gives the same bytes.
@@ -194,7 +198,7 @@ def _enum_dut(name: str, base: str, members: list[tuple[str, int, str]]) -> Dut:
 
 # The state machine as an ST function, from the one transition table.
 
-NAME = "F_HmNextState"
+NEXT_STATE_FUNCTION_NAME = "F_HmNextState"
 
 
 def next_state_source() -> str:
@@ -202,7 +206,7 @@ def next_state_source() -> str:
     cases = "\n".join(_state_case_st(state) for state in PlcState)
     return f"""\
 (* The state after an event; generated from the transition table. FALSE: it has no place in this state. *)
-FUNCTION {NAME} : BOOL
+FUNCTION {NEXT_STATE_FUNCTION_NAME} : BOOL
 VAR_INPUT
     eState : E_HmPlcState;
     eEvent : E_HmEvent;
@@ -211,11 +215,11 @@ VAR_OUTPUT
     eNext : E_HmPlcState;
 END_VAR
 eNext := eState;
-{NAME} := TRUE;
+{NEXT_STATE_FUNCTION_NAME} := TRUE;
 CASE eState OF
 {cases}
 ELSE
-    {NAME} := FALSE;
+    {NEXT_STATE_FUNCTION_NAME} := FALSE;
 END_CASE
 END_FUNCTION
 """
@@ -231,7 +235,7 @@ def _state_case_st(state: PlcState) -> str:
         labels = ", ".join(f"E_HmEvent.{event.name}" for event in events)
         branches.append(f"            {labels}:\n                eNext := E_HmPlcState.{new.name};")
     body = "\n".join(branches)
-    other = f"        ELSE\n            {NAME} := FALSE;\n        END_CASE"
+    other = f"        ELSE\n            {NEXT_STATE_FUNCTION_NAME} := FALSE;\n        END_CASE"
     return f"    E_HmPlcState.{state.name}:\n        CASE eEvent OF\n{body}\n{other}"
 
 
@@ -241,8 +245,8 @@ def project(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, 
     Args:    sources: the hand-written blocks, file name to text.
     Raises: LocalProtocolError: a source that is not a POU, or not named like its file.
     """
-    files = {f"DUTs/{dut.name}.TcDUT": dut_xml(dut.name, dut.text) for dut in (*duts(), *enums())}
-    files |= {f"GVLs/{gvl.name}.TcGVL": gvl_xml(gvl.name, gvl.text) for gvl in gvls(parameters)}
+    files = {f"DUTs/{dut.name}.TcDUT": dut_xml(dut.name, dut.declaration) for dut in (*duts(), *enums())}
+    files |= {f"GVLs/{gvl.name}.TcGVL": gvl_xml(gvl.name, gvl.declaration) for gvl in gvls(parameters)}
     pous = [parse_pou(next_state_source()), *(_parse_pou_matching_file(name, text) for name, text in sources.items())]
     files |= {f"POUs/{pou.name}.TcPOU": pou_xml(pou) for pou in pous}
     return {path: files[path].encode("utf-8") for path in sorted(files)}
@@ -281,13 +285,14 @@ def build_bundle_files(parameters: PlcParameters, sources: Mapping[str, str]) ->
     program |= solution_files(parameters, program)
     files |= {f"twincat/{path}": data for path, data in program.items()}
     files = {path: files[path] for path in sorted(files)}
-    return {**files, MANIFEST: _checksum_manifest(parameters, files)}
+    return {**files, MANIFEST_FILE_NAME: _checksum_manifest(parameters, files)}
 
 
 def _checksum_manifest(parameters: PlcParameters, files: Mapping[str, bytes]) -> bytes:
     """As sha256sum reads it; the first line is a comment to it."""
     head = (
-        f"# HMLINK {documents.VERSION} for {parameters.machine}: layout_id {layout.LAYOUT_ID:#010x}, "
-        f"cfg_id {cfg_id(parameters.table):#010x}\n"
+        f"# HMLINK {documents.PROTOCOL_VERSION_TEXT} for {parameters.machine_name}: layout_id "
+        f"{layout.LAYOUT_ID:#010x}, "
+        f"cfg_id {cfg_id(parameters.limit_table):#010x}\n"
     )
     return (head + "".join(f"{hashlib.sha256(data).hexdigest()}  {path}\n" for path, data in files.items())).encode()

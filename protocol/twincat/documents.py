@@ -1,42 +1,44 @@
 """Reference pages of the exported PLC program, generated from the protocol tables."""
 
 from protocol import codes, layout, plc_states, timeouts
-from protocol.framing import COMMAND_VARIABLE, EAP_OVERHEAD, EAP_PORT, STATE_VARIABLE
+from protocol.framing import EAP_COMMAND_VARIABLE_ID, EAP_OVERHEAD_BYTES, EAP_PORT, EAP_STATE_VARIABLE_ID
 from protocol.twincat.parameters import RAW_PC_PORT, RAW_PLC_PORT, PlcParameters
 
-VERSION = f"{layout.VERSION_MAJOR}.{layout.VERSION_MINOR}"
+PROTOCOL_VERSION_TEXT = f"{layout.VERSION_MAJOR}.{layout.VERSION_MINOR}"
 _BLOCKS = (
-    ("Header, both directions", layout.HEADER),
-    ("Command (PC to PLC)", layout.COMMAND_BODY),
-    (f"Knot: six of them from byte {layout.KNOTS_OFFSET} on, {layout.KNOT_SIZE} bytes each", layout.KNOT),
-    ("End of the command", layout.COMMAND_TAIL),
-    ("State (PLC to PC)", layout.STATE_BODY),
-    ("Limits: never sent; cfg_id is the CRC-32 of these bytes, unused axes 0", layout.LIMITS),
+    ("Header, both directions", layout.HEADER_LAYOUT),
+    ("Command (PC to PLC)", layout.COMMAND_BODY_LAYOUT),
+    (f"Knot: six of them from byte {layout.KNOTS_OFFSET} on, {layout.KNOT_SIZE} bytes each", layout.KNOT_LAYOUT),
+    ("End of the command", layout.COMMAND_TAIL_LAYOUT),
+    ("State (PLC to PC)", layout.STATE_BODY_LAYOUT),
+    ("Limits: never sent; cfg_id is the CRC-32 of these bytes, unused axes 0", layout.LIMIT_TABLE_LAYOUT),
 )
 
 
 def offsets_page() -> str:
     """Byte offset of every field."""
     tables = "\n\n".join(f"## {title}\n\n{layout.offsets_markdown(block)}" for title, block in _BLOCKS)
-    return f"# HMLINK {VERSION}: byte offsets\n\nLittle endian, natural alignment = packing.\n\n{tables}\n"
+    return (
+        f"# HMLINK {PROTOCOL_VERSION_TEXT}: byte offsets\n\nLittle endian, natural alignment = packing.\n\n{tables}\n"
+    )
 
 
 def timeouts_page() -> str:
     """Every time limit with its reason."""
     counts = (
         f"- Before ARM: {timeouts.GOOD_COMMANDS_TO_ARM} good commands.\n"
-        f"- A sequence number further than {timeouts.SEQUENCE_JUMP} from the last one is refused.\n"
-        f"- The ring holds {timeouts.RING_KNOTS} knots, {timeouts.KNOT_SPACING_MIN_NS // timeouts.MS} to "
+        f"- A sequence number further than {timeouts.SEQUENCE_JUMP_MAX} from the last one is refused.\n"
+        f"- The ring holds {timeouts.KNOT_RING_CAPACITY} knots, {timeouts.KNOT_SPACING_MIN_NS // timeouts.MS} to "
         f"{timeouts.KNOT_SPACING_MAX_NS // timeouts.MS} ms apart.\n"
-        f"- Knots nearer than {timeouts.FROZEN_NS // timeouts.MS} ms ahead of the playback are not replaced.\n"
+        f"- Knots nearer than {timeouts.FROZEN_KNOT_LEAD_NS // timeouts.MS} ms ahead of the playback are not replaced.\n"
     )
-    return f"# HMLINK {VERSION}: time limits\n\n{timeouts.table_markdown()}\n\n{counts}"
+    return f"# HMLINK {PROTOCOL_VERSION_TEXT}: time limits\n\n{timeouts.table_markdown()}\n\n{counts}"
 
 
 def states_page() -> str:
     """The state machine as a diagram."""
     return (
-        f"# HMLINK {VERSION}: states of the PLC\n\nGenerated from the table that `F_HmNextState` is generated from. "
+        f"# HMLINK {PROTOCOL_VERSION_TEXT}: states of the PLC\n\nGenerated from the table that `F_HmNextState` is generated from. "
         f"Events that change nothing are left out.\n\n```mermaid\n{plc_states.mermaid_diagram()}\n```\n\n"
         f"| Event | Meaning |\n|---|---|\n"
         + "".join(f"| {event.name} | {event.value} |\n" for event in plc_states.PlcEvent)
@@ -46,7 +48,7 @@ def states_page() -> str:
 def rejects_page() -> str:
     """Every reject code with its remedy."""
     return (
-        f"# HMLINK {VERSION}: reject codes\n\n`reject_code`, `reject_seq` and `reject_offset` of the state identify the "
+        f"# HMLINK {PROTOCOL_VERSION_TEXT}: reject codes\n\n`reject_code`, `reject_seq` and `reject_offset` of the state identify the "
         "rule, the command and its byte\n([offsets](offsets.md)); offset 0: no single field.\n\n"
         f"{codes.rejects_markdown()}\n"
     )
@@ -61,20 +63,23 @@ def eap_sheet(p: PlcParameters) -> str:
         ("PC: AMS NetId, IP", f"{p.pc_net_id}, {p.pc_address}"),
         ("UDP port", f"{EAP_PORT} at both ends (fixed by EAP)"),
         ("Subscriber: publisher", f"{p.pc_net_id}, unicast, IP addressing (UDP/IP)"),
-        ("Subscriber variable: id, type, size", f"{COMMAND_VARIABLE:#06x}, ST_HmCmd, {layout.COMMAND_SIZE} bytes"),
+        (
+            "Subscriber variable: id, type, size",
+            f"{EAP_COMMAND_VARIABLE_ID:#06x}, ST_HmCmd, {layout.COMMAND_SIZE} bytes",
+        ),
         ("Subscriber: DataType Version", f"{version:#06x} ({version}); do not tick Ignore Version"),
         ("Subscriber: link of the data", "GVL_HmIo.stCmd"),
         ("Subscriber: link of Quality", "GVL_HmIo.nCmdQuality"),
         ("Subscriber: link of CycleIndex", "GVL_HmIo.nCmdCycleIndex"),
         ("Subscriber: link of VarState", "GVL_HmIo.nCmdVarState"),
         ("Publisher: target", f"{p.pc_address}, unicast, IP addressing (UDP/IP)"),
-        ("Publisher variable: id, type, size", f"{STATE_VARIABLE:#06x}, ST_HmState, {layout.STATE_SIZE} bytes"),
+        ("Publisher variable: id, type, size", f"{EAP_STATE_VARIABLE_ID:#06x}, ST_HmState, {layout.STATE_SIZE} bytes"),
         ("Publisher: DataType Version", f"{version:#06x} ({version})"),
         ("Publisher: link of the data", "GVL_HmIo.stState"),
-        ("Publisher: cycle", f"{timeouts.STATE_PERIOD.ns // timeouts.MS} ms"),
+        ("Publisher: cycle", f"{timeouts.STATE_PERIOD.duration_ns // timeouts.MS} ms"),
         ("Task cycle", f"{p.cycle_ns / 1e6:g} ms"),
-        ("UDP payload of a command", f"{layout.COMMAND_SIZE + EAP_OVERHEAD} bytes"),
-        ("UDP payload of a state", f"{layout.STATE_SIZE + EAP_OVERHEAD} bytes"),
+        ("UDP payload of a command", f"{layout.COMMAND_SIZE + EAP_OVERHEAD_BYTES} bytes"),
+        ("UDP payload of a state", f"{layout.STATE_SIZE + EAP_OVERHEAD_BYTES} bytes"),
     )
     table = "\n".join(f"| {name} | {value} |" for name, value in rows)
     return f"""\

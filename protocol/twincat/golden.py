@@ -13,7 +13,7 @@ from protocol.twincat.parameters import RAW_PC_PORT, RAW_PLC_PORT, PlcParameters
 
 MS = 1_000_000
 SESSION, NONCE = 0x10203040, 0x0A0B0C0D
-KEY = bytes(range(32))
+EXAMPLE_AUTH_KEY = bytes(range(32))
 _KNOT_MS = 50
 _STEP = 0.003  # rad on the first axis: gentle for any crane
 
@@ -86,8 +86,12 @@ class GoldenMessage:
 
 def golden_messages(parameters: PlcParameters) -> tuple[GoldenMessage, ...]:
     """The messages in order; numbers, times and the limits' id fit together."""
-    common = {"session": SESSION, "axis_mask": axis_mask(parameters.table), "cfg_id": cfg_id(parameters.table)}
-    here = pad_to_eight_axes(tuple(0.5 * (axis.q_min + axis.q_max) for axis in parameters.table.axes))
+    common = {
+        "session": SESSION,
+        "axis_mask": axis_mask(parameters.limit_table),
+        "cfg_id": cfg_id(parameters.limit_table),
+    }
+    here = pad_to_eight_axes(tuple(0.5 * (axis.q_min + axis.q_max) for axis in parameters.limit_table.axes))
 
     def command(seq: int, mode: Mode, **more: object) -> Command:
         seen = {"ack_plc_seq": seq - 1, "t_plc_echo_ns": (5000 + 20 * (seq - 1)) * MS} if seq > 1 else {}
@@ -127,7 +131,7 @@ def golden_messages(parameters: PlcParameters) -> tuple[GoldenMessage, ...]:
                state(28, PlcState.HOLD, Mode.HOLD, traj_id=1, **before, **refused)),
         GoldenMessage("servo", "a target 10 mrad away that moves at 10 mrad/s, signed with key 00 01 .. 1f",
                command(29, Mode.SERVO, traj_id=3, knots=(target,), interp=Interp.LINEAR, cmd_flags=CommandFlag.START),
-               KEY),
+               EXAMPLE_AUTH_KEY),
         GoldenMessage("stop", "ramp down and hold", command(30, Mode.STOP)),
         GoldenMessage("state-dry-run", "flags: DRY_RUN, valves neutral",
                state(30, PlcState.HOLD, Mode.HOLD, flags=HeaderFlag.DRY_RUN)),

@@ -43,25 +43,25 @@ def golden_json(parameters: PlcParameters) -> str:
 
 def wire_fields(payload: bytes) -> dict[str, object]:
     """What lies in a payload of the right size, by wire name: all six knots, byte arrays in hexadecimal."""
-    fields: dict[str, object] = {**_unpack_block_values(layout.HEADER, payload, 0)}
+    fields: dict[str, object] = {**_unpack_block_values(layout.HEADER_LAYOUT, payload, 0)}
     if len(payload) == layout.STATE_SIZE:
-        return fields | _unpack_block_values(layout.STATE_BODY, payload, layout.STATE_BODY.offset)
-    starts = range(layout.KNOTS_OFFSET, layout.COMMAND_TAIL.offset, layout.KNOT_SIZE)
-    fields |= _unpack_block_values(layout.COMMAND_BODY, payload, layout.COMMAND_BODY.offset)
-    fields["knots"] = [_unpack_block_values(layout.KNOT, payload, start) for start in starts]
-    return fields | _unpack_block_values(layout.COMMAND_TAIL, payload, layout.COMMAND_TAIL.offset)
+        return fields | _unpack_block_values(layout.STATE_BODY_LAYOUT, payload, layout.STATE_BODY_LAYOUT.offset)
+    starts = range(layout.KNOTS_OFFSET, layout.COMMAND_TAIL_LAYOUT.offset, layout.KNOT_SIZE)
+    fields |= _unpack_block_values(layout.COMMAND_BODY_LAYOUT, payload, layout.COMMAND_BODY_LAYOUT.offset)
+    fields["knots"] = [_unpack_block_values(layout.KNOT_LAYOUT, payload, start) for start in starts]
+    return fields | _unpack_block_values(layout.COMMAND_TAIL_LAYOUT, payload, layout.COMMAND_TAIL_LAYOUT.offset)
 
 
 def _unpack_block_values(block: Block, payload: bytes, offset: int) -> dict[str, Wire]:
     flat = iter(block.codec.unpack_from(payload, offset))
     values: dict[str, Wire] = {}
     for field in block.fields:
-        if field.count == 1:
+        if field.array_length == 1:
             values[field.name] = next(flat)
-        elif field.iec == "USINT":
+        elif field.iec_type == "USINT":
             values[field.name] = next(flat).hex()
         else:
-            values[field.name] = [next(flat) for _ in range(field.count)]
+            values[field.name] = [next(flat) for _ in range(field.array_length)]
     return values
 
 

@@ -2,10 +2,10 @@
 
 from protocol import layout, timeouts
 from protocol.limits import AxisLimits, cfg_id
-from protocol.twincat.documents import VERSION
+from protocol.twincat.documents import PROTOCOL_VERSION_TEXT
 from protocol.twincat.parameters import PlcParameters
 
-_IN_TIME_MS = (timeouts.COMMAND_LOST.ns + timeouts.STATE_PERIOD.ns) // timeouts.MS
+_IN_TIME_MS = (timeouts.COMMAND_LOST_TIMEOUT.duration_ns + timeouts.STATE_PERIOD.duration_ns) // timeouts.MS
 _NOT_VERIFIED = """\
 ## What is not verified
 
@@ -42,7 +42,7 @@ _WATCH_LIST = """\
 def start_page(p: PlcParameters) -> str:
     """The first page of the exported PLC files: steps from unpacking to the first dry run."""
     return f"""\
-# {p.machine}: the PLC end of HMLINK {VERSION}
+# {p.machine_name}: the PLC end of HMLINK {PROTOCOL_VERSION_TEXT}
 
 One command datagram 50 times a second from the PC, one state datagram every 10 ms from the PLC. The PC sends knots of
 a reference ahead of time; the PLC plays them on its own clock, checks them against its own limits, and ramps down by
@@ -51,8 +51,8 @@ itself when the PC falls silent. **This link is not a safety channel**: emergenc
 | | |
 |---|---|
 | layout_id | {layout.LAYOUT_ID:#010x} |
-| cfg_id | {cfg_id(p.table):#010x} |
-| axes | {", ".join(axis.name for axis in p.table.axes)} |
+| cfg_id | {cfg_id(p.limit_table):#010x} |
+| axes | {", ".join(axis.name for axis in p.limit_table.axes)} |
 | task cycle | {p.cycle_ns / 1e6:g} ms |
 | PLC | {p.plc_address}, AMS NetId {p.plc_net_id} |
 | PC | {p.pc_address}, AMS NetId {p.pc_net_id} |
@@ -119,10 +119,10 @@ GVL_HmIo and GVL_HmAuth: change the machine file and export again, else fault LA
 
 def commissioning_page(p: PlcParameters) -> str:
     """Commissioning from the dry run to the moving machine, with the expected observation of each step."""
-    rows = "\n".join(_joint_row(axis) for axis in p.table.axes)
-    ramp_s = max(axis.qd_max / axis.qdd_max for axis in p.table.axes)
+    rows = "\n".join(_joint_row(axis) for axis in p.limit_table.axes)
+    ramp_s = max(axis.qd_max / axis.qdd_max for axis in p.limit_table.axes)
     return f"""\
-# Commissioning {p.machine}
+# Commissioning {p.machine_name}
 
 The valves stay closed until step 5. One person at the machine with the emergency stop in hand, one at the PLC.
 `longreach commission` leads through the same list from the PC, measures, and writes the report.
@@ -130,7 +130,7 @@ The valves stay closed until step 5. One person at the machine with the emergenc
 1. **Emergency stop and enable**: hard-wired, tried with the pump off. `GVL_HmIo.bEstop` and `bEnable` follow their
    switches, `bLeverTaken` the lever. Unplug their terminal: `bPanelValid` goes FALSE, and a key that is left on does
    not arm when it comes back.
-2. **Limits**: cfg_id of the state is {cfg_id(p.table):#010x}, the PC's the same; else the PC is refused with CFG.
+2. **Limits**: cfg_id of the state is {cfg_id(p.limit_table):#010x}, the PC's the same; else the PC is refused with CFG.
 3. **Dry run** (`bDryRun` TRUE): connect, turn the enable key, arm, play a small trajectory: `q_ref` moves, `aValves`
    stays 0. Pull the network cable in mid-motion: STOPPING within {_IN_TIME_MS} ms, HOLD after a ramp of about
    {ramp_s:.1f} s or less, DISARMED after 1 s of silence. Plug it in: nothing moves; HELLO and ARM are needed again.

@@ -13,7 +13,7 @@ class Gvl:
     """One global variable list."""
 
     name: str
-    text: str
+    declaration: str
 
 
 def gvls(parameters: PlcParameters) -> tuple[Gvl, ...]:
@@ -24,7 +24,7 @@ def gvls(parameters: PlcParameters) -> tuple[Gvl, ...]:
         _constant_gvl("GVL_HmTimes", "Every time limit; docs/timeouts.md gives the reasons.", _timeout_constants()),
         _constant_gvl(
             "GVL_HmMachine",
-            f"Limits, gains and thresholds of {parameters.machine}; SI.",
+            f"Limits, gains and thresholds of {parameters.machine_name}; SI.",
             _machine_constants(parameters),
         ),
         Gvl("GVL_HmAuth", _AUTH),
@@ -74,18 +74,18 @@ def _layout_constants() -> list[Row]:
     numbers = (
         ("CMD_SIZE", layout.COMMAND_SIZE),
         ("STATE_SIZE", layout.STATE_SIZE),
-        ("LIMITS_SIZE", layout.LIMITS.codec.size),
+        ("LIMITS_SIZE", layout.LIMIT_TABLE_LAYOUT.codec.size),
         ("HEADER_SIZE", layout.HEADER_SIZE),
-        ("AXES", layout.AXES),
+        ("AXES", layout.N_AXIS_SLOTS),
         ("KNOTS", layout.KNOTS_PER_COMMAND),
         ("KNOT_SIZE", layout.KNOT_SIZE),
-        ("CMD_TAG", layout.COMMAND_TAIL.offset_of("auth_tag")),
-        ("CMD_CRC", layout.COMMAND_TAIL.offset_of("crc")),
-        ("STATE_TAG", layout.STATE_BODY.offset_of("auth_tag")),
-        ("STATE_CRC", layout.STATE_BODY.offset_of("crc")),
+        ("CMD_TAG", layout.COMMAND_TAIL_LAYOUT.offset_of("auth_tag")),
+        ("CMD_CRC", layout.COMMAND_TAIL_LAYOUT.offset_of("crc")),
+        ("STATE_TAG", layout.STATE_BODY_LAYOUT.offset_of("auth_tag")),
+        ("STATE_CRC", layout.STATE_BODY_LAYOUT.offset_of("crc")),
         ("OFS_KNOTS", layout.KNOTS_OFFSET),
     )
-    fields = (*layout.HEADER.fields, *layout.COMMAND_BODY.fields)
+    fields = (*layout.HEADER_LAYOUT.fields, *layout.COMMAND_BODY_LAYOUT.fields)
     return [
         ("CMD_MAGIC", "UDINT", _st_hex_literal(layout.COMMAND_MAGIC)),
         ("STATE_MAGIC", "UDINT", _st_hex_literal(layout.STATE_MAGIC)),
@@ -94,7 +94,7 @@ def _layout_constants() -> list[Row]:
         ("VERSION_MINOR", "USINT", str(layout.VERSION_MINOR)),
         *((name, "UDINT", str(number)) for name, number in numbers),
         *((f"OFS_{field.name.upper()}", "UDINT", str(field.offset)) for field in fields),
-        *((f"OFS_KNOT_{field.name.upper()}", "UDINT", str(field.offset)) for field in layout.KNOT.fields),
+        *((f"OFS_KNOT_{field.name.upper()}", "UDINT", str(field.offset)) for field in layout.KNOT_LAYOUT.fields),
     ]
 
 
@@ -111,26 +111,26 @@ def _flag_bit_constants() -> list[Row]:
 
 def _timeout_constants() -> list[Row]:
     return [
-        *((f"{t.name.upper().replace(' ', '_')}_NS", "ULINT", str(t.ns)) for t in timeouts.ALL),
+        *((f"{t.name.upper().replace(' ', '_')}_NS", "ULINT", str(t.duration_ns)) for t in timeouts.ALL_TIMEOUTS),
         ("GOOD_COMMANDS_TO_ARM", "UDINT", str(timeouts.GOOD_COMMANDS_TO_ARM)),
-        ("SEQUENCE_JUMP", "UDINT", str(timeouts.SEQUENCE_JUMP)),
-        ("RING_KNOTS", "UDINT", str(timeouts.RING_KNOTS)),
+        ("SEQUENCE_JUMP", "UDINT", str(timeouts.SEQUENCE_JUMP_MAX)),
+        ("RING_KNOTS", "UDINT", str(timeouts.KNOT_RING_CAPACITY)),
         ("KNOT_SPACING_MIN_NS", "ULINT", str(timeouts.KNOT_SPACING_MIN_NS)),
         ("KNOT_SPACING_MAX_NS", "ULINT", str(timeouts.KNOT_SPACING_MAX_NS)),
         ("START_TOLERANCE", "LREAL", _st_real_literal(timeouts.START_TOLERANCE_RAD)),
-        ("FROZEN_NS", "ULINT", str(timeouts.FROZEN_NS)),
-        ("SERVO_REACH_S", "LREAL", _st_real_literal(timeouts.SERVO_REACH_S)),
+        ("FROZEN_NS", "ULINT", str(timeouts.FROZEN_KNOT_LEAD_NS)),
+        ("SERVO_REACH_S", "LREAL", _st_real_literal(timeouts.SERVO_TARGET_LEAD_MAX_S)),
     ]
 
 
 def _machine_constants(p: PlcParameters) -> list[Row]:
-    axes = p.table.axes
+    axes = p.limit_table.axes
     columns = (
         ("Q_MIN", [axis.q_min for axis in axes]),
         ("Q_MAX", [axis.q_max for axis in axes]),
         ("QD_MAX", [axis.qd_max for axis in axes]),
         ("QDD_MAX", [axis.qdd_max for axis in axes]),
-        ("KP", p.kp),
+        ("KP", p.kp_frac_per_rad),
         ("PT1_SHARE", p.pt1_share),
         ("LAG_WARN", p.lag_warn),
         ("LAG_FAULT", p.lag_fault),
@@ -148,14 +148,17 @@ def _machine_constants(p: PlcParameters) -> list[Row]:
         ("KNOTS_ROUNDING", "LREAL", 1e-9),
         ("KNOTS_REST", "LREAL", 1e-6),
         ("KNOTS_BETWEEN", "LREAL", 1.10),
-        ("FADE_SPEED_FACTOR", "LREAL", timeouts.FADE_SPEED_FACTOR),
+        ("FADE_SPEED_FACTOR", "LREAL", timeouts.PLAUSIBLE_SPEED_FACTOR),
     )
     return [
         ("N_AXES", "UDINT", str(len(axes))),
         ("CYCLE_NS", "ULINT", str(p.cycle_ns)),
-        ("CFG_ID_EXPECTED", "UDINT", _st_hex_literal(cfg_id(p.table))),
+        ("CFG_ID_EXPECTED", "UDINT", _st_hex_literal(cfg_id(p.limit_table))),
         *((name, iec, _st_real_literal(value)) for name, iec, value in scalars),
-        *((name, f"ARRAY[0..{layout.AXES - 1}] OF LREAL", _st_array_literal(values)) for name, values in columns),
+        *(
+            (name, f"ARRAY[0..{layout.N_AXIS_SLOTS - 1}] OF LREAL", _st_array_literal(values))
+            for name, values in columns
+        ),
     ]
 
 
@@ -172,4 +175,8 @@ def _st_real_literal(value: float) -> str:
 
 
 def _st_array_literal(values: tuple[float, ...] | list[float]) -> str:
-    return "[" + ", ".join(_st_real_literal(value) for value in (*values, *(0.0,) * (layout.AXES - len(values)))) + "]"
+    return (
+        "["
+        + ", ".join(_st_real_literal(value) for value in (*values, *(0.0,) * (layout.N_AXIS_SLOTS - len(values))))
+        + "]"
+    )

@@ -11,10 +11,10 @@ RAW_PLC_PORT, RAW_PC_PORT = 50110, 50111  # UDP, raw framing
 class PlcParameters:
     """Limits, gains and thresholds, one value per axis in use; SI units. NetIds and addresses are for the EAP sheet."""
 
-    machine: str
-    table: LimitTable
+    machine_name: str
+    limit_table: LimitTable
     cycle_ns: int
-    kp: tuple[float, ...]  # command fraction per rad
+    kp_frac_per_rad: tuple[float, ...]  # command fraction per rad
     pt1_tau_s: tuple[float, ...]  # 0: plain P
     pt1_share: tuple[float, ...]  # of the way to its input that the PT-1 goes in one cycle
     lag_warn: tuple[float, ...]  # rad

@@ -19,8 +19,8 @@ from recording.foreign.urdf_ends import ChosenChain, chain_for
 from recording.rows import TrackerPoint, csv_fields
 from recording.run import RunInfo, run_to_toml
 
-ROWS_MAX = 2_000_000  # of plc.csv: what the diagnosis reads takes about a kilobyte a row
-GAP_STEPS = 5.0  # a value is not carried over a longer gap of its source
+ENCODER_ROWS_MAX = 2_000_000  # of plc.csv: what the diagnosis reads takes about a kilobyte a row
+CARRY_GAP_MAX_STEPS = 5.0  # a value is not carried over a longer gap of its source
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,15 +28,15 @@ class AssembledRecording:
     """A recording to be written: joint signals (m, n) on t_s (m,), None where not recorded; points; text files."""
 
     t_s: Array
-    q: Array | None
+    q_encoder: Array | None
     q_ref: Array | None
     qd_ref: Array | None
-    u: Array | None
-    sliding: tuple[bool, ...]
-    points: tuple[TrackedPointSeries, ...]
-    run: RunInfo
+    valve_command: Array | None
+    prismatic: tuple[bool, ...]
+    tracked_points: tuple[TrackedPointSeries, ...]
+    run_info: RunInfo
     machine_toml: str
-    urdf: tuple[str, str]
+    urdf_name_and_text: tuple[str, str]
     notes: tuple[str, ...]
 
 
@@ -45,22 +45,25 @@ def assemble(found: SourceContents, mapping: Mapping, name: str, urdf: Path | No
 
     Raises: RecordingError: no joint was recorded, too many rows, or a URDF that cannot be read or is of another robot.
     """
-    recorded = [joint for signal in found.signals_of("position") for joint in signal.names]
+    recorded = [joint for signal in found.signals_of("position") for joint in signal.joint_names]
     text = _urdf_text(urdf)
     chain = None
     if text:
-        chain = chain_for(text, () if found.numbered else recorded, mapping.urdf)
-    if chain is not None and found.numbered:
+        chain = chain_for(text, () if found.joints_numbered else recorded, mapping.urdf)
+    if chain is not None and found.joints_numbered:
         found = _named_by_chain(found, chain)
-        recorded = [joint for signal in found.signals_of("position") for joint in signal.names]
+        recorded = [joint for signal in found.signals_of("position") for joint in signal.joint_names]
     joints, notes = _select_joint_order(found, mapping, chain, recorded)
     base = max(
-        found.signals_of("position"), key=lambda one: (len(set(one.names) & set(joints)), len(one.t_s)), default=None
+        found.signals_of("position"),
+        key=lambda one: (len(set(one.joint_names) & set(joints)), len(one.t_s)),
+        default=None,
     )
     t = base.t_s if base is not None else found.signals_of("reference")[0].t_s
-    if len(t) > ROWS_MAX:
+    if len(t) > ENCODER_ROWS_MAX:
         raise RecordingError(
-            f"{len(t)} rows of encoders, limit {ROWS_MAX}; read a part by [window] from_s and to_s of the mapping file"
+            f"{len(t)} rows of encoders, limit {ENCODER_ROWS_MAX}; read a part by [window] from_s and to_s of the "
+            "mapping file"
         )
     signals = {
         kind: _on_axis(found.signals_of(kind), joints, t) for kind in ("position", "reference", "velocity_reference")
@@ -75,22 +78,22 @@ def assemble(found: SourceContents, mapping: Mapping, name: str, urdf: Path | No
         drive = with_fitted_gains(drive, t, signals["position"], command)
     step_s = float(f"{np.median(np.diff(t)):.6g}") if len(t) > 1 else 0.01
     on_joint = {tracker.point: tracker.joint for tracker in mapping.ros.tracker if tracker.joint is not None}
-    points = {track.name: on_joint.get(track.name, len(joints)) for track in found.points}
+    points = {track.name: on_joint.get(track.name, len(joints)) for track in found.tracked_points}
     machine = machine_toml(name, joints, sliding, drive, step_s, chain, urdf.name if urdf else "", points)
     if command is not None and found.command_kind != "valve":
         command = command / np.array(drive.velocity_max)
     started = datetime.fromtimestamp(found.started_s, UTC).isoformat() if found.started_s > 1e6 else ""
     return AssembledRecording(
         t_s=t,
-        q=signals["position"],
+        q_encoder=signals["position"],
         q_ref=signals["reference"],
         qd_ref=signals["velocity_reference"],
-        u=command,
-        sliding=sliding,
-        points=tuple(found.points),
-        run=RunInfo(name, started_utc=started, cut=found.cut),
+        valve_command=command,
+        prismatic=sliding,
+        tracked_points=tuple(found.tracked_points),
+        run_info=RunInfo(name, started_utc=started, cut=found.truncated),
         machine_toml=machine,
-        urdf=(urdf.name if urdf else "", text),
+        urdf_name_and_text=(urdf.name if urdf else "", text),
         notes=(*notes, *drive.notes),
     )
 
@@ -98,14 +101,14 @@ def assemble(found: SourceContents, mapping: Mapping, name: str, urdf: Path | No
 def _named_by_chain(found: SourceContents, chain: ChosenChain) -> SourceContents:
     """Numbered joints get the names of the chain's moving joints, in their order. Raises: RecordingError: too many."""
     names = [joint.name for joint in chain.joints]
-    most = max(int(joint.removeprefix("joint")) for signal in found.signals for joint in signal.names)
+    most = max(int(joint.removeprefix("joint")) for signal in found.signals for joint in signal.joint_names)
     if most > len(names):
         raise RecordingError(
             f"joint {most} was recorded, and {len(names)} joints move between {chain.base_link} and {chain.tip_link} "
             "of the URDF; give base_link and tip_link under [urdf] of the mapping file, or correct the joints' numbers"
         )
     signals = [
-        replace(signal, names=tuple(names[int(joint.removeprefix("joint")) - 1] for joint in signal.names))
+        replace(signal, joint_names=tuple(names[int(joint.removeprefix("joint")) - 1] for joint in signal.joint_names))
         for signal in found.signals
     ]
     return replace(found, signals=signals)
@@ -138,12 +141,12 @@ def _select_joint_order(
         signals = found.signals_of("position") or found.signals_of("reference")
         if not signals:
             raise RecordingError("no joint positions were found; name them in a mapping file")
-        joints = max(signals, key=lambda signal: len(signal.t_s)).names
-        if found.numbered:
-            numbers = {int(joint.removeprefix("joint")) for signal in signals for joint in signal.names}
+        joints = max(signals, key=lambda signal: len(signal.t_s)).joint_names
+        if found.joints_numbered:
+            numbers = {int(joint.removeprefix("joint")) for signal in signals for joint in signal.joint_names}
             joints = tuple(f"joint{number}" for number in range(1, max(numbers) + 1))
     if chain is not None:
-        chosen = "chosen by the recorded joints" if chain.guess else "as the mapping says"
+        chosen = "chosen by the recorded joints" if chain.is_guess else "as the mapping says"
         notes.append(f"URDF chain {chain.base_link} -> {chain.tip_link}, {chosen}: {', '.join(joints)}")
         held = [joint.name for joint in chain.joints if joint.name not in joints]
         notes += [f"joints {', '.join(held)} of the chain were not recorded and are held at 0"] if held else []
@@ -153,7 +156,7 @@ def _select_joint_order(
 
 
 def _prismatic_joint_flags(joints: Sequence[str], chain: ChosenChain | None) -> tuple[bool, ...]:
-    kinds = {joint.name: joint.kind for joint in chain.joints} if chain is not None else {}
+    kinds = {joint.name: joint.joint_type for joint in chain.joints} if chain is not None else {}
     return tuple(kinds.get(joint) == "prismatic" for joint in joints)
 
 
@@ -166,10 +169,12 @@ def _on_axis(signals: Sequence[JointSignal], joints: Sequence[str], t: Array) ->
     """The numbers of each joint at t (m, n), from the signal that has most of it; None where no joint was recorded."""
     out = np.full((len(t), len(joints)), np.nan)
     for k, joint in enumerate(joints):
-        having = [signal for signal in signals if joint in signal.names]
+        having = [signal for signal in signals if joint in signal.joint_names]
         if having:
             signal = max(having, key=lambda one: len(one.t_s))
-            out[:, k] = _values_at_times(signal.t_s, signal.values[:, signal.names.index(joint)], t, signal.held)
+            out[:, k] = _values_at_times(
+                signal.t_s, signal.values[:, signal.joint_names.index(joint)], t, signal.hold_last_value
+            )
     return out if np.isfinite(out).any() else None
 
 
@@ -187,7 +192,7 @@ def _values_at_times(t_of: Array, values: Array, t: Array, held: bool) -> Array:
     out = np.interp(t, t_of, values, left=np.nan, right=np.nan)
     steps = np.diff(t_of)
     if len(steps):
-        in_gap = steps[np.clip(last, 0, len(steps) - 1)] > GAP_STEPS * np.median(steps)
+        in_gap = steps[np.clip(last, 0, len(steps) - 1)] > CARRY_GAP_MAX_STEPS * np.median(steps)
         exact = np.isin(t, t_of)
         moves = np.abs(np.diff(values))[np.clip(last, 0, len(steps) - 1)] > 0.0
         out[in_gap & ~exact & moves] = np.nan
@@ -198,14 +203,14 @@ def write_assembled(recording: AssembledRecording, folder: Path) -> None:
     """Write the folder form. Raises: RecordingError: it cannot be written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "run.toml").write_text(run_to_toml(recording.run), encoding="utf-8")
+        (folder / "run.toml").write_text(run_to_toml(recording.run_info), encoding="utf-8")
         (folder / "machine.toml").write_text(recording.machine_toml, encoding="utf-8")
-        if recording.urdf[1]:
-            (folder / recording.urdf[0]).write_text(recording.urdf[1], encoding="utf-8")
-        if recording.q is not None or recording.q_ref is not None:
+        if recording.urdf_name_and_text[1]:
+            (folder / recording.urdf_name_and_text[0]).write_text(recording.urdf_name_and_text[1], encoding="utf-8")
+        if recording.q_encoder is not None or recording.q_ref is not None:
             _write_plc(recording, folder / "plc.csv")
-        if recording.points:
-            _write_points(recording.points, folder / TrackerPoint.file)
+        if recording.tracked_points:
+            _write_points(recording.tracked_points, folder / TrackerPoint.file)
     except OSError as error:
         raise RecordingError(f"folder {folder}: {error.strerror}; choose a folder that can be written") from error
 
@@ -215,11 +220,11 @@ def _write_plc(recording: AssembledRecording, path: Path) -> None:
     for pattern, values in (
         ("q_ref_{j}_rad", recording.q_ref),
         ("qd_ref_{j}_rad_s", recording.qd_ref),
-        ("q_{j}_rad", recording.q),
-        ("u_{j}_frac", recording.u),
+        ("q_{j}_rad", recording.q_encoder),
+        ("u_{j}_frac", recording.valve_command),
     ):
         if values is not None:
-            header += [_joint_column_name(pattern, k, slides) for k, slides in enumerate(recording.sliding, start=1)]
+            header += [_joint_column_name(pattern, k, slides) for k, slides in enumerate(recording.prismatic, start=1)]
             parts.append(values)
     _write_rows(path, header, np.hstack(parts))
 
@@ -244,7 +249,7 @@ def _write_points(points: Sequence[TrackedPointSeries], path: Path) -> None:
     rows = [
         (t, track.name, x, y, z)
         for track in points
-        for t, (x, y, z) in zip(track.t_s.tolist(), track.xyz.tolist(), strict=True)
+        for t, (x, y, z) in zip(track.t_s.tolist(), track.xyz_m.tolist(), strict=True)
         if np.isfinite(x + y + z)
     ]
     with path.open("w", newline="", encoding="utf-8") as file:

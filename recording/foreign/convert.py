@@ -20,8 +20,8 @@ Confirm = Callable[[SourceContents, AssembledRecording], bool]
 class ConversionResult:
     """What was read, and what was written of it."""
 
-    found: SourceContents
-    assembled: AssembledRecording
+    source_contents: SourceContents
+    assembled_recording: AssembledRecording
 
 
 def is_foreign(path: Path) -> bool:

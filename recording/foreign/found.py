@@ -20,10 +20,10 @@ class JointSignal:
 
     kind: Kind
     source: str
-    names: tuple[str, ...]
+    joint_names: tuple[str, ...]
     t_s: Array
     values: Array
-    held: bool = False
+    hold_last_value: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class TrackedPointSeries:
     name: str
     source: str
     t_s: Array
-    xyz: Array
+    xyz_m: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +45,10 @@ class SourceEntry:
 
     name: str
     kind: str
-    count: int
+    n_values: int
     use: Use
-    why: str
-    guess: bool = False
+    reason: str
+    is_guess: bool = False
 
 
 @dataclass(slots=True)
@@ -59,19 +59,19 @@ class SourceContents:
     """
 
     signals: list[JointSignal] = field(default_factory=list)
-    points: list[TrackedPointSeries] = field(default_factory=list)
+    tracked_points: list[TrackedPointSeries] = field(default_factory=list)
     entries: list[SourceEntry] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     started_s: float = 0.0
     command_kind: str = ""
-    cut: bool = False
-    numbered: bool = False
-    proposal: str = ""
+    truncated: bool = False
+    joints_numbered: bool = False
+    proposed_mapping_toml: str = ""
 
     @property
     def guessed_entries(self) -> list[SourceEntry]:
         """What the user has to confirm."""
-        return [entry for entry in self.entries if entry.guess and entry.use == "used"]
+        return [entry for entry in self.entries if entry.is_guess and entry.use == "used"]
 
     def signals_of(self, kind: Kind) -> list[JointSignal]:
         """The signals of one kind."""

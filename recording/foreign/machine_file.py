@@ -11,23 +11,23 @@ from machine.rotations import Array
 from recording.foreign.mapping import Actuator, CommandKind
 from recording.foreign.urdf_ends import ChosenChain
 
-VELOCITY_MAX = 3.0  # [rad/s or m/s], where neither URDF nor mapping has one and nothing faster was commanded
-BANDWIDTH_HZ = 5.0  # of the position loop: industrial arms lie between 3 and 10
-VELOCITY_BANDWIDTH_HZ = 25.0  # of the velocity loop: five times as fast, as loops in one another are tuned
-DAMPING = 1.0
-FITTED_FROM = 0.25  # share of the full command: dead bands end below
-CYCLE_S = 4e-3  # the model's cycle is a whole part of the log's, at most this
+DEFAULT_VELOCITY_MAX = 3.0  # [rad/s or m/s], where neither URDF nor mapping has one and nothing faster was commanded
+DEFAULT_BANDWIDTH_HZ = 5.0  # of the position loop: industrial arms lie between 3 and 10
+DEFAULT_VELOCITY_BANDWIDTH_HZ = 25.0  # of the velocity loop: five times as fast, as loops in one another are tuned
+DEFAULT_DAMPING_RATIO = 1.0
+FITTED_COMMAND_MIN_FRAC = 0.25  # share of the full command: dead bands end below
+MODEL_CYCLE_MAX_S = 4e-3  # the model's cycle is a whole part of the log's, at most this
 
 
 @dataclass(frozen=True, slots=True)
 class DriveModel:
     """The nominal drive of every joint: kind, velocity of a full command (n,) [rad/s or m/s], and what was assumed."""
 
-    kind: CommandKind
+    command_kind: CommandKind
     velocity_max: tuple[float, ...]
-    kp: tuple[float, ...]
+    kp_frac_per_rad: tuple[float, ...]
     bandwidth_hz: float
-    damping: float
+    damping_ratio: float
     notes: tuple[str, ...]
 
 
@@ -44,13 +44,13 @@ def drive_model(wanted: Actuator, command_kind: str, limits: Sequence[float], co
     kind = wanted.kind or given
     fastest = []
     for limit, largest in zip(limits, commanded, strict=True):
-        known = limit if math.isfinite(limit) else VELOCITY_MAX
+        known = limit if math.isfinite(limit) else DEFAULT_VELOCITY_MAX
         fastest.append(wanted.velocity_max or max(known, 1.05 * largest))
     position_hz, velocity_hz = (
-        wanted.bandwidth_hz or BANDWIDTH_HZ,
-        wanted.velocity_bandwidth_hz or VELOCITY_BANDWIDTH_HZ,
+        wanted.bandwidth_hz or DEFAULT_BANDWIDTH_HZ,
+        wanted.velocity_bandwidth_hz or DEFAULT_VELOCITY_BANDWIDTH_HZ,
     )
-    damping = wanted.damping or DAMPING
+    damping = wanted.damping or DEFAULT_DAMPING_RATIO
     kp = tuple(2.0 * math.pi * position_hz / speed for speed in fastest)
     notes = [f"nominal {kind}-controlled drive: velocity loop of {velocity_hz:g} Hz, damping {damping:g}"]
     if kind == "position":
@@ -73,17 +73,22 @@ def with_fitted_gains(drive: DriveModel, t_s: Array, q: Array | None, u: Array) 
     fastest = list(drive.velocity_max)
     for k in range(len(fastest)):
         speed, command = np.gradient(q[:, k], t_s), u[:, k]
-        good = np.isfinite(speed) & (np.abs(command) > FITTED_FROM)
+        good = np.isfinite(speed) & (np.abs(command) > FITTED_COMMAND_MIN_FRAC)
         gain = float(speed[good] @ command[good] / (command[good] @ command[good])) if good.sum() > 2 else 0.0
         fastest[k] = abs(gain) or fastest[k]
-    kp = tuple(gain * before / now for gain, before, now in zip(drive.kp, drive.velocity_max, fastest, strict=True))
+    kp = tuple(
+        gain * before / now
+        for gain, before, now in zip(drive.kp_frac_per_rad, drive.velocity_max, fastest, strict=True)
+    )
     note = "velocities of a full command are fitted to this recording, which hides an error of the gain"
-    return replace(drive, velocity_max=tuple(fastest), kp=kp, notes=(*drive.notes, f"{note}; give velocity_max"))
+    return replace(
+        drive, velocity_max=tuple(fastest), kp_frac_per_rad=kp, notes=(*drive.notes, f"{note}; give velocity_max")
+    )
 
 
 def model_and_log_cycle_s(log_step_s: float) -> tuple[float, float]:
     """The model's cycle and the log's [s]: the log's is a whole multiple."""
-    cycle_s = log_step_s / max(1, math.ceil(log_step_s / CYCLE_S - 1e-6))
+    cycle_s = log_step_s / max(1, math.ceil(log_step_s / MODEL_CYCLE_MAX_S - 1e-6))
     return cycle_s, log_step_s
 
 
@@ -110,7 +115,7 @@ def machine_toml(
             f"velocity_gain_rad_s = {drive.velocity_max[k]:.9g}",
             f"valve_frequency_hz = {drive.bandwidth_hz:.9g}",
         ]
-        lines += [f"valve_damping = {drive.damping:.9g}", f"kp_frac_per_rad = {drive.kp[k]:.9g}", ""]
+        lines += [f"valve_damping = {drive.damping_ratio:.9g}", f"kp_frac_per_rad = {drive.kp_frac_per_rad[k]:.9g}", ""]
     cycle_s, log_cycle_s = model_and_log_cycle_s(log_step_s)
     lines += ["[plc]", f"cycle_s = {cycle_s!r}", f"log_cycle_s = {log_cycle_s!r}", "transport_delay_s = 0.0", ""]
     for point, joint in points.items():

@@ -10,10 +10,10 @@ from mcap.records import Channel, McapRecord, Message, Schema, Statistics
 from recording.errors import RecordingError
 from recording.reader import RecordStream
 
-HINT = "reading ROS bags needs the library rosbags: pip install 'longreach[ros]'"
-ENCODINGS = ("cdr", "ros1")
-LFS_POINTER_MAX = 1024  # bytes
-METADATA = "metadata.yaml"
+ROSBAGS_INSTALL_HINT = "reading ROS bags needs the library rosbags: pip install 'longreach[ros]'"
+ROS_MESSAGE_ENCODINGS = ("cdr", "ros1")
+LFS_POINTER_MAX_BYTES = 1024  # bytes
+BAG_METADATA_FILE_NAME = "metadata.yaml"
 
 _STATE = """std_msgs/Header header
 string[] joint_names
@@ -30,17 +30,17 @@ def _controller_state_definition(names: tuple[str, ...], multi: tuple[str, ...] 
     return _STATE.format(points=points + several + "".join(_MULTI.format(name=name) for name in multi) + last)
 
 
-CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
+CONTROLLER_STATE_TYPE = "control_msgs/msg/JointTrajectoryControllerState"
 _NOW = ("reference", "feedback", "error", "output")
 _HUMBLE = (*_NOW, "desired", "actual")
 #: control_msgs is in no store of rosbags, and bags before ROS 2 Iron hold no definitions: newest first, tried in turn.
-CONTROLLER_STATES = (
+CONTROLLER_STATE_DEFINITIONS = (
     _controller_state_definition(_NOW, _NOW, "float64 speed_scaling_factor\n"),
     _controller_state_definition(_NOW, _NOW),
     _controller_state_definition(_HUMBLE, _HUMBLE),
     _controller_state_definition(("desired", "actual", "error")),
 )
-OTHERS = {
+EXTRA_MESSAGE_DEFINITIONS = {
     "control_msgs/msg/InterfaceValue": "string[] interface_names\nfloat64[] values\n",
     "control_msgs/msg/DynamicJointState": "std_msgs/Header header\nstring[] joint_names\n"
     "control_msgs/InterfaceValue[] interface_values\n",
@@ -52,7 +52,7 @@ class RosMessage:
     """One message: its topic and type, the time it was recorded at [ns], and its fields when `decode` is called."""
 
     topic: str
-    kind: str
+    message_type: str
     t_ns: int
     decode: Callable[[], Any]
 
@@ -65,20 +65,20 @@ def is_ros(path: Path) -> bool:
     """Whether a path is a ROS bag: by its ending, its metadata, or the encoding of an MCAP file's first channel."""
     try:
         if path.is_dir():
-            return (path / METADATA).is_file() or any(_storage_files(path))
+            return (path / BAG_METADATA_FILE_NAME).is_file() or any(_storage_files(path))
         if not path.is_file():
             return False
     except OSError:
         return False
     if path.suffix in (".db3", ".bag"):
         return True
-    return path.suffix == ".mcap" and _first_encoding(path) in ENCODINGS
+    return path.suffix == ".mcap" and _first_encoding(path) in ROS_MESSAGE_ENCODINGS
 
 
 def _storage_files(folder: Path) -> Iterator[Path]:
     """Files of a rosbag2 folder: data bases, and MCAP files of ROS."""
     yield from sorted(folder.glob("*.db3"))
-    yield from (path for path in sorted(folder.glob("*.mcap")) if _first_encoding(path) in ENCODINGS)
+    yield from (path for path in sorted(folder.glob("*.mcap")) if _first_encoding(path) in ROS_MESSAGE_ENCODINGS)
 
 
 def _first_encoding(path: Path) -> str:
@@ -98,7 +98,7 @@ class RosBag:
         try:
             import rosbags.rosbag2  # noqa: F401 - here: an extra
         except ImportError as error:
-            raise RecordingError(HINT) from error
+            raise RecordingError(ROSBAGS_INSTALL_HINT) from error
         self._path = path
         self._types = _MessageDecoders()
         self.notes: list[str] = []
@@ -106,8 +106,8 @@ class RosBag:
 
     def __iter__(self) -> Iterator[RosMessage]:
         """Raises: RecordingError: no bag, or nothing of it can be read."""
-        if self._path.is_dir() and not (self._path / METADATA).is_file():
-            self.notes.append(f"{METADATA} is missing; the storage files are read as they are")
+        if self._path.is_dir() and not (self._path / BAG_METADATA_FILE_NAME).is_file():
+            self.notes.append(f"{BAG_METADATA_FILE_NAME} is missing; the storage files are read as they are")
             for path in _storage_files(self._path):
                 yield from self._read_file_messages(path)
         elif self._path.is_dir():
@@ -133,9 +133,9 @@ class RosBag:
 
     def _read_metadata_text(self) -> str:
         try:
-            return (self._path / METADATA).read_text(encoding="utf-8", errors="replace")
+            return (self._path / BAG_METADATA_FILE_NAME).read_text(encoding="utf-8", errors="replace")
         except OSError as error:
-            raise RecordingError(f"{self._path / METADATA} cannot be read: {error.strerror}") from error
+            raise RecordingError(f"{self._path / BAG_METADATA_FILE_NAME} cannot be read: {error.strerror}") from error
 
     def _read_mcap_messages(self, path: Path) -> Iterator[RosMessage]:
         stream = RecordStream(path)
@@ -205,7 +205,7 @@ def _repair(path: Path) -> str:
         return "check its path"
     if (
         path.is_file()
-        and path.stat().st_size < LFS_POINTER_MAX
+        and path.stat().st_size < LFS_POINTER_MAX_BYTES
         and path.read_bytes().startswith(b"version https://git-lfs")
     ):
         return "it is a pointer of Git LFS: fetch the file itself by `git lfs pull`"
@@ -236,7 +236,7 @@ class _MessageDecoders:
 
     def decode_message(self, kind: str, encoding: str, data: bytes, text: str, style: str) -> Any:
         """The message's fields. Raises: NotDecodedError."""
-        if encoding not in ENCODINGS:
+        if encoding not in ROS_MESSAGE_ENCODINGS:
             raise NotDecodedError(f"its encoding {encoding!r} is not one of ROS")
         stores = self._stores.get((kind, encoding))
         if stores is None:
@@ -272,14 +272,14 @@ class _MessageDecoders:
                 raise NotDecodedError(f"its definition in the bag cannot be read: {error}") from error
         if kind in store.fielddefs:
             return [store]
-        if kind in OTHERS:
-            for name, definition in OTHERS.items():
+        if kind in EXTRA_MESSAGE_DEFINITIONS:
+            for name, definition in EXTRA_MESSAGE_DEFINITIONS.items():
                 store.register(get_types_from_msg(definition, name))
             return [store]
-        if kind != CONTROLLER_STATE:
+        if kind != CONTROLLER_STATE_TYPE:
             return []
         stores = []
-        for definition in CONTROLLER_STATES:
+        for definition in CONTROLLER_STATE_DEFINITIONS:
             one = get_typestore(Stores.ROS2_HUMBLE)
             one.register(get_types_from_msg(definition, kind))
             stores.append(one)

@@ -11,16 +11,16 @@ import numpy as np
 from machine.rotations import Array
 from recording.errors import RecordingError
 from recording.foreign.mapping import Mapping
-from recording.foreign.ros_bag import CONTROLLER_STATE, NotDecodedError, RosBag, RosMessage
+from recording.foreign.ros_bag import CONTROLLER_STATE_TYPE, NotDecodedError, RosBag, RosMessage
 
-NUMBERS_MAX = 400_000_000  # of 8 bytes: some 3 GB, hours of an arm at 1 kHz
-CLOCKS_APART_S = 5.0
-FAILED_MAX = 20  # of a topic of which no message was read: the rest is not tried
+BAG_NUMBERS_MAX = 400_000_000  # of 8 bytes: some 3 GB, hours of an arm at 1 kHz
+CLOCK_OFFSET_WARN_S = 5.0
+UNREADABLE_MESSAGES_MAX = 20  # of a topic of which no message was read: the rest is not tried
 TRACKER_WORDS = ("mocap", "vicon", "optitrack", "qualisys", "vrpn", "tracker", "leica", "rigid_body", "rigidbody")
-JOINT_STATE = "sensor_msgs/msg/JointState"
-DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
-TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
-ARRAY = "std_msgs/msg/Float64MultiArray"
+JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
+DYNAMIC_JOINT_STATE_TYPE = "control_msgs/msg/DynamicJointState"
+JOINT_TRAJECTORY_TYPE = "trajectory_msgs/msg/JointTrajectory"
+FLOAT_ARRAY_TYPE = "std_msgs/msg/Float64MultiArray"
 TF = "tf2_msgs/msg/TFMessage"
 
 
@@ -28,22 +28,22 @@ TF = "tf2_msgs/msg/TFMessage"
 class Series:
     """Rows of equal width of one topic: `t` recorded at, `stamp` of the header (0 without), `numbers` row by row."""
 
-    names: tuple[str, ...]
-    width: int
-    t: array = field(default_factory=lambda: array("d"))
-    stamp: array = field(default_factory=lambda: array("d"))
-    numbers: array = field(default_factory=lambda: array("d"))
+    column_names: tuple[str, ...]
+    n_columns: int
+    t_recorded_s: array = field(default_factory=lambda: array("d"))
+    t_header_s: array = field(default_factory=lambda: array("d"))
+    row_values: array = field(default_factory=lambda: array("d"))
 
     def add(self, t_s: float, stamp_s: float, values: Sequence[float]) -> None:
         """One row."""
-        self.t.append(t_s)
-        self.stamp.append(stamp_s)
-        self.numbers.extend(float(value) for value in values)
+        self.t_recorded_s.append(t_s)
+        self.t_header_s.append(stamp_s)
+        self.row_values.extend(float(value) for value in values)
 
     @property
     def values(self) -> Array:
         """(m, width)."""
-        return np.frombuffer(self.numbers, dtype=float).reshape(-1, self.width).copy()
+        return np.frombuffer(self.row_values, dtype=float).reshape(-1, self.n_columns).copy()
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Trajectory:
 
     t_s: float
     stamp_s: float
-    names: tuple[str, ...]
+    joint_names: tuple[str, ...]
     since_s: Array
     positions: Array
     velocities: Array | None
@@ -64,14 +64,14 @@ class Trajectory:
 class CollectedTopics:
     """By topic: its type, how many messages, how many were not read and why; series by (topic, field, names)."""
 
-    types: dict[str, str] = field(default_factory=dict)
-    counts: Counter[str] = field(default_factory=Counter)
-    failures: dict[str, str] = field(default_factory=dict)
-    failed: Counter[str] = field(default_factory=Counter)
-    series: dict[tuple[str, str, tuple[str, ...]], Series] = field(default_factory=dict)
-    trajectories: dict[str, list[Trajectory]] = field(default_factory=dict)
-    frames: Counter[tuple[str, str]] = field(default_factory=Counter)
-    numbers: int = 0
+    topic_types: dict[str, str] = field(default_factory=dict)
+    message_counts: Counter[str] = field(default_factory=Counter)
+    failure_reasons: dict[str, str] = field(default_factory=dict)
+    failed_message_counts: Counter[str] = field(default_factory=Counter)
+    series_by_topic: dict[tuple[str, str, tuple[str, ...]], Series] = field(default_factory=dict)
+    trajectories_by_topic: dict[str, list[Trajectory]] = field(default_factory=dict)
+    tf_frame_counts: Counter[tuple[str, str]] = field(default_factory=Counter)
+    n_numbers: int = 0
     first_s: float = 0.0
 
     def add(self, topic: str, name: str, names: tuple[str, ...], at: tuple[float, float], values: Any) -> None:
@@ -79,15 +79,16 @@ class CollectedTopics:
         if len(values) == 0 or (names and len(values) != len(names)):
             return
         key = (topic, name, names)
-        if key not in self.series or self.series[key].width != len(values):
-            if key in self.series:
+        if key not in self.series_by_topic or self.series_by_topic[key].n_columns != len(values):
+            if key in self.series_by_topic:
                 return
-            self.series[key] = Series(names, len(values))
-        self.series[key].add(*at, values)
-        self.numbers += len(values) + 2
-        if self.numbers > NUMBERS_MAX:
+            self.series_by_topic[key] = Series(names, len(values))
+        self.series_by_topic[key].add(*at, values)
+        self.n_numbers += len(values) + 2
+        if self.n_numbers > BAG_NUMBERS_MAX:
             raise RecordingError(
-                f"the bag holds more than {NUMBERS_MAX:g} numbers of joints and points, the limit; read a part of it "
+                f"the bag holds more than {BAG_NUMBERS_MAX:g} numbers of joints and points, the limit; read a part of "
+                "it "
                 "by [window] from_s and to_s of the mapping file"
             )
 
@@ -102,23 +103,28 @@ def collect_signals(bag: RosBag, mapping: Mapping) -> CollectedTopics:
     frames = {entry.frame for entry in mapping.ros.tracker if entry.frame}
     from_s, to_s = mapping.window.from_s, mapping.window.to_s
     for message in bag:
-        found.types.setdefault(message.topic, message.kind)
+        found.topic_types.setdefault(message.topic, message.message_type)
         first_ns = message.t_ns if first_ns is None else first_ns
         since_s = (message.t_ns - first_ns) * 1e-9
         if (from_s > 0.0 and since_s < from_s) or (to_s is not None and since_s > to_s):
             continue
-        found.counts[message.topic] += 1
-        take = _TAKERS.get(message.kind)
-        if take is None or found.failed[message.topic] == found.counts[message.topic] - 1 >= FAILED_MAX:
+        found.message_counts[message.topic] += 1
+        take = _TAKERS.get(message.message_type)
+        if (
+            take is None
+            or found.failed_message_counts[message.topic]
+            == found.message_counts[message.topic] - 1
+            >= UNREADABLE_MESSAGES_MAX
+        ):
             continue
         try:
             take(found, message, since_s, first_ns, (wanted, frames))
         except NotDecodedError as error:
-            found.failures[message.topic] = str(error)
-            found.failed[message.topic] += 1
+            found.failure_reasons[message.topic] = str(error)
+            found.failed_message_counts[message.topic] += 1
         except (AttributeError, TypeError, ValueError) as error:
-            found.failures[message.topic] = f"its fields are not those of {message.kind}: {error}"
-            found.failed[message.topic] += 1
+            found.failure_reasons[message.topic] = f"its fields are not those of {message.message_type}: {error}"
+            found.failed_message_counts[message.topic] += 1
     if first_ns is None:
         raise RecordingError(f"the bag holds no message that can be read{_bag_notes_suffix(bag)}; record it again")
     found.first_s = first_ns * 1e-9
@@ -179,7 +185,7 @@ def _collect_trajectory(found: CollectedTopics, message: RosMessage, t_s: float,
     velocities = np.array([point.velocities for point in points], dtype=float) if known else None
     positions = np.array([point.positions for point in points], dtype=float)
     one = Trajectory(t_s, _stamp_s(fields, first_ns), names, since, positions, velocities)
-    found.trajectories.setdefault(message.topic, []).append(one)
+    found.trajectories_by_topic.setdefault(message.topic, []).append(one)
 
 
 def _collect_array(found: CollectedTopics, message: RosMessage, t_s: float, *_: object) -> None:
@@ -206,7 +212,7 @@ def _collect_transforms(
 ) -> None:
     for transform in message.decode().transforms:
         frame = transform.child_frame_id.lstrip("/")
-        found.frames[message.topic, frame] += 1
+        found.tf_frame_counts[message.topic, frame] += 1
         if frame in wanted[1] or is_tracker(f"{transform.header.frame_id} {frame}"):
             place = transform.transform.translation
             found.add(
@@ -220,11 +226,11 @@ def is_tracker(name: str) -> bool:
 
 
 _TAKERS: dict[str, Callable[..., None]] = {
-    JOINT_STATE: _joint_state,
-    DYNAMIC_STATE: _dynamic_state,
-    CONTROLLER_STATE: _controller_state,
-    TRAJECTORY: _collect_trajectory,
-    ARRAY: _collect_array,
+    JOINT_STATE_TYPE: _joint_state,
+    DYNAMIC_JOINT_STATE_TYPE: _dynamic_state,
+    CONTROLLER_STATE_TYPE: _controller_state,
+    JOINT_TRAJECTORY_TYPE: _collect_trajectory,
+    FLOAT_ARRAY_TYPE: _collect_array,
     "geometry_msgs/msg/PoseStamped": _point_collector(lambda fields: fields.pose.position),
     "geometry_msgs/msg/PointStamped": _point_collector(lambda fields: fields.point),
     "geometry_msgs/msg/TransformStamped": _point_collector(lambda fields: fields.transform.translation),
@@ -236,14 +242,14 @@ _TAKERS: dict[str, Callable[..., None]] = {
 def clock_of(found: CollectedTopics) -> tuple[bool, str]:
     """Whether headers' stamps are the time, and what to say of it: not where they are far from the recorder's clock."""
     apart = [
-        np.nanmedian(np.frombuffer(series.t) - np.frombuffer(series.stamp))
-        for series in found.series.values()
-        if np.isfinite(np.frombuffer(series.stamp)).any()
+        np.nanmedian(np.frombuffer(series.t_recorded_s) - np.frombuffer(series.t_header_s))
+        for series in found.series_by_topic.values()
+        if np.isfinite(np.frombuffer(series.t_header_s)).any()
     ]
     if not apart:
         return False, "no header has a stamp: times are those of recording, later than measured by the transport"
     worst = max(apart, key=abs)
-    if abs(worst) > CLOCKS_APART_S:
+    if abs(worst) > CLOCK_OFFSET_WARN_S:
         return False, f"headers' stamps are {worst:.3g} s from the recorder's clock: times are those of recording"
     return (
         True,
@@ -253,12 +259,12 @@ def clock_of(found: CollectedTopics) -> tuple[bool, str]:
 
 def row_times(series: Series, by_stamp: bool) -> Array:
     """When each row counts (m,) [s]: by its stamp where there is one."""
-    t, stamp = np.array(series.t), np.array(series.stamp)
+    t, stamp = np.array(series.t_recorded_s), np.array(series.t_header_s)
     return np.where(np.isfinite(stamp), stamp, t) if by_stamp else t
 
 
 def series_of(found: CollectedTopics, topic: str, name: str) -> Iterator[Series]:
     """The series of one field of a topic; several where its messages name different joints."""
-    for (of_topic, of_name, _), series in found.series.items():
+    for (of_topic, of_name, _), series in found.series_by_topic.items():
         if (of_topic, of_name) == (topic, name):
             yield series

@@ -14,13 +14,13 @@ from machine.rotations import Array
 from recording.errors import RecordingError
 from recording.files import text_of
 
-ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".parquet", ".mat")
-SEPARATORS = ("\t", ";", ",", "|")
-SNIFFED = 1 << 16
+TABLE_FILE_SUFFIXES = (".csv", ".txt", ".tsv", ".dat", ".parquet", ".mat")
+COLUMN_SEPARATORS = ("\t", ";", ",", "|")
+SNIFFED_BYTES = 1 << 16
 HEADER_LINES_MAX = 60
-NUMBERS_MAX = 200_000_000
+TABLE_NUMBERS_MAX = 200_000_000
 PARQUET_HINT = "reading Parquet needs the library pyarrow: pip install 'longreach[parquet]'"
-SCOPE_KEY = "Data-Type"
+SCOPE_HEADER_FIRST_WORD = "Data-Type"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class TableColumn:
 
 def is_table(path: Path) -> bool:
     """Whether a path is a file of columns, by its ending."""
-    return path.suffix.lower() in ENDINGS and path.is_file()
+    return path.suffix.lower() in TABLE_FILE_SUFFIXES and path.is_file()
 
 
 def read_table(path: Path) -> list[TableColumn]:
@@ -55,7 +55,7 @@ def read_table(path: Path) -> list[TableColumn]:
 
 def _read_text_table(path: Path) -> list[TableColumn]:
     with path.open("rb") as file:
-        head = file.read(SNIFFED)
+        head = file.read(SNIFFED_BYTES)
     if not head.strip():
         raise RecordingError(f"{path} is empty; export it again")
     encoding = "utf-8-sig"
@@ -71,7 +71,7 @@ def _read_text_table(path: Path) -> list[TableColumn]:
                 "utf-8-sig" if error.start > len(head) - 4 else "cp1252"
             )  # a character cut by the end does not count
     with path.open(encoding=encoding, newline="", errors="replace") as file:
-        lines = file.read(SNIFFED).splitlines()
+        lines = file.read(SNIFFED_BYTES).splitlines()
         file.seek(0)
         scope = _scope_separator(lines)
         if scope == " ":
@@ -104,7 +104,7 @@ def _detect_separator(lines: Sequence[str]) -> str:
     """What stands between columns: of those that cut most lines alike, the one that gives most columns."""
     body = [line for line in lines[:-1] or lines if line.strip()][-20:]
     scores = {}
-    for separator in SEPARATORS:
+    for separator in COLUMN_SEPARATORS:
         counts = Counter(line.count(separator) for line in body)
         usual, lines_alike = counts.most_common(1)[0]
         scores[separator] = lines_alike if usual else 0
@@ -116,8 +116,8 @@ def _scope_separator(lines: Sequence[str]) -> str:
     """What stands behind the first word of a header line that only TwinCAT Scope writes; empty for other files."""
     for line in lines[:HEADER_LINES_MAX]:
         bare = line.lstrip("\ufeff\"' ")
-        if bare.startswith(SCOPE_KEY) and len(bare) > len(SCOPE_KEY):
-            return bare[len(SCOPE_KEY)]
+        if bare.startswith(SCOPE_HEADER_FIRST_WORD) and len(bare) > len(SCOPE_HEADER_FIRST_WORD):
+            return bare[len(SCOPE_HEADER_FIRST_WORD)]
     return ""
 
 
@@ -137,8 +137,10 @@ class _Columns:
             except ValueError:
                 column.append(self._number(text))
         self._count += len(self._cells)
-        if self._count > NUMBERS_MAX:
-            raise RecordingError(f"the table holds more than {NUMBERS_MAX:g} numbers, the limit; cut it into parts")
+        if self._count > TABLE_NUMBERS_MAX:
+            raise RecordingError(
+                f"the table holds more than {TABLE_NUMBERS_MAX:g} numbers, the limit; cut it into parts"
+            )
 
     def arrays(self) -> list[Array]:
         return [np.frombuffer(column, dtype=float).copy() if column else np.zeros(0) for column in self._cells]
@@ -283,8 +285,8 @@ def _read_parquet_file(path: Path) -> list[TableColumn]:
         raise RecordingError(PARQUET_HINT) from error
     try:
         file = pyarrow.parquet.ParquetFile(path)
-        if file.metadata.num_rows * max(1, file.metadata.num_columns) > NUMBERS_MAX:
-            raise RecordingError(f"{path} holds more than {NUMBERS_MAX:g} numbers, the limit; cut it into parts")
+        if file.metadata.num_rows * max(1, file.metadata.num_columns) > TABLE_NUMBERS_MAX:
+            raise RecordingError(f"{path} holds more than {TABLE_NUMBERS_MAX:g} numbers, the limit; cut it into parts")
         table = file.read()
     except pyarrow.ArrowException as error:
         raise RecordingError(f"{path} is not Parquet, or damaged: {error}; write it again") from error

@@ -23,21 +23,70 @@ UNITS: dict[str, tuple[str, float]] = {
     "pct": ("share", 1e-2), "frac": ("share", 1.0),
 }
 # fmt: on
-TIME = {"t", "time", "timestamp", "stamp", "zeit", "sec", "seconds", "elapsed", "clock"}
-VELOCITY = {"qd", "dq", "vel", "velocity", "speed", "dot", "ds", "dtheta", "w", "omega"}
-REFERENCE = {"ref", "reference", "target", "desired", "des", "cmd", "command", "commanded", "set", "setpoint", "goal"}
-REFERENCE |= {"action", "soll", "sp", "leader"}
+TIME_COLUMN_WORDS = {"t", "time", "timestamp", "stamp", "zeit", "sec", "seconds", "elapsed", "clock"}
+VELOCITY_COLUMN_WORDS = {"qd", "dq", "vel", "velocity", "speed", "dot", "ds", "dtheta", "w", "omega"}
+REFERENCE_COLUMN_WORDS = {
+    "ref",
+    "reference",
+    "target",
+    "desired",
+    "des",
+    "cmd",
+    "command",
+    "commanded",
+    "set",
+    "setpoint",
+    "goal",
+}
+REFERENCE_COLUMN_WORDS |= {"action", "soll", "sp", "leader"}
 # fmt: off
-POSITION = {
+POSITION_COLUMN_WORDS = {
     "q", "pos", "position", "angle", "theta", "joint", "enc", "encoder", "actual", "state", "stroke", "s", "ist",
 }
 # fmt: on
-COMMAND = {"u", "valve", "spool", "control", "pwm", "duty", "opening"}
-OTHER = {"tau", "torque", "torques", "effort", "i", "current", "currents", "amps", "acc", "accel", "acceleration"}
-OTHER |= {"qdd", "ddq", "temp", "temperature"}
-OTHER |= {"moment", "force", "pressure", "p", "pa", "pb", "xt", "mode", "voltage", "error", "err", "index", "frame"}
-OTHER |= {"status", "episode", "task", "tcp", "speed_scaling", "robot", "safety", "digital", "reward", "done"}
-WHOLE_TURN = 2.0 * math.pi * 1.05
+COMMAND_COLUMN_WORDS = {"u", "valve", "spool", "control", "pwm", "duty", "opening"}
+UNUSED_COLUMN_WORDS = {
+    "tau",
+    "torque",
+    "torques",
+    "effort",
+    "i",
+    "current",
+    "currents",
+    "amps",
+    "acc",
+    "accel",
+    "acceleration",
+}
+UNUSED_COLUMN_WORDS |= {"qdd", "ddq", "temp", "temperature"}
+UNUSED_COLUMN_WORDS |= {
+    "moment",
+    "force",
+    "pressure",
+    "p",
+    "pa",
+    "pb",
+    "xt",
+    "mode",
+    "voltage",
+    "error",
+    "err",
+    "index",
+    "frame",
+}
+UNUSED_COLUMN_WORDS |= {
+    "status",
+    "episode",
+    "task",
+    "tcp",
+    "speed_scaling",
+    "robot",
+    "safety",
+    "digital",
+    "reward",
+    "done",
+}
+WHOLE_TURN_MAX_RAD = 2.0 * math.pi * 1.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +97,7 @@ class ColumnGuess:
     joint: str = ""
     point: str = ""
     unit: str = ""
-    why: str = ""
+    reason: str = ""
 
 
 def unit_factor(unit: str, signal: ColumnSignal) -> float:
@@ -75,32 +124,37 @@ def guess_column(name: str, unit: str, values: Array) -> ColumnGuess:
     numbers = [word for word in words if word.isdigit()]
     known = set(words)
     rest = "_".join(
-        word for word in words if word not in REFERENCE | POSITION | VELOCITY | COMMAND and not word.isdigit()
+        word
+        for word in words
+        if word not in REFERENCE_COLUMN_WORDS | POSITION_COLUMN_WORDS | VELOCITY_COLUMN_WORDS | COMMAND_COLUMN_WORDS
+        and not word.isdigit()
     )
     joint = numbers[-1] if numbers else rest
     if not np.isfinite(values).any():
-        return ColumnGuess("ignored", why="holds no number")
-    if known & TIME and not known & (REFERENCE | POSITION | VELOCITY) - {"s"}:
+        return ColumnGuess("ignored", reason="holds no number")
+    if known & TIME_COLUMN_WORDS and not known & (
+        REFERENCE_COLUMN_WORDS | POSITION_COLUMN_WORDS | VELOCITY_COLUMN_WORDS
+    ) - {"s"}:
         return _guess_time_column(unit, values)
-    if known & OTHER:
-        return ColumnGuess("ignored", why="not a signal that the diagnosis uses, by its name")
+    if known & UNUSED_COLUMN_WORDS:
+        return ColumnGuess("ignored", reason="not a signal that the diagnosis uses, by its name")
     axis = next((word for word in reversed(words) if word in ("x", "y", "z")), "")
-    if axis and not known & (REFERENCE | VELOCITY):
+    if axis and not known & (REFERENCE_COLUMN_WORDS | VELOCITY_COLUMN_WORDS):
         point = "_".join(word for word in words if word not in ("x", "y", "z", "pos", "position")) or "point"
-        return ColumnGuess(axis, point=point, unit=unit or "m", why="a point's coordinate, by its name")  # type: ignore[arg-type]
-    if known & VELOCITY:
-        if known & REFERENCE:
+        return ColumnGuess(axis, point=point, unit=unit or "m", reason="a point's coordinate, by its name")  # type: ignore[arg-type]
+    if known & VELOCITY_COLUMN_WORDS:
+        if known & REFERENCE_COLUMN_WORDS:
             return ColumnGuess(
-                "qd_ref", joint, unit=unit or _angle_unit(values, 20.0), why="velocity reference, by its name"
+                "qd_ref", joint, unit=unit or _angle_unit(values, 20.0), reason="velocity reference, by its name"
             )
-        return ColumnGuess("ignored", why="a measured velocity is not used: it follows from the encoders")
-    if known & COMMAND and not known & (POSITION - {"s"}):
-        return ColumnGuess("u", joint, unit=unit or _share_unit(values), why="command, by its name")
-    if known & REFERENCE:
-        return ColumnGuess("q_ref", joint, unit=unit or _angle_unit(values), why="reference, by its name")
-    if known & POSITION:
-        return ColumnGuess("q", joint, unit=unit or _angle_unit(values), why="encoder, by its name")
-    return ColumnGuess("ignored", why="its name is not recognised; name it in a mapping file to use it")
+        return ColumnGuess("ignored", reason="a measured velocity is not used: it follows from the encoders")
+    if known & COMMAND_COLUMN_WORDS and not known & (POSITION_COLUMN_WORDS - {"s"}):
+        return ColumnGuess("u", joint, unit=unit or _share_unit(values), reason="command, by its name")
+    if known & REFERENCE_COLUMN_WORDS:
+        return ColumnGuess("q_ref", joint, unit=unit or _angle_unit(values), reason="reference, by its name")
+    if known & POSITION_COLUMN_WORDS:
+        return ColumnGuess("q", joint, unit=unit or _angle_unit(values), reason="encoder, by its name")
+    return ColumnGuess("ignored", reason="its name is not recognised; name it in a mapping file to use it")
 
 
 def _without_unit(name: str) -> tuple[str, str]:
@@ -123,17 +177,17 @@ def _split_name_into_words(name: str) -> list[str]:
 
 def _guess_time_column(unit: str, values: Array) -> ColumnGuess:
     if unit:
-        return ColumnGuess("time", unit=unit, why="time, by its name")
+        return ColumnGuess("time", unit=unit, reason="time, by its name")
     finite = values[np.isfinite(values)]
     largest, step = float(np.abs(finite).max()), float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 else 0.0
     for least, written in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")):
         if largest > least:
-            return ColumnGuess("time", unit=written, why="time since 1970, by its name and size")
+            return ColumnGuess("time", unit=written, reason="time since 1970, by its name and size")
     written = "s" if step < 0.5 else "ms" if step < 500.0 else "us"
-    return ColumnGuess("time", unit=written, why=f"time, by its name; unit by its step of {step:g}")
+    return ColumnGuess("time", unit=written, reason=f"time, by its name; unit by its step of {step:g}")
 
 
-def _angle_unit(values: Array, largest_rad: float = WHOLE_TURN) -> str:
+def _angle_unit(values: Array, largest_rad: float = WHOLE_TURN_MAX_RAD) -> str:
     """Degrees where an arm's radians could not be so large."""
     return "deg" if float(np.nanmax(np.abs(values))) > largest_rad else "rad"
 

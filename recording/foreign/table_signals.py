@@ -13,8 +13,10 @@ from recording.foreign.mapping import ColumnMapping, Mapping
 from recording.foreign.table_files import TableColumn, read_table
 from recording.foreign.table_names import guess_column, joint_numbers, unit_factor
 
-RESTART_STEPS = 10.0  # median steps that a time falls back by where an episode begins; a late row falls back by a few
-RESTARTS_MAX_FRAC = 0.05  # an episode has 20 rows at least
+EPISODE_RESTART_STEPS = (
+    10.0  # median steps that a time falls back by where an episode begins; a late row falls back by a few
+)
+EPISODE_RESTARTS_MAX_FRAC = 0.05  # an episode has 20 rows at least
 EPISODE_GAP_S = 10.0  # longer than any step: nothing is read across it
 KINDS: dict[str, Kind] = {"q": "position", "q_ref": "reference", "qd_ref": "velocity_reference", "u": "command"}
 
@@ -26,7 +28,7 @@ def table_found(path: Path, mapping: Mapping) -> SourceContents:
     """
     columns = read_table(path)
     wanted = _checked_column_mapping(columns, mapping, path) if mapping.column else _guessed_column_mapping(columns)
-    found = SourceContents(numbered=True)
+    found = SourceContents(joints_numbered=True)
     clock = _table_time_axis(columns, wanted, mapping, path)
     found.started_s = clock[1]
     episodes = 0 if clock[0] is None else int(np.sum(np.diff(clock[0]) >= EPISODE_GAP_S))
@@ -53,10 +55,10 @@ def table_found(path: Path, mapping: Mapping) -> SourceContents:
     for kind, several in kinds.items():
         found.signals += _merge_joint_signals(kind, several)
     _require_centred_commands(kinds.get("command", ()), kinds.get("position", ()))
-    found.points += _tracked_point_series(columns, wanted, clock[0])
+    found.tracked_points += _tracked_point_series(columns, wanted, clock[0])
     found.command_kind = _command_kind(wanted.values())
-    found.proposal = propose_mapping(wanted.values())
-    if not found.signals_of("position") and not found.points:
+    found.proposed_mapping_toml = propose_mapping(wanted.values())
+    if not found.signals_of("position") and not found.tracked_points:
         raise RecordingError(
             f"{path}: no column is a joint's position, of {_column_names_text(columns)}: give a mapping file"
         )
@@ -88,7 +90,7 @@ def _moves_both_ways(q: Array) -> bool:
 
 def _why_ignored(column: TableColumn) -> str:
     guess = guess_column(column.name, column.unit, column.values)
-    return guess.why if guess.signal == "ignored" else f"{guess.why}; another column is taken for it"
+    return guess.reason if guess.signal == "ignored" else f"{guess.reason}; another column is taken for it"
 
 
 def _column_names_text(columns: Sequence[TableColumn]) -> str:
@@ -157,8 +159,8 @@ def _continued(t_s: Array) -> Array:
     A few late rows, or rows in no order at all, are no episodes: those are sorted.
     """
     steps = np.diff(t_s)
-    back = np.flatnonzero(steps < -RESTART_STEPS * np.median(np.abs(steps)))
-    if len(back) == 0 or len(back) > RESTARTS_MAX_FRAC * len(steps):
+    back = np.flatnonzero(steps < -EPISODE_RESTART_STEPS * np.median(np.abs(steps)))
+    if len(back) == 0 or len(back) > EPISODE_RESTARTS_MAX_FRAC * len(steps):
         return t_s
     shifts = np.zeros(len(t_s))
     shifts[back + 1] = EPISODE_GAP_S - steps[back]
@@ -186,8 +188,8 @@ def _merge_joint_signals(kind: Kind, several: Sequence[tuple[int, JointSignal]])
     for group in groups:
         signals = [signal for _, signal in group]
         values = np.hstack([signal.values for signal in signals])
-        names = tuple(signal.names[0] for signal in signals)
-        out.append(JointSignal(kind, signals[0].source, names, signals[0].t_s, values, signals[0].held))
+        names = tuple(signal.joint_names[0] for signal in signals)
+        out.append(JointSignal(kind, signals[0].source, names, signals[0].t_s, values, signals[0].hold_last_value))
     return out
 
 

@@ -17,7 +17,7 @@ class ChosenChain:
     base_link: str
     tip_link: str
     joints: tuple[UrdfJoint, ...]
-    guess: bool
+    is_guess: bool
 
 
 def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain) -> ChosenChain:
@@ -38,7 +38,7 @@ def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain) -> Chosen
         raise RecordingError(f"the URDF is not XML: {error}; a xacro file has to be expanded by xacro first") from error
     except MachineError as error:
         raise RecordingError(str(error)) from error
-    moving = tuple(joint for joint in chain if joint.kind != "fixed")
+    moving = tuple(joint for joint in chain if joint.joint_type != "fixed")
     if recorded and not any(joint.name in recorded for joint in moving):
         ours, theirs = ", ".join(sorted(recorded)[:8]), ", ".join(joint.name for joint in moving)
         raise RecordingError(

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from recording.clock import mono_s
 from server.access.lease import Lease, LeaseBook, LeaseKind
 
-TTL_S = 10.0  # three keep-alives may be lost when they come every third of it
+LEASE_TTL_S = 10.0  # three keep-alives may be lost when they come every third of it
 
 
 class LeaseDesk:
@@ -36,11 +36,11 @@ class LeaseDesk:
         """The lease, live or stale."""
         return self.book.held
 
-    def acquire(self, owner: str, kind: LeaseKind = LeaseKind.OPERATOR, ttl_s: float = TTL_S) -> Lease:
+    def acquire(self, owner: str, kind: LeaseKind = LeaseKind.OPERATOR, ttl_s: float = LEASE_TTL_S) -> Lease:
         """As LeaseBook.acquire, with a new secret."""
         return self._announce_new_holder(self.book.acquire(owner, kind, ttl_s, new_lease_id(), self.now_s))
 
-    def take_control(self, owner: str, kind: LeaseKind, reason: str, ttl_s: float = TTL_S) -> Lease:
+    def take_control(self, owner: str, kind: LeaseKind, reason: str, ttl_s: float = LEASE_TTL_S) -> Lease:
         """As LeaseBook.take_control, with a new secret."""
         return self._announce_new_holder(self.book.take_control(owner, kind, ttl_s, reason, new_lease_id(), self.now_s))
 

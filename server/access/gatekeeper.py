@@ -14,16 +14,16 @@ log = logging.getLogger(__name__)
 
 # Lock-out after wrong keys: six failures of one address, then a minute of silence. Pure; time is an argument.
 
-FAILURES_MAX = 6
-LOCKED_S = 60.0
-ADDRESSES_MAX = 10_000  # an attacker with many addresses fills this, not the memory
+LOGIN_FAILURES_MAX = 6
+LOGIN_LOCKOUT_S = 60.0
+TRACKED_ADDRESSES_MAX = 10_000  # an attacker with many addresses fills this, not the memory
 
 
 @dataclass(frozen=True, slots=True)
 class Failures:
     """Of one address."""
 
-    count: int
+    n_failures: int
     last_s: float
 
 
@@ -36,16 +36,16 @@ class Lockout:
     def locked_s(self, address: str, now_s: float) -> float:
         """Seconds until this address may try again; 0 when it may."""
         failed = self._failed.get(address)
-        if failed is None or failed.count < FAILURES_MAX:
+        if failed is None or failed.n_failures < LOGIN_FAILURES_MAX:
             return 0.0
-        return max(0.0, failed.last_s + LOCKED_S - now_s)
+        return max(0.0, failed.last_s + LOGIN_LOCKOUT_S - now_s)
 
     def count_failure(self, address: str, now_s: float) -> None:
         """One more wrong key; a minute without one forgets the earlier ones."""
         before = self._failed.pop(address, None)
-        count = before.count + 1 if before and now_s - before.last_s < LOCKED_S else 1
+        count = before.n_failures + 1 if before and now_s - before.last_s < LOGIN_LOCKOUT_S else 1
         self._failed[address] = Failures(count, now_s)
-        if len(self._failed) > ADDRESSES_MAX:
+        if len(self._failed) > TRACKED_ADDRESSES_MAX:
             self._failed.pop(next(iter(self._failed)))  # the one that failed longest ago
 
     def clear_failed_attempts(self, address: str) -> None:

@@ -16,9 +16,11 @@ from server.errors import SettingsError
 
 log = logging.getLogger(__name__)
 
-PREFIX = "longreach_"
-NAME_MAX = 64
-LOOK_S = 0.4  # with the guard's period a revoked key is out of force within a second, open connections included
+API_KEY_PREFIX = "longreach_"
+KEY_NAME_CHARS_MAX = 64
+KEY_FILE_CHECK_PERIOD_S = (
+    0.4  # with the guard's period a revoked key is out of force within a second, open connections included
+)
 
 
 class KeysError(SettingsError):
@@ -40,7 +42,7 @@ class ApiKey:
 
 def new_key() -> str:
     """A fresh secret."""
-    return PREFIX + secrets.token_urlsafe(32)
+    return API_KEY_PREFIX + secrets.token_urlsafe(32)
 
 
 def digest_of(key: str) -> str:
@@ -61,8 +63,8 @@ def key_by_digest(keys: tuple[ApiKey, ...], sha256: str) -> ApiKey | None:
 
 def with_key(keys: tuple[ApiKey, ...], name: str, role: Role, secret: str, t_unix_s: float) -> tuple[ApiKey, ...]:
     """One key more. Raises: KeysError: the name is in use, empty or too long."""
-    if not 0 < len(name) <= NAME_MAX or not name.isprintable():
-        raise KeysError(f"key name {name[:NAME_MAX]!r}: give 1 to {NAME_MAX} printable characters")
+    if not 0 < len(name) <= KEY_NAME_CHARS_MAX or not name.isprintable():
+        raise KeysError(f"key name {name[:KEY_NAME_CHARS_MAX]!r}: give 1 to {KEY_NAME_CHARS_MAX} printable characters")
     if any(key.name == name and key.revoked_unix_s is None for key in keys):
         raise KeysError(f"key '{name}' exists; revoke it first or choose another name")
     return (*keys, ApiKey(name, role, digest_of(secret), t_unix_s))
@@ -150,7 +152,7 @@ class KeyRing:
 
         A file that went away or cannot be read leaves no key: a revocation that could not be read is one.
         """
-        if self._path is None or now_s - self._looked_s < LOOK_S:
+        if self._path is None or now_s - self._looked_s < KEY_FILE_CHECK_PERIOD_S:
             return
         self._looked_s = now_s
         problem = self._problem

@@ -12,9 +12,9 @@ from enum import StrEnum
 
 from server.access.errors import LeaseHeldError, LeaseLostError, LeaseStaleError, NoLeaseError, TakeRefusedError
 
-ASKED_MAX = 8  # pending hand-over requests that the holder sees; the oldest are dropped first
-OFFER_S = 30.0  # so long may the one that was granted control take to acquire it
-REMEMBERED = 64  # ended leases whose holders still get the reason
+PENDING_REQUESTS_MAX = 8  # pending hand-over requests that the holder sees; the oldest are dropped first
+HANDOVER_OFFER_TTL_S = 30.0  # so long may the one that was granted control take to acquire it
+ENDED_LEASES_KEPT_MAX = 64  # ended leases whose holders still get the reason
 
 
 class LeaseKind(StrEnum):
@@ -63,7 +63,7 @@ class LeaseBook:
     def __init__(self, fencing: int = 0) -> None:
         self.fencing = fencing
         self.held: Lease | None = None
-        self._ended: deque[tuple[str, str]] = deque(maxlen=REMEMBERED)
+        self._ended: deque[tuple[str, str]] = deque(maxlen=ENDED_LEASES_KEPT_MAX)
 
     # --- changes of the holder --------------------------------------------------------------------------------------
 
@@ -127,7 +127,7 @@ class LeaseBook:
     def grant_to(self, lease_id: str, to: str, now_s: float) -> Lease:
         """Let `to` acquire it within OFFER_S; until then the holder keeps it. Raises as `lease_of`."""
         held = self.lease_of(lease_id, now_s)
-        self.held = replace(held, offered_to=to, offered_until_s=now_s + OFFER_S)
+        self.held = replace(held, offered_to=to, offered_until_s=now_s + HANDOVER_OFFER_TTL_S)
         return self.held
 
     def request_control(self, owner: str) -> Lease | None:
@@ -135,7 +135,7 @@ class LeaseBook:
         if self.held is None:
             return None
         others = tuple(name for name in self.held.asked_by if name != owner)
-        self.held = replace(self.held, asked_by=(*others, owner)[-ASKED_MAX:])
+        self.held = replace(self.held, asked_by=(*others, owner)[-PENDING_REQUESTS_MAX:])
         return self.held
 
     # --- what a command is checked against --------------------------------------------------------------------------

@@ -29,31 +29,37 @@ class Caller:
 
 ANYBODY: frozenset[Role] = frozenset()
 EVERY_ROLE = frozenset(Role)
-PERSONS = frozenset({Role.OPERATOR, Role.ENGINEER, Role.ADMIN})
-COMMANDERS = PERSONS | {Role.FLEET}
+HUMAN_ROLES = frozenset({Role.OPERATOR, Role.ENGINEER, Role.ADMIN})
+COMMANDING_ROLES = HUMAN_ROLES | {Role.FLEET}
 
 #: Without a key: whether it lives, how one logs in, and the stop, which never needs anything.
-OPEN = {("GET", "/healthz"), ("GET", "/readyz"), ("GET", "/login"), ("POST", "/v1/session"), ("POST", "/v1/stop")}
+KEYLESS_ROUTES = {
+    ("GET", "/healthz"),
+    ("GET", "/readyz"),
+    ("GET", "/login"),
+    ("POST", "/v1/session"),
+    ("POST", "/v1/stop"),
+}
 SAFE_METHODS = {"GET", "HEAD", "OPTIONS"}
 METHODS = SAFE_METHODS | {"POST", "PUT", "PATCH", "DELETE"}
-COMMANDS = ("/v1/jobs", "/v1/lease", "/v1/disarm", "/v1/reset", "/v1/target")
+COMMAND_PATHS = ("/v1/jobs", "/v1/lease", "/v1/disarm", "/v1/reset", "/v1/target")
 
 
 def roles_needed(method: str, path: str) -> frozenset[Role]:
     """The roles of which one is needed; empty: the route is open to everyone."""
-    if (method.replace("HEAD", "GET"), path) in OPEN:
+    if (method.replace("HEAD", "GET"), path) in KEYLESS_ROUTES:
         return ANYBODY
     if _is_path_under(path, "/v1/audit"):
-        return PERSONS
+        return HUMAN_ROLES
     if _is_path_under(path, "/v1/hold"):
-        return PERSONS
-    if method not in METHODS or any(path == open_path for _, open_path in OPEN):
+        return HUMAN_ROLES
+    if method not in METHODS or any(path == open_path for _, open_path in KEYLESS_ROUTES):
         return EVERY_ROLE  # there is no such route: 405 for everybody who is known
     if method in SAFE_METHODS or (method == "DELETE" and path == "/v1/session"):
         return EVERY_ROLE
     if path.startswith("/v1/jobs/") and path.endswith("/cancel"):
         return EVERY_ROLE  # a stop of one job: as STOP, every known caller may
-    return COMMANDERS if any(_is_path_under(path, command) for command in COMMANDS) else PERSONS
+    return COMMANDING_ROLES if any(_is_path_under(path, command) for command in COMMAND_PATHS) else HUMAN_ROLES
 
 
 def _is_path_under(path: str, prefix: str) -> bool:

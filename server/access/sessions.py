@@ -4,9 +4,9 @@ import hashlib
 import secrets
 from dataclasses import dataclass
 
-LIFE_S = 12 * 3600.0
+SESSION_LIFETIME_S = 12 * 3600.0
 SESSIONS_MAX = 1000
-COOKIE = "longreach_session"
+SESSION_COOKIE_NAME = "longreach_session"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Sessions:
     def open(self, key_sha256: str, now_s: float) -> str:
         """The new cookie's value, for the key of that SHA-256."""
         token = secrets.token_urlsafe(32)
-        self._kept[_token_digest(token)] = Session(key_sha256, now_s + LIFE_S)
+        self._kept[_token_digest(token)] = Session(key_sha256, now_s + SESSION_LIFETIME_S)
         if len(self._kept) > SESSIONS_MAX:
             self._kept.pop(next(iter(self._kept)))
         return token

@@ -28,7 +28,7 @@ from server.api.runs import runs_router
 from server.api.session import session_router
 from server.api.state import StateCache, state_router, straight_route
 from server.api.targets import target_router
-from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
+from server.inner_faults import KEYS_UNREADABLE_FAULT_ID, SERVER_PART_FAILED_FAULT_ID
 from server.jobs.diagnosing import Diagnoses
 from server.jobs.keeper import Keeper
 from server.jobs.lease_guard import guard_lease, stop_unguarded
@@ -71,7 +71,7 @@ class HeadRequestMiddleware:
 class RestServices:
     """What REST serves, and to whom."""
 
-    service: JobService
+    job_service: JobService
     keeper: Keeper
     gatekeeper: Gatekeeper
     secure_cookie: bool
@@ -81,19 +81,19 @@ class RestServices:
 class ServerTasks:
     """What runs alongside the requests."""
 
-    served: RestServices
-    feed: EventFeed
+    rest_services: RestServices
+    event_feed: EventFeed
     diagnoses: Diagnoses
 
     @asynccontextmanager
     async def tasks(self) -> AsyncIterator[None]:
         """Event feed, lease guard and store watch, for as long as the application lives."""
-        service, running = self.served.service, SupervisedTasks()
-        service.inner_faults.watch(PART_FAILED, lambda: running.recent_failure)
-        running.start("event-feed", self.feed.run)
+        service, running = self.rest_services.job_service, SupervisedTasks()
+        service.inner_faults.watch(SERVER_PART_FAILED_FAULT_ID, lambda: running.recent_failure)
+        running.start("event-feed", self.event_feed.run)
         running.start("lease-guard", lambda: guard_lease(service.engine), lambda: stop_unguarded(service.engine))
         running.start("suspend-watch", service.watch_suspend)
-        running.start("store-watch", self.served.keeper.watch)
+        running.start("store-watch", self.rest_services.keeper.watch)
         try:
             yield
         finally:
@@ -103,13 +103,13 @@ class ServerTasks:
 
 def create_application(app: FastAPI, served: RestServices) -> ServerTasks:
     """Add everything; what it returns runs in the application's lifespan."""
-    service, keys = served.service, served.gatekeeper.keys
+    service, keys = served.job_service, served.gatekeeper.keys
 
     def keys_problem() -> str:
         keys.refresh(mono_s())  # /readyz reports the present state also while no client presents a key
         return keys.why_no_key_valid
 
-    service.inner_faults.watch(KEYS_UNREADABLE, keys_problem)
+    service.inner_faults.watch(KEYS_UNREADABLE_FAULT_ID, keys_problem)
     folder = Path(service.cell.settings.recording.folder)
     log, cache, diagnoses = EventLog(uuid4().hex[:8]), StateCache(service), service.diagnoses
     app.add_middleware(HeadRequestMiddleware)

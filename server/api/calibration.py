@@ -25,14 +25,14 @@ from server.link.contracts import measured_oil_c
 
 # The calibration as it is shown and handed on: its age, how well it is known, where it holds, why it does not.
 
-NOW_UNKNOWN = CalibrationValidity(
+UNKNOWN_POSITION_VALIDITY = CalibrationValidity(
     ValidityStatus.VALID, "the machine's position is unknown: no state received from the PLC"
 )
 
 
 def calibration_view(cell: Cell, ctx: PlanContext, t_mono_ns: int) -> CalibrationView | None:
     """The view; None while nothing is calibrated."""
-    record, life = cell.knowledge.calibration, cell.knowledge.life
+    record, life = cell.knowledge.calibration_record, cell.knowledge.kept_calibration
     if record is None:
         return None
     if life is None:
@@ -43,8 +43,8 @@ def calibration_view(cell: Cell, ctx: PlanContext, t_mono_ns: int) -> Calibratio
         **asdict(record),
         valid=found.ok,
         expiry_reason=found.reason,
-        age_s=round(cell.knowledge.unix_s(t_mono_ns) - life.made.t_unix_s, 1),
-        made_unix_s=round(life.made.t_unix_s, 3),
+        age_s=round(cell.knowledge.unix_s(t_mono_ns) - life.made_at.t_unix_s, 1),
+        made_unix_s=round(life.made_at.t_unix_s, 3),
         sigmas_deg=[round(float(value), 4) for value in np.rad2deg(life.sigmas_rad)],
         observability_text=observability_text(life),
         path_length_m=round(life.path_length_m, 4),
@@ -59,8 +59,8 @@ def validity_now(cell: Cell, ctx: PlanContext, life: LocalCalibration, t_mono_ns
     """Whether it holds with the machine as the PLC last reported it."""
     latest, t_unix_s = cell.link.latest, cell.knowledge.unix_s(t_mono_ns)
     if latest is None:
-        found = life.valid_at(t_unix_s, life.made.q, life.made.T_base_tcp)
-        return NOW_UNKNOWN if found.ok else found
+        found = life.valid_at(t_unix_s, life.made_at.q, life.made_at.T_base_tcp)
+        return UNKNOWN_POSITION_VALIDITY if found.ok else found
     q = np.array(latest.q_rad)
     return life.valid_at(t_unix_s, q, ctx.tcp(q), measured_oil_c(latest))
 
@@ -70,7 +70,7 @@ def _distance_mm(cell: Cell, ctx: PlanContext, life: LocalCalibration) -> float 
     if latest is None:
         return None
     here = ctx.tcp(np.array(latest.q_rad))[:3, 3]
-    return round(1e3 * float(np.linalg.norm(here - life.made.T_base_tcp[:3, 3])), 1)
+    return round(1e3 * float(np.linalg.norm(here - life.made_at.T_base_tcp[:3, 3])), 1)
 
 
 EXPORTED: dict[int | str, dict[str, Any]] = {
@@ -98,11 +98,11 @@ def calibration_router(service: JobService) -> APIRouter:
     @router.get("/export", response_model=None, response_class=Response, responses=EXPORTED)
     async def export_calibration(format: Literal["yaml", "ros", "json"] = "yaml") -> PlainTextResponse | JSONResponse:
         """The calibration as YAML, as a ROS static transform, or as longreach's own file (JSON)."""
-        life = cell.knowledge.life
+        life = cell.knowledge.kept_calibration
         if life is None:
             return _no_calibration_response(service)
         if format == "json":
-            saved = SavedCalibration(life, tuple(cell.knowledge.runs))
+            saved = SavedCalibration(life, tuple(cell.knowledge.odometry_runs))
             return PlainTextResponse(calibration_text(saved), media_type="application/json")
         validity = validity_now(cell, service.context, life, mono_ns())
         text = as_ros(life, validity) if format == "ros" else as_yaml(life, validity)

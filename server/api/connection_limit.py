@@ -11,9 +11,15 @@ from typing import Any
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 log = logging.getLogger(__name__)
-BACKLOG = 64  # connections that asyncio accepts in one turn, each with its descriptor, before any of them is looked at
-QUEUE = 1024  # connections that wait in the kernel, without a descriptor of ours: one more would come a second later
-RESERVE = 128 + 4 * BACKLOG  # descriptors of our own (24 at rest; files, database, pipes), and of turns under way
+ACCEPTS_PER_TURN_MAX = (
+    64  # connections that asyncio accepts in one turn, each with its descriptor, before any of them is looked at
+)
+LISTEN_BACKLOG = (
+    1024  # connections that wait in the kernel, without a descriptor of ours: one more would come a second later
+)
+RESERVED_DESCRIPTORS = (
+    128 + 4 * ACCEPTS_PER_TURN_MAX
+)  # descriptors of our own (24 at rest; files, database, pipes), and of turns under way
 CONNECTIONS_MIN = 16
 CONNECTIONS_MAX = 4096  # a hundred panels with all their streams; each takes some 50 kB
 LOG_PERIOD_S = 1.0
@@ -23,7 +29,7 @@ def most_connections(descriptors: int) -> int:
     """How many connections, with our own files, fit under a limit of descriptors (`ulimit -n`; -1: none)."""
     if descriptors == resource.RLIM_INFINITY:
         return CONNECTIONS_MAX
-    return min(max(descriptors - RESERVE, descriptors // 4, CONNECTIONS_MIN), CONNECTIONS_MAX)
+    return min(max(descriptors - RESERVED_DESCRIPTORS, descriptors // 4, CONNECTIONS_MIN), CONNECTIONS_MAX)
 
 
 def one_to_close(connections: Collection[Any], limit: int) -> Any | None:
@@ -75,8 +81,10 @@ class ExhaustionLog:
 
 # Connections that say nothing, or a head without end, are closed, and idle ones where there are too many.
 
-HEADER_S = 10.0  # a request's head is one packet; uvicorn itself closes idle connections after their first answer
-HEAD_MAX = 64 * 1024  # the parser itself keeps whatever comes
+HTTP_HEAD_TIMEOUT_S = (
+    10.0  # a request's head is one packet; uvicorn itself closes idle connections after their first answer
+)
+HTTP_HEAD_MAX_BYTES = 64 * 1024  # the parser itself keeps whatever comes
 
 
 class PatientProtocol(HttpToolsProtocol):
@@ -109,8 +117,8 @@ class PatientProtocol(HttpToolsProtocol):
         """Read on, unless a head has become too long."""
         self._head_bytes += len(data)
         super().data_received(data)
-        if self._head_bytes > HEAD_MAX and self._awaits_head and not self.transport.is_closing():
-            self.send_400_response(f"The head is longer than {HEAD_MAX} bytes.")
+        if self._head_bytes > HTTP_HEAD_MAX_BYTES and self._awaits_head and not self.transport.is_closing():
+            self.send_400_response(f"The head is longer than {HTTP_HEAD_MAX_BYTES} bytes.")
 
     def on_headers_complete(self) -> None:
         """A head has come whole."""
@@ -143,7 +151,7 @@ class PatientProtocol(HttpToolsProtocol):
         return self.cycle is None or self.cycle.response_complete
 
     def _look_later(self) -> None:
-        self._watch = self.loop.call_later(HEADER_S, self._close_if_stalled)
+        self._watch = self.loop.call_later(HTTP_HEAD_TIMEOUT_S, self._close_if_stalled)
 
     def _look_no_more(self) -> None:
         if self._watch is not None:

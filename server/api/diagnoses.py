@@ -10,21 +10,21 @@ from fastapi.responses import FileResponse, JSONResponse, Response
 from pydantic import Field
 
 from server.api.problems import problem_response
-from server.api.runs import RUN_ID, path_inside, run_path
+from server.api.runs import RUN_ID_PATTERN, path_inside, run_path
 from server.api.views import Problem, Strict, View
 from server.jobs.diagnosing import Diagnoses, Diagnosis
 
 REPORT_CSP = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox"  # a document, not a page of ours
-RUNS_MAX = 10
+DIAGNOSED_RUNS_MAX = 10
 Id = Annotated[str, InPath(pattern=r"^[0-9a-f]{12}$")]
 UNKNOWN: dict[int | str, dict[str, Any]] = {404: {"model": Problem}}
-UNFINISHED = UNKNOWN | {409: {"model": Problem, "description": "it has no result (yet)"}}
+UNFINISHED_RESPONSES = UNKNOWN | {409: {"model": Problem, "description": "it has no result (yet)"}}
 
 
 class RunDiagnosis(Strict):
     """Of a recorded run."""
 
-    run_id: Annotated[str, Field(pattern=RUN_ID, description="as listed by GET /v1/runs")]
+    run_id: Annotated[str, Field(pattern=RUN_ID_PATTERN, description="as listed by GET /v1/runs")]
 
 
 class PathDiagnosis(Strict):
@@ -36,7 +36,9 @@ class PathDiagnosis(Strict):
 class RunsDiagnosis(Strict):
     """Of several recorded runs of one machine together; later runs resolve what the first could not."""
 
-    run_ids: Annotated[list[Annotated[str, Field(pattern=RUN_ID)]], Field(min_length=2, max_length=RUNS_MAX)]
+    run_ids: Annotated[
+        list[Annotated[str, Field(pattern=RUN_ID_PATTERN)]], Field(min_length=2, max_length=DIAGNOSED_RUNS_MAX)
+    ]
 
 
 class DiagnosisView(View):
@@ -88,7 +90,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
         await diagnoses.stop(one)
         return Response(status_code=204)
 
-    @router.get("/{diagnosis_id}/result", response_model=None, responses=UNFINISHED)
+    @router.get("/{diagnosis_id}/result", response_model=None, responses=UNFINISHED_RESPONSES)
     async def diagnosis_result(diagnosis_id: Id) -> JSONResponse:
         """The full result as JSON; docs/diagnosis-answer.md describes it field by field."""
         one = diagnoses.find_diagnosis(diagnosis_id)
@@ -100,7 +102,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
         "/{diagnosis_id}/report",
         response_model=None,
         response_class=FileResponse,
-        responses=UNFINISHED | {200: {"description": "a page", "content": {"text/html": {}}}},
+        responses=UNFINISHED_RESPONSES | {200: {"description": "a page", "content": {"text/html": {}}}},
     )
     async def diagnosis_report(diagnosis_id: Id) -> FileResponse | JSONResponse:
         """The report as a self-contained HTML page."""

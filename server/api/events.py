@@ -23,7 +23,7 @@ from server.jobs.service import JobService
 
 # The machine's event log: numbered, kept for late readers, encoded once for all of them.
 
-KEPT = 2000
+EVENTS_KEPT_MAX = 2000
 KEEP_ALIVE_S = 10.0
 
 
@@ -33,7 +33,7 @@ class EventLog:
     def __init__(self, life: str) -> None:
         self.life, self.number = life, 0
         self.readers = 0
-        self._kept: deque[tuple[int, str]] = deque(maxlen=KEPT)
+        self._kept: deque[tuple[int, str]] = deque(maxlen=EVENTS_KEPT_MAX)
         self._state, self._state_number = "", 0
         self._fresh = asyncio.Event()
 
@@ -63,7 +63,7 @@ class EventLog:
         if life != self.life or not number.isdecimal():
             return 0, "the server has restarted since that event"
         if int(number) + 1 < oldest:
-            return 0, f"only the last {KEPT} events are kept"
+            return 0, f"only the last {EVENTS_KEPT_MAX} events are kept"
         return min(int(number), self.number), ""
 
     async def follow_events(self, last_id: str, with_state: bool) -> AsyncIterator[str]:
@@ -95,8 +95,8 @@ class EventLog:
 
 
 READERS_MAX = 200
-WATCH_S = 0.2
-STATE_EVERY = 5  # of WATCH_S: a state a second
+STATE_WATCH_PERIOD_S = 0.2
+STATE_EVENT_INTERVAL_TICKS = 5  # of WATCH_S: a state a second
 SSE: dict[int | str, dict[str, Any]] = {200: EVENT_STREAM, 503: {"model": Problem, "description": "too many readers"}}
 
 
@@ -144,10 +144,10 @@ class EventFeed:
         while True:
             self._changed("link", lambda: {"phase": self._service.cell.link.health.phase.value})
             self._changed("fault", lambda: {"faults": [view.fault_id for view in fault_views(self._service)]})
-            if tick % STATE_EVERY == 0 and self._log.readers:
+            if tick % STATE_EVENT_INTERVAL_TICKS == 0 and self._log.readers:
                 self._log.show_state(self._cache.fresh_text())
             tick += 1
-            await asyncio.sleep(WATCH_S)
+            await asyncio.sleep(STATE_WATCH_PERIOD_S)
 
     def _changed(self, kind: str, read: Callable[[], dict[str, Any]]) -> None:
         now = read()

@@ -15,15 +15,15 @@ from recording.clock import mono_s
 from server.access.errors import AccessError
 from server.access.gatekeeper import Credentials, Gatekeeper, KeyRequiredError
 from server.access.roles import SAFE_METHODS
-from server.access.sessions import COOKIE
+from server.access.sessions import SESSION_COOKIE_NAME
 from server.api.problems import problem_of
 
 # Connections that last: each goes on only while its caller would be admitted still (key, session, role).
 
-CHECK_S = 0.4  # with the key file's period (server/access/keys.py): out of force within a second
-CLOSE = {"type": "websocket.close", "code": 4401, "reason": "unauthorized"}
-DISCONNECT = {"type": "websocket.disconnect", "code": 4401, "reason": "unauthorized"}
-OVER = "the key is no longer valid, or the session has ended"
+ACCESS_CHECK_PERIOD_S = 0.4  # with the key file's period (server/access/keys.py): out of force within a second
+UNAUTHORIZED_CLOSE = {"type": "websocket.close", "code": 4401, "reason": "unauthorized"}
+UNAUTHORIZED_DISCONNECT = {"type": "websocket.disconnect", "code": 4401, "reason": "unauthorized"}
+ACCESS_ENDED_REASON = "the key is no longer valid, or the session has ended"
 StillAdmitted = Callable[[], bool]
 
 
@@ -42,11 +42,11 @@ async def read_while(still: StillAdmitted, app: ASGIApp, scope: Scope, receive: 
     def look() -> None:
         nonlocal timer
         if still():
-            timer = loop.call_later(CHECK_S, look)
+            timer = loop.call_later(ACCESS_CHECK_PERIOD_S, look)
         else:
             patience.reschedule(loop.time())
 
-    timer = loop.call_later(CHECK_S, look)
+    timer = loop.call_later(ACCESS_CHECK_PERIOD_S, look)
     try:
         async with patience:
             await app(scope, receive, sending)
@@ -54,7 +54,7 @@ async def read_while(still: StillAdmitted, app: ASGIApp, scope: Scope, receive: 
         if not patience.expired():
             raise
         if not begun:
-            raise KeyRequiredError(OVER) from None
+            raise KeyRequiredError(ACCESS_ENDED_REASON) from None
         with contextlib.suppress(RuntimeError):  # a file's length was promised: the connection is dropped instead
             await send({"type": "http.response.body", "body": b"", "more_body": False})
     finally:
@@ -67,18 +67,18 @@ async def socket_while(still: StillAdmitted, app: ASGIApp, scope: Scope, receive
 
     async def receiving() -> Message:
         message = await receive()
-        return DISCONNECT if over.is_set() else message
+        return UNAUTHORIZED_DISCONNECT if over.is_set() else message
 
     async def sending(message: Message) -> None:
         if over.is_set():
-            raise OSError(OVER)  # for starlette the other end is gone
+            raise OSError(ACCESS_ENDED_REASON)  # for starlette the other end is gone
         await send(message)
 
     async def watch() -> None:
         while still():  # noqa: ASYNC110 a changed key file sends no notification
-            await asyncio.sleep(CHECK_S)
+            await asyncio.sleep(ACCESS_CHECK_PERIOD_S)
         over.set()
-        await send(CLOSE)
+        await send(UNAUTHORIZED_CLOSE)
 
     watching = asyncio.create_task(watch(), name="admission")
     try:
@@ -89,9 +89,9 @@ async def socket_while(still: StillAdmitted, app: ASGIApp, scope: Scope, receive
 
 
 log = logging.getLogger(__name__)
-BODY_MAX = 64 * 1024  # the longest command is 300 bytes
-BODY_S = 10.0  # a body that comes slower is given up
-REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+REQUEST_BODY_MAX_BYTES = 64 * 1024  # the longest command is 300 bytes
+REQUEST_BODY_TIMEOUT_S = 10.0  # a body that comes slower is given up
+REQUEST_ID_PATTERN = re.compile(r"[A-Za-z0-9._-]{1,64}")
 SECURE_HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
@@ -168,17 +168,17 @@ async def _read_whole_body(receive: Receive) -> _BufferedBody:
     """The whole body. Raises: BodyTooLargeError, SlowBodyError."""
     parts, size = [], 0
     try:
-        async with asyncio.timeout(BODY_S):
+        async with asyncio.timeout(REQUEST_BODY_TIMEOUT_S):
             while True:
                 message = await receive()
                 parts.append(message.get("body", b""))
                 size += len(parts[-1])
-                if size > BODY_MAX:
-                    raise BodyTooLargeError(f"the body is longer than {BODY_MAX} bytes")
+                if size > REQUEST_BODY_MAX_BYTES:
+                    raise BodyTooLargeError(f"the body is longer than {REQUEST_BODY_MAX_BYTES} bytes")
                 if not message.get("more_body", False):
                     return _BufferedBody(b"".join(parts), receive)
     except TimeoutError:
-        raise SlowBodyError(f"the body did not arrive within {BODY_S:.0f} s") from None
+        raise SlowBodyError(f"the body did not arrive within {REQUEST_BODY_TIMEOUT_S:.0f} s") from None
 
 
 def credentials_of(scope: Scope) -> Credentials:
@@ -198,7 +198,7 @@ def credentials_of(scope: Scope) -> Credentials:
 
 def _session_cookie_value(header: str) -> str:
     try:
-        morsel = SimpleCookie(header).get(COOKIE)
+        morsel = SimpleCookie(header).get(SESSION_COOKIE_NAME)
     except CookieError:
         return ""
     return morsel.value if morsel is not None else ""
@@ -206,13 +206,13 @@ def _session_cookie_value(header: str) -> str:
 
 def _request_id(headers: Headers) -> str:
     given = headers.get("x-request-id", "")
-    return given if REQUEST_ID.fullmatch(given) else uuid4().hex[:16]
+    return given if REQUEST_ID_PATTERN.fullmatch(given) else uuid4().hex[:16]
 
 
 def _check_length(headers: Headers) -> None:
     length = headers.get("content-length", "0")
-    if length.isdecimal() and int(length[:20]) > BODY_MAX:
-        raise BodyTooLargeError(f"the body has {length[:20]} bytes (limit {BODY_MAX})")
+    if length.isdecimal() and int(length[:20]) > REQUEST_BODY_MAX_BYTES:
+        raise BodyTooLargeError(f"the body has {length[:20]} bytes (limit {REQUEST_BODY_MAX_BYTES})")
 
 
 def _with_headers(send: Send, request_id: str) -> Send:

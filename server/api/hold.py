@@ -31,8 +31,8 @@ from server.link.errors import LinkError
 
 log = logging.getLogger(__name__)
 
-TICK_S = 0.05  # how soon the end of the job is seen
-PRESS_WAIT_S = 5.0
+JOB_END_POLL_PERIOD_S = 0.05  # how soon the end of the job is seen
+PRESS_MESSAGE_TIMEOUT_S = 5.0
 
 
 class HoldStart(BaseModel):
@@ -84,7 +84,7 @@ def hold_router(service: JobService, memory: PanelMemory) -> APIRouter:
 
 async def _serve_hold_to_run(socket: WebSocket, service: JobService, memory: PanelMemory) -> None:
     try:
-        async with asyncio.timeout(PRESS_WAIT_S):
+        async with asyncio.timeout(PRESS_MESSAGE_TIMEOUT_S):
             text = await socket.receive_text()
         press = HoldStart.model_validate_json(text)
         lease = service.engine.leases.check(press.lease_id, press.fencing)
@@ -133,7 +133,7 @@ async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed:
                 await _send(socket, challenge={"seq": challenge.seq, "nonce": challenge.nonce})
             except (WebSocketDisconnect, RuntimeError):
                 return held.release("the page's socket closed")
-        wait_s = min(TICK_S, max(0.0, (held.next_ns - mono_ns()) * 1e-9))
+        wait_s = min(JOB_END_POLL_PERIOD_S, max(0.0, (held.next_ns - mono_ns()) * 1e-9))
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(wait_s):
                 await changed.wait()
@@ -167,7 +167,7 @@ def _is_hold_needed(job: Job) -> bool:
 
 async def _stop(service: JobService, memory: PanelMemory, why: str) -> None:
     if "silent" in why:
-        memory.book.raise_event("hold_lost", why, time.time())
+        memory.alarm_book.raise_event("hold_lost", why, time.time())
     try:
         await asyncio.shield(service.engine.stop(f"hold-to-run: {why}"))
     except LinkError as error:

@@ -8,15 +8,17 @@ from recording.files import read_text
 from server.access.errors import AccessError
 from server.access.lease import Lease, LeaseKind
 from server.access.roles import Caller, Role
-from server.commissioning.check_list import STEPS
+from server.commissioning.check_list import CHECK_LIST_STEPS
 from server.commissioning.report import from_json, why_not_passed
 from server.errors import SettingsError
 from server.jobs.service import JobBody
 from server.link.contracts import PlcSample
 
 Mode = Literal["SIM", "REAL"]
-STILL = frozenset({"look", "preview", "plan_identify"})
-HELD_ONLY = frozenset({"jog"})  # not even a simulated machine, and not even a program: nothing else ends it
+MOTIONLESS_JOB_KINDS = frozenset({"look", "preview", "plan_identify"})
+HOLD_TO_RUN_ONLY_JOB_KINDS = frozenset(
+    {"jog"}
+)  # not even a simulated machine, and not even a program: nothing else ends it
 
 
 class HoldRequiredError(AccessError):
@@ -50,10 +52,10 @@ def require_hold(mode: str, body: JobBody, lease: Lease, caller: Caller) -> None
 
     Raises: HoldRequiredError: a person's motion on a REAL machine; a jog.
     """
-    if body.kind in HELD_ONLY:
+    if body.kind in HOLD_TO_RUN_ONLY_JOB_KINDS:
         raise HoldRequiredError(f"{body.kind} moves only while its button is held")
     person = caller.by_key and caller.role != Role.FLEET
-    if mode == "REAL" and body.kind not in STILL and (person or lease.kind is not LeaseKind.FLEET):
+    if mode == "REAL" and body.kind not in MOTIONLESS_JOB_KINDS and (person or lease.kind is not LeaseKind.FLEET):
         raise HoldRequiredError(f"{body.kind} moves a REAL machine: a person must hold the button while it moves")
 
 
@@ -91,4 +93,4 @@ def why_not_commissioned(report_file: str | None, machine_text: str) -> str:
         ) from error
     report = from_json(text, f"[jog] commissioning_report {report_file}")
     digest = hashlib.sha256(machine_text.encode()).hexdigest()
-    return why_not_passed(report, [step.name for step in STEPS], digest)
+    return why_not_passed(report, [step.name for step in CHECK_LIST_STEPS], digest)

@@ -21,7 +21,7 @@ from server.store.audit_rows import AuditEntry
 from server.store.idempotency import KeyMissingError, StoredAnswer, hash_of, read_answer, replay_of
 
 log = logging.getLogger(__name__)
-ACCEPTED = 202
+HTTP_ACCEPTED = 202
 
 
 # Which presses of STOP get a line of the audit: all that stop something, and one in ten seconds of those that do not.
@@ -29,8 +29,8 @@ ACCEPTED = 202
 # A stop itself is never folded. Every caller may send one, without a key and at any rate: a line for each would
 # fill the disk, and the queue that jobs and control need.
 
-EVERY_S = 10.0
-ADDRESSES_MAX = 256
+STOP_AUDIT_PERIOD_S = 10.0
+TRACKED_ADDRESSES_MAX = 256
 
 
 class FoldedStops:
@@ -41,12 +41,12 @@ class FoldedStops:
 
     def to_write(self, address: str, now_s: float, matters: bool) -> int | None:
         """How many presses before this one have no line, if this one is to have one; None: it is counted only."""
-        at_s, folded = self._last.pop(address, (-EVERY_S, 0))
-        if not matters and now_s - at_s < EVERY_S:
+        at_s, folded = self._last.pop(address, (-STOP_AUDIT_PERIOD_S, 0))
+        if not matters and now_s - at_s < STOP_AUDIT_PERIOD_S:
             self._last[address] = at_s, folded + 1
             return None
         self._last[address] = now_s, 0
-        if len(self._last) > ADDRESSES_MAX:
+        if len(self._last) > TRACKED_ADDRESSES_MAX:
             del self._last[next(iter(self._last))]
         return folded
 
@@ -65,7 +65,7 @@ class CommandHeaders:
 
     caller: Caller
     request_id: str
-    key: str
+    idempotency_key: str
     lease_id: str
     fencing: int | None
     expires_unix_s: float = 0.0
@@ -92,9 +92,9 @@ class JobCommands:
             raise
 
     async def _run_command_once(self, body: JobBody, sent: CommandHeaders) -> StoredAnswer:
-        if not sent.key:
+        if not sent.idempotency_key:
             return await self._carried_out(body, sent, "")
-        mark, body_hash = (sent.caller.name, sent.key), hash_of(body.model_dump_json().encode())
+        mark, body_hash = (sent.caller.name, sent.idempotency_key), hash_of(body.model_dump_json().encode())
         mine = mark not in self._in_progress
         self._in_progress.add(mark)
         try:
@@ -121,7 +121,7 @@ class JobCommands:
             kept.append(answer_of(job, body_hash))
             return kept[0]
 
-        command = Command(sent.caller, sent.request_id, sent.key, answer)
+        command = Command(sent.caller, sent.request_id, sent.idempotency_key, answer)
         job = await self._service.start(body, lease, command)
         return kept[0] if kept else answer_of(job, body_hash)
 
@@ -174,11 +174,11 @@ class JobCommands:
 
 
 def _require_key(sent: CommandHeaders, lease: Lease) -> None:
-    if not sent.key and (sent.caller.role == "fleet" or lease.kind is LeaseKind.FLEET):
+    if not sent.idempotency_key and (sent.caller.role == "fleet" or lease.kind is LeaseKind.FLEET):
         raise KeyMissingError("a fleet's command carries an Idempotency-Key, so that a retry cannot move twice")
 
 
 def answer_of(job: Job, body_hash: str) -> StoredAnswer:
     """202 with the job as it is now and its Location."""
     text = json.dumps(job_view(job).model_dump(mode="json"))
-    return StoredAnswer(body_hash, ACCEPTED, f"../v1/jobs/{job.job_id}", text)  # a proxy may have a path before it
+    return StoredAnswer(body_hash, HTTP_ACCEPTED, f"../v1/jobs/{job.job_id}", text)  # a proxy may have a path before it

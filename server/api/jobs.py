@@ -87,13 +87,13 @@ def jobs_router(service: JobService) -> APIRouter:
         sent = CommandHeaders(
             caller=caller_of(request),
             request_id=request_id_of(request),
-            key=idempotency_key or "",
+            idempotency_key=idempotency_key or "",
             lease_id=longreach_lease,
             fencing=longreach_fencing,
             expires_unix_s=longreach_expires,
         )
         given = await commands.start(body, sent)
-        return Response(given.answer, given.status, {"Location": given.location}, "application/json")
+        return Response(given.response_body, given.http_status, {"Location": given.location}, "application/json")
 
     @router.get("/jobs", response_model=list[JobView])
     async def list_jobs() -> list[JobView]:

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Path, Request
 from fastapi.responses import JSONResponse, Response
 from pydantic import Field
 
-from server.access.desk import TTL_S, LeaseDesk
+from server.access.desk import LEASE_TTL_S, LeaseDesk
 from server.access.errors import AccessError, RoleError
 from server.access.lease import Lease, LeaseKind
 from server.access.roles import Role
@@ -20,13 +20,13 @@ from server.store.database import StoreError
 
 # Control and the audit: fencing number and audit line are on disk together before the new holder gets an answer.
 
-KINDS_OF_ROLE = {
+LEASE_KINDS_BY_ROLE = {
     Role.OPERATOR: ("operator",),
     Role.FLEET: ("fleet",),
     Role.ENGINEER: ("operator", "engineer"),
     Role.ADMIN: ("operator", "engineer"),
 }
-WITHOUT_KEY = ("operator", "fleet")  # for users of this computer: a person, or one of their programs
+KEYLESS_LEASE_KINDS = ("operator", "fleet")  # for users of this computer: a person, or one of their programs
 
 
 class ControlLog:
@@ -42,7 +42,7 @@ class ControlLog:
         """
         caller = caller_of(request)
         role = caller.role
-        if kind not in (KINDS_OF_ROLE.get(Role(role), ()) if caller.by_key else WITHOUT_KEY):
+        if kind not in (LEASE_KINDS_BY_ROLE.get(Role(role), ()) if caller.by_key else KEYLESS_LEASE_KINDS):
             raise RoleError(f"role {role} may not hold control as {kind}", {"role": role, "kind": kind})
         if self._keeper is not None:
             self._keeper.check()
@@ -147,7 +147,7 @@ class LeaseRequest(Strict):
 
     owner: Name
     kind: Kind = "operator"
-    ttl_s: Ttl = TTL_S
+    ttl_s: Ttl = LEASE_TTL_S
 
 
 class TakeRequest(LeaseRequest):

@@ -13,7 +13,7 @@ from server.api.panel_memory import PanelMemory
 log = logging.getLogger(__name__)
 
 STATE_PERIOD_S = 0.1
-UNDER_WAY_MAX = 2
+MESSAGES_IN_FLIGHT_MAX = 2
 
 
 class LiveFeed:
@@ -36,7 +36,7 @@ class LiveFeed:
         except Exception:  # a defect in the view: the page says that nothing is current, and the next tick tries again
             log.exception("the live state could not be built")
             return
-        self._text = view.model_dump_json() if self._memory.viewers else ""
+        self._text = view.model_dump_json() if self._memory.n_viewers else ""
         self._fresh.set()
         self._fresh = asyncio.Event()
 
@@ -61,8 +61,8 @@ def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
     async def live(socket: WebSocket) -> None:
         if not await accept_socket(socket):
             return
-        memory.viewers += 1
-        room = asyncio.Semaphore(UNDER_WAY_MAX)
+        memory.n_viewers += 1
+        room = asyncio.Semaphore(MESSAGES_IN_FLIGHT_MAX)
         tasks = [
             asyncio.create_task(_send(socket, feed, room)),
             asyncio.create_task(_receive_viewer_messages(socket, memory, room)),
@@ -70,7 +70,7 @@ def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            memory.viewers -= 1
+            memory.n_viewers -= 1
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)

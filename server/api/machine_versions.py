@@ -146,7 +146,7 @@ def _versions_view(service: JobService) -> VersionsView:
                 in_use_mm=comparison.in_use_mm,
                 version_id=comparison.version_id,
             )
-            for comparison in service.cell.knowledge.compared
+            for comparison in service.cell.knowledge.compared_moves
         ],
     )
 
@@ -206,7 +206,7 @@ def identification_router(identification: Identification) -> APIRouter:
         session = identification.session
         return IdentificationView(
             parts_done=[] if session is None else session.done,
-            parts_left=[] if session is None else list(session.left),
+            parts_left=[] if session is None else list(session.remaining_parts),
             recordings=[] if session is None else [path.name for path in session.recordings],
             diagnosis_id="" if session is None else session.diagnosis_id,
             next_step=identification.next_step,

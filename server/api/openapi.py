@@ -9,8 +9,8 @@ from fastapi.openapi.utils import get_openapi
 from server.access.roles import ANYBODY, Role, roles_needed
 from server.api.examples import with_examples
 
-PROBLEM = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
-BY_GUARD = {
+PROBLEM_CONTENT = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
+GUARD_STATUS_DESCRIPTIONS = {
     "400": "the request cannot be read",
     "401": "no key, or an invalid one",
     "403": "role not permitted, no control, or a request from another web page",
@@ -21,7 +21,7 @@ BY_GUARD = {
     "429": "too many wrong keys from this address",
     "500": "internal error; see the server's log",
 }
-KEY_HEADER = "Authorization: Bearer KEY; not needed while the server listens on loopback without keys"
+KEY_HEADER_DESCRIPTION = "Authorization: Bearer KEY; not needed while the server listens on loopback without keys"
 
 
 def install_openapi(app: FastAPI) -> None:
@@ -29,14 +29,15 @@ def install_openapi(app: FastAPI) -> None:
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:
-            made = get_openapi(title=app.title, version=app.version, routes=app.routes, description=ABOUT)
+            made = get_openapi(title=app.title, version=app.version, routes=app.routes, description=API_DESCRIPTION)
             app.openapi_schema = complete_openapi(made)
         return app.openapi_schema
 
     app.openapi = document  # type: ignore[method-assign]
 
 
-ABOUT = """One machine, one server. Commands that can move or arm carry control (POST /v1/lease) in the headers
+API_DESCRIPTION = """\
+One machine, one server. Commands that can move or arm carry control (POST /v1/lease) in the headers
 Longreach-Lease and Longreach-Fencing; a fleet's also an Idempotency-Key. POST /v1/stop needs nothing.
 Errors are RFC 9457 problems with a stable `code`. WebSockets (/v1/live, /v1/hold, /v1/video) serve the panel and are
 not part of this document."""
@@ -49,7 +50,7 @@ _CONTROL = {
 _HELD = ("PUT /v1/lease/{lease_id}", "DELETE /v1/lease/{lease_id}", "POST /v1/lease/{lease_id}/grant")
 _JOB = ("GET /v1/jobs/{job_id}", "GET /v1/jobs/{job_id}/events", "POST /v1/jobs/{job_id}/cancel")
 _DIAGNOSIS = ("GET /v1/diagnoses/{diagnosis_id}", "DELETE /v1/diagnoses/{diagnosis_id}")
-PANEL_FILES = {  # answers of the panel's own routes, in addition to the guard's: media type, refusals
+PANEL_FILE_RESPONSES = {  # answers of the panel's own routes, in addition to the guard's: media type, refusals
     "/v1/panel/recordings/{name}/file": ("application/octet-stream", ("404",)),
     "/v1/panel/recordings/{name}/replay": ("application/json", ("404", "409")),
     "/v1/panel/recordings/{name}/pictures/{start}-{end}": ("image/jpeg", ("404",)),
@@ -67,7 +68,9 @@ LINKS: dict[tuple[str, str], tuple[dict[str, str], tuple[str, ...]]] = {
 
 def complete_openapi(document: dict[str, Any]) -> dict[str, Any]:
     """The document with what the guard adds."""
-    document["components"]["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer", "description": KEY_HEADER}}
+    document["components"]["securitySchemes"] = {
+        "key": {"type": "http", "scheme": "bearer", "description": KEY_HEADER_DESCRIPTION}
+    }
     for name in ("HTTPValidationError", "ValidationError"):
         document["components"]["schemas"].pop(name, None)
     _describe_files(document["paths"])
@@ -90,7 +93,7 @@ def _shorten_operation_ids(paths: dict[str, Any]) -> None:
 
 def _describe_files(paths: dict[str, Any]) -> None:
     """Answers that are files or not a model of ours, and how they are refused; without a panel there are none."""
-    for path, (media_type, refusals) in PANEL_FILES.items():
+    for path, (media_type, refusals) in PANEL_FILE_RESPONSES.items():
         if path in paths:
             responses = paths[path]["get"]["responses"]
             kind = {"type": "object"} if media_type == "application/json" else {"type": "string"}
@@ -122,13 +125,13 @@ def _add_response_links(paths: dict[str, Any]) -> None:
 
 def _add_errors_and_roles(operation: dict[str, Any], method: str, path: str) -> None:
     responses = operation["responses"]
-    for status, text in BY_GUARD.items():
+    for status, text in GUARD_STATUS_DESCRIPTIONS.items():
         if status not in responses or "HTTPValidationError" in str(responses[status]):
             responses[status] = {"description": text}
     for status, response in responses.items():
         described = str(response.get("content", ""))
         if status >= "400" and (not described or "schemas/Problem" in described):
-            response["content"] = PROBLEM
+            response["content"] = PROBLEM_CONTENT
     roles = roles_needed(method, path)
     if roles != ANYBODY:
         operation["security"] = [{"key": []}]

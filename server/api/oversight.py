@@ -9,7 +9,7 @@ from recording.clock import mono_ns
 from server.api.findings import Before
 from server.api.state_view import CAMERA_SILENT_MS
 from server.api.views import Problem, View
-from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
+from server.inner_faults import KEYS_UNREADABLE_FAULT_ID, SERVER_PART_FAILED_FAULT_ID
 from server.jobs.service import JobService
 from server.store.audit_rows import read_audit
 
@@ -61,8 +61,10 @@ def _link_faults(service: JobService) -> list[FaultView]:
 
 def _internal_faults(service: JobService) -> list[FaultView]:
     hints = {
-        KEYS_UNREADABLE: "make the file readable to the server's user, or write it again with `longreach keys`",
-        PART_FAILED: "see the server's log and report it; restart the server if it goes on",
+        KEYS_UNREADABLE_FAULT_ID: (
+            "make the file readable to the server's user, or write it again with `longreach keys`"
+        ),
+        SERVER_PART_FAILED_FAULT_ID: "see the server's log and report it; restart the server if it goes on",
     }
     active = service.inner_faults.active
     return [

@@ -25,7 +25,7 @@ from server.api.problems import problem_response
 from server.api.video import video_router
 from server.api.views import Problem, Strict, View
 from server.errors import BusyError
-from server.inner_faults import PART_FAILED
+from server.inner_faults import SERVER_PART_FAILED_FAULT_ID
 from server.jobs.plans.looking import against_goal
 from server.jobs.service import JobService
 from server.settings import PositionSettings
@@ -52,7 +52,7 @@ def set_goal(service: JobService, stand_off_mm: float, offset_x_mm: float, offse
     goal = {"stand_off_mm": stand_off_mm, "offset_x_mm": offset_x_mm, "offset_y_mm": offset_y_mm}
     position = PositionSettings.model_validate(context.settings.position.model_dump() | goal)
     service.context = replace(context, settings=context.settings.model_copy(update={"position": position}))
-    knowledge.previewed = None
+    knowledge.previewed_plan = None
     if knowledge.last_look is not None:
         knowledge.last_look = against_goal(service.context, knowledge.last_look)
 
@@ -95,7 +95,7 @@ def panel_router(service: JobService, memory: PanelMemory) -> APIRouter:
     @router.post("/v1/alarms/{code}/acknowledge", status_code=204, response_model=None, responses=refused)
     async def acknowledge(code: str, lease: Annotated[Lease, Depends(control)]) -> JSONResponse | None:
         """Acknowledge an alarm; this never starts a motion."""
-        found = memory.book.acknowledge(code, lease.owner)
+        found = memory.alarm_book.acknowledge(code, lease.owner)
         return (
             None if found else problem_response(404, "No such alarm", f"no alarm {code[:40]!r} is on", "no_such_alarm")
         )
@@ -184,7 +184,7 @@ def install_panel(app: FastAPI, service: JobService) -> Callable[[FastAPI], Awai
             timeout=10.0, trust_env=False
         )  # on this computer, never by a proxy
         tasks = SupervisedTasks()
-        service.inner_faults.watch(PART_FAILED, lambda: tasks.recent_failure)
+        service.inner_faults.watch(SERVER_PART_FAILED_FAULT_ID, lambda: tasks.recent_failure)
         tasks.start("live-feed", feed.run)
         tasks.start("scene-feed", scene.run)
 

@@ -9,9 +9,9 @@ from server.api.views import StateView
 from server.disk_space import disk_shortage
 
 LOSS_MAX_PCT = 5.0
-UNFIT_AFTER_S = 0.5
-STARTING_S = 90.0  # silence is not an alarm while everything starts; on a new machine the start compiles
-STORE_FAILED = "store_failed"
+IMAGE_UNFIT_ALARM_DELAY_S = 0.5
+STARTUP_ALARM_DELAY_S = 90.0  # silence is not an alarm while everything starts; on a new machine the start compiles
+STORE_FAILED_ALARM_CODE = "store_failed"
 FAULT_CODES: tuple[tuple[FaultBit, str], ...] = (
     (FaultBit.ESTOP, "plc_estop"),
     (FaultBit.LOCAL_ENABLE_LOST, "plc_enable_lost"),
@@ -22,7 +22,7 @@ FAULT_CODES: tuple[tuple[FaultBit, str], ...] = (
     (FaultBit.OIL_TEMPERATURE, "plc_oil_temperature"),
     (FaultBit.CYCLE_OVERRUN | FaultBit.LAYOUT, "plc_program"),
 )
-PLC_FAULTS = frozenset(code for _, code in FAULT_CODES)
+PLC_FAULT_ALARM_CODES = frozenset(code for _, code in FAULT_CODES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
         | _calibration_alarms(state)
         | _mode_mismatch_alarms(state, around)
         | dict(around.inner_faults)
-        | ({STORE_FAILED: around.store_problem} if around.store_problem else {})
+        | ({STORE_FAILED_ALARM_CODE: around.store_problem} if around.store_problem else {})
     )
 
 
@@ -139,7 +139,7 @@ def unknown_alarms(state: StateView) -> frozenset[str]:
 def _plc_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
     link = state.link
     if link.phase == "offline":
-        if link.age_ms is None and around.up_s < STARTING_S:
+        if link.age_ms is None and around.up_s < STARTUP_ALARM_DELAY_S:
             return {}
         age = "no state received yet" if link.age_ms is None else f"last heard {link.age_ms / 1e3:.1f} s ago"
         return {"plc_silent": f"{age}. {link.warning}".strip()}
@@ -151,11 +151,11 @@ def _camera_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
     if around.vision_problem:
         return {"vision_ended": around.vision_problem}
     age_ms = state.camera.age_ms
-    if age_ms is None and around.up_s < STARTING_S:
+    if age_ms is None and around.up_s < STARTUP_ALARM_DELAY_S:
         return {}
     if age_ms is None or age_ms > 1000.0:
         return {"camera_silent": state.camera.warnings[-1] if state.camera.warnings else "no image yet"}
-    if state.camera.warnings and around.unfit_for_s > UNFIT_AFTER_S:
+    if state.camera.warnings and around.unfit_for_s > IMAGE_UNFIT_ALARM_DELAY_S:
         return {"camera_unfit": state.camera.warnings[-1]}
     return {}
 

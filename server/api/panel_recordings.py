@@ -15,9 +15,9 @@ from server.api.runs import GrowingFile, run_path
 from server.api.views import View
 from server.jobs.service import JobService
 
-LISTED = 100
-READING_S = 60.0
-LAYOUT = files("recording") / "viewers" / "foxglove-layout.json"
+LISTED_RECORDINGS_MAX = 100
+REPLAY_READ_TIMEOUT_S = 60.0
+FOXGLOVE_LAYOUT_FILE = files("recording") / "viewers" / "foxglove-layout.json"
 
 
 class RecordingView(View):
@@ -33,9 +33,9 @@ class _OpenedReplay:
     """The one run that is being replayed."""
 
     name: str = ""
-    version: tuple[int, int] = (0, 0)  # size and time of change: the run that is being recorded grows
-    replay: bytes = b""
-    pictures: bytes = b""
+    file_size_and_mtime: tuple[int, int] = (0, 0)  # size and time of change: the run that is being recorded grows
+    replay_json: bytes = b""
+    picture_bytes: bytes = b""
 
 
 def recordings_router(service: JobService) -> APIRouter:
@@ -54,7 +54,7 @@ def recordings_router(service: JobService) -> APIRouter:
     async def layout() -> Response:
         """Foxglove layout for recordings of longreach."""
         name = {"Content-Disposition": "attachment; filename=longreach-foxglove-layout.json"}
-        return Response(LAYOUT.read_bytes(), media_type="application/json", headers=name)
+        return Response(FOXGLOVE_LAYOUT_FILE.read_bytes(), media_type="application/json", headers=name)
 
     @router.get("/{name}/file", response_model=None)
     async def recording_file(name: str) -> FileResponse | JSONResponse:
@@ -75,23 +75,23 @@ def recordings_router(service: JobService) -> APIRouter:
         async with reading:
             stat = path.stat()
             version = (stat.st_size, stat.st_mtime_ns)
-            if (opened.name, opened.version) != (name, version):
+            if (opened.name, opened.file_size_and_mtime) != (name, version):
                 code, out, error = await _read(path)
                 if code != 0:
                     return problem_response(
                         409, "Not readable", error or f"reading ended with code {code}", "unreadable"
                     )
                 (size,) = struct.unpack_from("<I", out)
-                opened.name, opened.version = name, version
-                opened.replay, opened.pictures = out[4 : 4 + size], out[4 + size :]
-        return Response(opened.replay, media_type="application/json")
+                opened.name, opened.file_size_and_mtime = name, version
+                opened.replay_json, opened.picture_bytes = out[4 : 4 + size], out[4 + size :]
+        return Response(opened.replay_json, media_type="application/json")
 
     @router.get("/{name}/pictures/{start}-{end}", response_model=None)
     async def recording_picture(name: str, start: int, end: int) -> Response:
         """An image of the run whose replay was opened last."""
-        if opened.name != name or not 0 <= start < end <= len(opened.pictures):
+        if opened.name != name or not 0 <= start < end <= len(opened.picture_bytes):
             return problem_response(404, "Not opened", "open the replay of the run first", "not_opened")
-        return Response(opened.pictures[start:end], media_type="image/jpeg")
+        return Response(opened.picture_bytes[start:end], media_type="image/jpeg")
 
     return router
 
@@ -101,12 +101,12 @@ async def _read(path: Path) -> tuple[int | None, bytes, str]:
     command = (sys.executable, "-P", "-m", "server.api.panel_replay_reading", str(path))
     process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=pipe)
     try:
-        async with asyncio.timeout(READING_S):
+        async with asyncio.timeout(REPLAY_READ_TIMEOUT_S):
             out, error = await process.communicate()
     except TimeoutError:
         process.kill()
         await process.wait()
-        return None, b"", f"reading took longer than {READING_S:.0f} s"
+        return None, b"", f"reading took longer than {REPLAY_READ_TIMEOUT_S:.0f} s"
     return process.returncode, out, error.decode(errors="replace")[-300:]
 
 
@@ -115,7 +115,7 @@ def _newest_recordings(folder: Path) -> list[RecordingView]:
         found = [(path, path.stat()) for path in folder.glob("*.mcap") if run_path(folder, path.stem)]
     except OSError:
         return []
-    newest = sorted(found, key=lambda one: -one[1].st_mtime)[:LISTED]
+    newest = sorted(found, key=lambda one: -one[1].st_mtime)[:LISTED_RECORDINGS_MAX]
     return [
         RecordingView(name=path.name, size_mb=round(stat.st_size / 1e6, 1), unix_s=round(stat.st_mtime, 1))
         for path, stat in newest

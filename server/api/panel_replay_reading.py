@@ -19,15 +19,15 @@ from mcap.records import Message
 
 from recording.channels import Channels
 from recording.errors import RecordingError
-from recording.messages import CODECS
+from recording.messages import ROW_CODEC_BY_TOPIC
 from recording.reader import RecordStream
 from recording.rows import LookRow, PlcState, Row
 from recording.writer import IMAGE_TOPIC, LOG_TOPIC
 
-JOINTS_HZ = 10.0
-PICTURES_HZ = 2.0
+REPLAY_JOINTS_RATE_HZ = 10.0
+REPLAY_PICTURES_RATE_HZ = 2.0
 PICTURES_MAX = 400
-WANTED = (PlcState.topic, LookRow.topic, LOG_TOPIC, IMAGE_TOPIC)
+REPLAY_TOPICS = (PlcState.topic, LookRow.topic, LOG_TOPIC, IMAGE_TOPIC)
 
 
 def replay_of(path: Path) -> tuple[dict[str, Any], list[bytes]]:
@@ -40,7 +40,7 @@ def replay_of(path: Path) -> tuple[dict[str, Any], list[bytes]]:
     lines: list[list[Any]] = []
     pictures: list[tuple[float, bytes]] = []
     t_zero_ns: int | None = None
-    apart_s = 1.0 / PICTURES_HZ
+    apart_s = 1.0 / REPLAY_PICTURES_RATE_HZ
     for topic, message in _wanted_messages(path):
         t_zero_ns = message.log_time if t_zero_ns is None else t_zero_ns
         t_s = round((message.log_time - t_zero_ns) * 1e-9, 3)
@@ -52,9 +52,9 @@ def replay_of(path: Path) -> tuple[dict[str, Any], list[bytes]]:
             if len(pictures) > PICTURES_MAX:  # of a long run every second one, to its end
                 pictures, apart_s = pictures[::2], 2.0 * apart_s
         elif topic == LookRow.topic:
-            looks.append([t_s, *_look_status_and_reason(CODECS[topic].decode(message.data))])
-        elif not joints or t_s - joints[-1][0] >= 1.0 / JOINTS_HZ:
-            joints.append([t_s, *_joint_angles_and_state(CODECS[topic].decode(message.data))])
+            looks.append([t_s, *_look_status_and_reason(ROW_CODEC_BY_TOPIC[topic].decode(message.data))])
+        elif not joints or t_s - joints[-1][0] >= 1.0 / REPLAY_JOINTS_RATE_HZ:
+            joints.append([t_s, *_joint_angles_and_state(ROW_CODEC_BY_TOPIC[topic].decode(message.data))])
     if t_zero_ns is None:
         raise RecordingError(f"recording {path.name} holds nothing that could be replayed")
     ends = np.cumsum([0, *(len(data) for _, data in pictures)]).tolist()
@@ -71,7 +71,7 @@ def _wanted_messages(path: Path) -> Iterator[tuple[str, Message]]:
     channels = Channels()
     for record in RecordStream(path):
         channels.take_record(record)
-        if isinstance(record, Message) and (topic := channels.topic_of(record)) in WANTED:
+        if isinstance(record, Message) and (topic := channels.topic_of(record)) in REPLAY_TOPICS:
             yield topic, record
 
 

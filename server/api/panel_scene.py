@@ -22,11 +22,11 @@ from web.scene_view import PlanShown, SceneView
 
 log = logging.getLogger(__name__)
 
-PERIOD_S = 1.0 / 15.0
-PICTURE_S = 1.0
-RESTART_S = 3.0
-PLAN_POINTS = 60
-MESSAGE_BYTES = 64 * 2**20  # viser sends whole scenes in one message
+SCENE_UPDATE_PERIOD_S = 1.0 / 15.0
+SCENE_PICTURE_PERIOD_S = 1.0
+RESTART_DELAY_S = 3.0
+PLAN_PATH_POINTS_MAX = 60
+VISER_MESSAGE_MAX_BYTES = 64 * 2**20  # viser sends whole scenes in one message
 VIEW_CSP = (
     "default-src 'self' blob: data:; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
     "style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
@@ -36,7 +36,7 @@ VIEW_HEADERS = {
     "Document-Isolation-Policy": "isolate-and-require-corp",  # a process of its own in the browser: without a graphics
     # card the 3D view held up the page around it, with its STOP and its hold-to-run, for seconds
 }
-EMBEDDED = (
+EMBEDDED_SCENE_HTML = (
     b"<style>.mantine-Notifications-root, .mantine-Paper-root { display: none !important }</style>"
     b'<script>addEventListener("keydown", (event) => { if (event.key === "Escape" && !event.repeat) {'
     b' fetch(new URL("../v1/stop", document.baseURI), { method: "POST", keepalive: true }).catch(() => {});'
@@ -65,7 +65,7 @@ class SceneFeed:
         try:
             while True:
                 await self._one_life()
-                await asyncio.sleep(RESTART_S)
+                await asyncio.sleep(RESTART_DELAY_S)
         finally:
             await asyncio.shield(asyncio.to_thread(self._close_process))
 
@@ -81,9 +81,9 @@ class SceneFeed:
                     process.show(view)
                 elif process.process_id is None:
                     raise SceneGoneError("the 3D view's process has ended")
-                await asyncio.sleep(PERIOD_S)
+                await asyncio.sleep(SCENE_UPDATE_PERIOD_S)
         except SceneGoneError as error:
-            log.error("%s; the page continues without it, it restarts in %s s", error, RESTART_S)
+            log.error("%s; the page continues without it, it restarts in %s s", error, RESTART_DELAY_S)
             self._set_scene_status(running=False, problem=str(error), process_id=None)
         except Exception:  # the scene is an extra: the page with its STOP must go on without it
             log.exception("the 3D view failed")
@@ -98,7 +98,7 @@ class SceneFeed:
 
     def _set_scene_status(self, running: bool, problem: str, process_id: int | None) -> None:
         update = {"running": running, "problem": problem, "process_id": process_id}
-        self._memory.scene = self._memory.scene.model_copy(update=update)
+        self._memory.scene_state = self._memory.scene_state.model_copy(update=update)
 
     # --- what is shown ----------------------------------------------------------------------------------------------
 
@@ -117,8 +117,8 @@ class SceneFeed:
             T_base_cam=T_base_cam,
             T_base_tool=T_base_tcp @ cell.machine.T_tcp_tool,
             T_base_ooi=cell.knowledge.T_base_ooi,
-            plan=self._plan_shown(cell.knowledge.previewed),
-            scrub_frac=self._memory.scene.scrub_frac,
+            plan=self._plan_shown(cell.knowledge.previewed_plan),
+            scrub_frac=self._memory.scene_state.scrub_frac,
             track_base_m=self._track_shown(T_base_cam),
             map_base_m=self._map_shown(),
             picture_jpeg=self._preview_if_due(),
@@ -139,7 +139,7 @@ class SceneFeed:
             track = T_base_vo = None
             if poses:
                 T_base_vo = T_base_cam @ inverse_pose(poses[-1].T_vo_cam)
-                picked = poses[:: max(1, len(poses) // PLAN_POINTS)]
+                picked = poses[:: max(1, len(poses) // PLAN_PATH_POINTS_MAX)]
                 track = np.array([(T_base_vo @ pose.T_vo_cam)[:3, 3] for pose in picked])
             self._track = poses, track, T_base_vo
         return self._track[1]
@@ -156,7 +156,7 @@ class SceneFeed:
 
     def _preview_if_due(self) -> bytes | None:
         preview, now_s = self._service.cell.vision.latest_preview, mono_s()
-        if preview is None or now_s - self._picture_s < PICTURE_S:
+        if preview is None or now_s - self._picture_s < SCENE_PICTURE_PERIOD_S:
             return None
         self._picture_s = now_s
         return preview[0]
@@ -165,10 +165,10 @@ class SceneFeed:
 def plan_shown(previewed: PreviewedPlan, T_tcp_tool: Array) -> PlanShown:
     """Sixty points of the plan; the ellipsoid stands at the tool's predicted place, along the goal's axes."""
     trajectory, poses = previewed.plan.trajectory, previewed.plan.Ts_base_tcp
-    picked = np.linspace(0, len(poses) - 1, min(len(poses), PLAN_POINTS)).astype(int)
+    picked = np.linspace(0, len(poses) - 1, min(len(poses), PLAN_PATH_POINTS_MAX)).astype(int)
     qs = previewed.q_goal[None, :]
     if trajectory is not None:
-        qs = trajectory.q[np.linspace(0, len(trajectory.q) - 1, PLAN_POINTS).astype(int)]
+        qs = trajectory.q[np.linspace(0, len(trajectory.q) - 1, PLAN_PATH_POINTS_MAX).astype(int)]
     return PlanShown(
         name=previewed.plan_hash,
         qs_rad=np.array(qs),
@@ -213,7 +213,7 @@ async def _proxy_page(client: httpx.AsyncClient, port: int, path: str) -> Respon
 
 def embedded_scene_page(page: bytes) -> bytes:
     """Viser's page as it is shown in ours: Esc stops there, too; its notices and its empty panel do not cover it."""
-    return page.replace(b"</head>", EMBEDDED + b"</head>", 1)
+    return page.replace(b"</head>", EMBEDDED_SCENE_HTML + b"</head>", 1)
 
 
 async def _proxy_socket(socket: WebSocket, port: int) -> None:
@@ -223,7 +223,7 @@ async def _proxy_socket(socket: WebSocket, port: int) -> None:
         async with websockets.connect(
             f"ws://127.0.0.1:{port}",
             subprotocols=[websockets.Subprotocol(name) for name in wanted],
-            max_size=MESSAGE_BYTES,
+            max_size=VISER_MESSAGE_MAX_BYTES,
             max_queue=2,
             compression=None,
         ) as upstream:

@@ -143,16 +143,18 @@ class LiveView(StateView):
 
 # Figures for the engineering drawer, from samples and reports.
 
-EDGES_MS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+LATENESS_BIN_EDGES_MS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 
 
 def link_figures(samples: Sequence[PlcSample], health: LinkHealth, loss_pct: float) -> LinkFigures:
     """Histogram of how late states came behind the earliest of them: what network and computers add."""
     late_ms = np.array([(sample.t_mono_ns - sample.t_plc_ns) * 1e-6 for sample in samples])
     late_ms = late_ms - late_ms.min() if late_ms.size else late_ms
-    counts = np.bincount(np.searchsorted(EDGES_MS, late_ms, side="right"), minlength=len(EDGES_MS) + 1)
+    counts = np.bincount(
+        np.searchsorted(LATENESS_BIN_EDGES_MS, late_ms, side="right"), minlength=len(LATENESS_BIN_EDGES_MS) + 1
+    )
     return LinkFigures(
-        lateness_edges_ms=list(EDGES_MS),
+        lateness_edges_ms=list(LATENESS_BIN_EDGES_MS),
         lateness_counts=counts.tolist(),
         loss_pct=round(loss_pct, 2),
         send_late_p50_ms=round(health.lateness_p50_us * 1e-3, 3),
@@ -205,7 +207,7 @@ def vision_figures(vision: VisionClient, viewers: int, t_mono_ns: int) -> Vision
         sharpness=round(float(report.sharpness), 2),
         exposure_age_ms=round((t_mono_ns - report.t_exposure_mapped_ns) * 1e-6, 1),
         process_ms=round(report.process_ms, 1),
-        skipped=report.skipped,
+        skipped=report.n_skipped,
         restarts=vision.restarts,
         video_viewers=viewers,
         tool=tool.reason or tool.status.value,

@@ -16,9 +16,9 @@ from server.link.errors import LinkError
 from server.store.database import StoreError
 
 log = logging.getLogger(__name__)
-STATUS = {CameraError: 503, BusyError: 409, PlanRefusedError: 409, JobFailedError: 409}
-HTTP_CODES = {400: "unreadable_body", 404: "unknown_path", 405: "method_not_allowed"}
-HINTS = {
+HTTP_STATUS_BY_ERROR = {CameraError: 503, BusyError: 409, PlanRefusedError: 409, JobFailedError: 409}
+PROBLEM_CODE_BY_HTTP_STATUS = {400: "unreadable_body", 404: "unknown_path", 405: "method_not_allowed"}
+HINT_BY_HTTP_STATUS = {
     400: "send JSON in UTF-8 with Content-Type: application/json",
     404: "see /v1/openapi.json for the available paths",
     405: "see /v1/openapi.json for the methods of this path",
@@ -44,7 +44,7 @@ def status_of(error: ServerError) -> int:
         return error.status
     if isinstance(error, StoreError):
         return 503
-    return next((status for kind, status in STATUS.items() if isinstance(error, kind)), 400)
+    return next((status for kind, status in HTTP_STATUS_BY_ERROR.items() if isinstance(error, kind)), 400)
 
 
 def title_of(error: ServerError) -> str:
@@ -67,7 +67,7 @@ def install_problem_handlers(app: FastAPI) -> None:
     @app.exception_handler(HTTPException)
     async def refused(request: Request, error: HTTPException) -> JSONResponse:
         status = error.status_code
-        code, hint = HTTP_CODES.get(status, "http_error"), HINTS.get(status, "")
+        code, hint = PROBLEM_CODE_BY_HTTP_STATUS.get(status, "http_error"), HINT_BY_HTTP_STATUS.get(status, "")
         answer = problem_response(status, "Refused", str(error.detail), code, hint)
         for name, value in (error.headers or {}).items():
             answer.headers[name] = value
@@ -80,7 +80,13 @@ def install_problem_handlers(app: FastAPI) -> None:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         if first["type"] == "json_invalid":
-            return problem_response(400, "Unreadable body", f"{where}: {first['msg']}", HTTP_CODES[400], HINTS[400])
+            return problem_response(
+                400,
+                "Unreadable body",
+                f"{where}: {first['msg']}",
+                PROBLEM_CODE_BY_HTTP_STATUS[400],
+                HINT_BY_HTTP_STATUS[400],
+            )
         hint = "see /v1/openapi.json for the request's fields"
         detail = first["msg"]
         if first["type"] == "union_tag_invalid":  # pydantic's words hold what was sent; nothing that was sent is echoed

@@ -15,8 +15,8 @@ from server.api.views import Problem, View
 
 # Recordings on disk, found by id; an id never leaves the folder.
 
-RUN_ID = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$"
-_RUN_ID = re.compile(RUN_ID)
+RUN_ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$"
+_RUN_ID = re.compile(RUN_ID_PATTERN)
 
 
 class GrowingFile(FileResponse):
@@ -69,7 +69,7 @@ def run_ids(folder: Path) -> list[str]:
     return [path.stem for path in sorted(files, key=lambda path: path.name, reverse=True)]
 
 
-RunId = Annotated[str, InPath(pattern=RUN_ID, description="as in the list of runs")]
+RunId = Annotated[str, InPath(pattern=RUN_ID_PATTERN, description="as in the list of runs")]
 FILE: dict[int | str, dict[str, Any]] = {
     200: {"description": "the whole file", "content": {"application/octet-stream": {}}},
     206: {"description": "the requested range", "content": {"application/octet-stream": {}}},

@@ -7,7 +7,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
 from recording.clock import mono_s
 from server.access.gatekeeper import Gatekeeper
-from server.access.sessions import COOKIE, LIFE_S
+from server.access.sessions import SESSION_COOKIE_NAME, SESSION_LIFETIME_S
 from server.api.callers import caller_of
 from server.api.guard import credentials_of
 from server.api.views import Problem, View
@@ -53,13 +53,27 @@ def session_router(gatekeeper: Gatekeeper, *, secure: bool) -> APIRouter:
         caller = caller_of(request)
         return WhoView(name=caller.name, role=caller.role)
 
-    @router.post("/v1/session", status_code=303, response_class=Response, responses=LOGIN_RESPONSES, openapi_extra=FORM)
+    @router.post(
+        "/v1/session",
+        status_code=303,
+        response_class=Response,
+        responses=LOGIN_RESPONSES,
+        openapi_extra=LOGIN_FORM_OPENAPI,
+    )
     async def log_in(request: Request) -> Response:
         """Exchange a key (form field `key`) for the session cookie, then go to the panel."""
         address = credentials_of(request.scope).address
         token = gatekeeper.log_in(_key_field(await request.body()), address, mono_s())
         answer = RedirectResponse("../", status_code=303)  # seen from /v1/session, under whatever path of a proxy
-        answer.set_cookie(COOKIE, token, max_age=int(LIFE_S), httponly=True, samesite="strict", secure=secure, path="/")
+        answer.set_cookie(
+            SESSION_COOKIE_NAME,
+            token,
+            max_age=int(SESSION_LIFETIME_S),
+            httponly=True,
+            samesite="strict",
+            secure=secure,
+            path="/",
+        )
         return answer
 
     @router.delete("/v1/session", status_code=204, response_class=Response)
@@ -67,7 +81,7 @@ def session_router(gatekeeper: Gatekeeper, *, secure: bool) -> APIRouter:
         """End the session of this cookie."""
         gatekeeper.sessions.close(credentials_of(request.scope).cookie)
         answer = Response(status_code=204)
-        answer.delete_cookie(COOKIE, path="/")
+        answer.delete_cookie(SESSION_COOKIE_NAME, path="/")
         return answer
 
     return router
@@ -81,7 +95,7 @@ def _key_field(body: bytes) -> str:
     return fields.get("key", [""])[0].strip()
 
 
-FORM = {
+LOGIN_FORM_OPENAPI = {
     "requestBody": {
         "required": True,
         "content": {

@@ -12,12 +12,12 @@ from recording.clock import mono_s
 from server.api.problems import problem_response
 from server.api.state_view import CAMERA_SILENT_MS, state_view
 from server.api.views import Problem, StateView, View
-from server.camera.client import STARTING
+from server.camera.client import STARTING_STATUS_TEXT
 from server.jobs.service import JobService
 
 # The state as JSON text, made at most 20 times a second however many ask.
 
-FRESH_S = 0.05
+STATE_CACHE_TTL_S = 0.05
 
 
 class StateCache:
@@ -30,7 +30,7 @@ class StateCache:
     def fresh_text(self) -> str:
         """Not older than FRESH_S."""
         now_s = self._clock()
-        if now_s - self._made_s > FRESH_S:
+        if now_s - self._made_s > STATE_CACHE_TTL_S:
             service = self._service
             self._text = state_view(
                 service.cell, service.engine, service.context, service.store_problem
@@ -131,7 +131,7 @@ def camera_reason(age_ms: float | None, stream: str = "") -> str | None:
     """Why no look could be taken with a newest picture of this age [ms]; None: it could. `stream`: what its source
     reports of itself.
     """
-    if age_ms is None and stream == STARTING:
+    if age_ms is None and stream == STARTING_STATUS_TEXT:
         return stream
     if age_ms is None:
         return "the camera delivers no images: check its cable and [camera] settings"

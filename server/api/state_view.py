@@ -82,7 +82,7 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext, store_problem: s
         look=_last_look_view(cell),
         calibration=calibration_view(cell, ctx, mono_ns()),
         calibration_note=knowledge.calibration_note,
-        plan=plan_view(knowledge.previewed, ctx) if knowledge.previewed else None,
+        plan=plan_view(knowledge.previewed_plan, ctx) if knowledge.previewed_plan else None,
         moves=[move_view(move) for move in knowledge.moves],
         job=job_view(engine.current) if engine.current else None,
         tolerance_mm=goal.tolerance_mm,
@@ -96,7 +96,11 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext, store_problem: s
 
 def _compensation_view(ctx: PlanContext) -> CompensationView:
     known = ctx.compensation
-    return CompensationView() if known is None else CompensationView(active=True, effects=list(known.sorted.lines()))
+    return (
+        CompensationView()
+        if known is None
+        else CompensationView(active=True, effects=list(known.effects_by_use.lines()))
+    )
 
 
 def step_refusals(cell: Cell, engine: JobEngine, store_problem: str = "") -> dict[str, str]:
@@ -124,7 +128,7 @@ def step_refusals(cell: Cell, engine: JobEngine, store_problem: str = "") -> dic
 
 def _no_plan(cell: Cell) -> str:
     """Why the previewed plan may not be executed, as `execute` itself would refuse it."""
-    plan, latest = cell.knowledge.previewed, cell.link.latest
+    plan, latest = cell.knowledge.previewed_plan, cell.link.latest
     if plan is None:
         return "preview first"
     if mono_ns() > plan.expires_ns:
@@ -136,8 +140,8 @@ def _blocking_reason(cell: Cell, engine: JobEngine) -> str:
     job = engine.current
     if job is not None and not job.has_ended:
         return f"{job.kind} of {job.owner} is {job.state.value}"
-    if cell.starting:
-        return cell.starting
+    if cell.startup_note:
+        return cell.startup_note
     health = cell.link.health
     phase = health.phase.value
     if health.other_pc and phase in ("offline", "disarmed"):  # states arrive, but the session is another PC's
@@ -186,7 +190,7 @@ def _camera_view(cell: Cell) -> CameraView:
         fps=round(report.fps, 1),
         age_ms=round(age_ms, 1),
         process_ms=round(report.process_ms, 1),
-        skipped=report.skipped,
+        skipped=report.n_skipped,
         warnings=warnings,
     )
 
@@ -203,7 +207,7 @@ def _marker_views(cell: Cell) -> list[MarkerViewOut]:
             used=view.used,
             reason=view.reason,
         )
-        for view in report.observation.views
+        for view in report.observation.marker_views
         if view.corners_left_px is not None
     ]
 

@@ -17,7 +17,7 @@ from server.api.views import Problem, Strict, View
 from server.camera.contracts import MarksFound
 from server.jobs.plans.reach import ReachPreview
 from server.jobs.service import JobService
-from server.jobs.targets import NOT_PREVIEWED, TargetChoice, Teaching, reach_in_image
+from server.jobs.targets import UNKNOWN_REACH, TargetChoice, Teaching, reach_in_image
 from server.targets.contracts import AnchoredTarget, SurfacePatch
 from server.targets.surface import CHI2_2_95, uncertainty_95
 from server.targets.taught import ObjectBox, TaughtView
@@ -25,9 +25,9 @@ from server.vision.contracts import Array
 
 # Taught objects over REST: take views, teach, list, use, remove.
 
-NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$"  # it becomes a file's name
-ObjectName = Annotated[str, Field(pattern=NAME)]
-ObjectPath = Annotated[str, Path(pattern=NAME)]
+OBJECT_NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$"  # it becomes a file's name
+ObjectName = Annotated[str, Field(pattern=OBJECT_NAME_PATTERN)]
+ObjectPath = Annotated[str, Path(pattern=OBJECT_NAME_PATTERN)]
 Offset = Annotated[float, Field(ge=-5000.0, le=5000.0)]
 Length = Annotated[float, Field(ge=10.0, le=5000.0)]
 REFUSED: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (403, 409, 422, 503)}
@@ -115,10 +115,10 @@ def taught_object_router(service: JobService, choice: TargetChoice) -> APIRouter
 
 
 def _mark_count(view: TaughtView) -> int:
-    return len(view.marks)
+    return len(view.landmarks)
 
 
-AXIS_M = 0.05
+DRAWN_AXIS_LENGTH_M = 0.05
 IMAGE: dict[int | str, dict[str, Any]] = {
     200: {"description": "the newest image of the left eye", "content": {"image/jpeg": {"schema": {"type": "string"}}}},
     404: {"model": Problem},
@@ -274,13 +274,13 @@ def marks_view(found: MarksFound, image: int, camera: StereoCamera) -> MarksView
             dark_inside=mark.dark_inside,
             patch=patch_view(target, image, camera),
         )
-        for mark, target in found.marks
+        for mark, target in found.marks_with_targets
     ]
     return MarksView(image=image, reason=found.reason, marks=marks)
 
 
 def patch_view(
-    found: AnchoredTarget | SurfacePatch, image: int, camera: StereoCamera, reach: ReachPreview = NOT_PREVIEWED
+    found: AnchoredTarget | SurfacePatch, image: int, camera: StereoCamera, reach: ReachPreview = UNKNOWN_REACH
 ) -> PatchView:
     """A candidate as it is shown: in px of its own image."""
     patch = found.patch if isinstance(found, AnchoredTarget) else found
@@ -301,14 +301,14 @@ def patch_view(
         return PatchView(**common, **zero, shape="", outline_px=[], ellipse_px=[], axes_px=[])
     normal_deg, position_m = uncertainty_95(C)
     view = T[:3, 3] / np.linalg.norm(T[:3, 3])
-    ends = np.vstack([np.zeros(3), AXIS_M * np.eye(3)])
+    ends = np.vstack([np.zeros(3), DRAWN_AXIS_LENGTH_M * np.eye(3)])
     return PatchView(
         **common,
         distance_mm=float(1e3 * np.linalg.norm(T[:3, 3])),
         normal_deg=normal_deg,
         position_mm=1e3 * position_m,
         radius_mm=1e3 * patch.radius_m,
-        shape=patch.shape,
+        shape=patch.surface_shape,
         oblique_deg=float(np.rad2deg(np.arccos(np.clip(-view @ T[:3, 2], -1.0, 1.0)))),
         outline_px=_rounded_points(_outline_px(T, patch.radius_m, camera)),
         ellipse_px=_rounded_points(_ellipse_px(T, C, camera)),
@@ -316,13 +316,13 @@ def patch_view(
     )
 
 
-ELLIPSE_SHOWN = 10.0  # times its size: a tenth of a millimetre would not be visible
+ELLIPSE_MAGNIFICATION = 10.0  # times its size: a tenth of a millimetre would not be visible
 
 
 def _ellipse_px(T: Array, C: Array, camera: StereoCamera) -> Array:
     """Section (24, 2) [px] of the position's 95 % ellipsoid with the surface's x and the depth, projected."""
     values, vectors = np.linalg.eigh(C[3:, 3:])
-    half = np.sqrt(CHI2_2_95 * np.maximum(values[[2, 1]], 0.0)) * ELLIPSE_SHOWN
+    half = np.sqrt(CHI2_2_95 * np.maximum(values[[2, 1]], 0.0)) * ELLIPSE_MAGNIFICATION
     angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     ring = np.cos(angle)[:, None] * half[0] * vectors[:, 2] + np.sin(angle)[:, None] * half[1] * vectors[:, 1]
     return project(camera, T[:3, 3] + ring)

@@ -26,8 +26,8 @@ from server.vision.contracts import MarkerView, ObjectPose, PoseStatus
 
 # What is drawn over one picture: markers, tool and goal as this very pair shows them, in px of the full left image.
 
-SEEN = (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS)
-AXIS_M = 0.05
+SEEN_POSE_STATUSES = (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS)
+DRAWN_AXIS_LENGTH_M = 0.05
 
 
 class MarkerOverlay(View):
@@ -78,7 +78,7 @@ def overlay_of(cell: Cell, ctx: PlanContext, report: FrameReport, age_ms: float)
         height_px=camera.height_px,
         picture_width_px=report.preview_width_px,
         fps=round(report.fps, 1),
-        markers=[_marker_overlay(view, tool_ids) for view in seen.views if view.corners_left_px is not None],
+        markers=[_marker_overlay(view, tool_ids) for view in seen.marker_views if view.corners_left_px is not None],
         tool=_axes_overlay(camera, _seen_pose(seen.tool)),
         goal=_goal_overlay(camera, seen.ooi, ctx.T_ooi_goal),
         warnings=list(report.warnings),
@@ -99,7 +99,7 @@ def _marker_overlay(view: MarkerView, tool_ids: set[int]) -> MarkerOverlay:
 
 
 def _seen_pose(found: ObjectPose) -> Array | None:
-    return found.T_cam_object if found.status in SEEN else None
+    return found.T_cam_object if found.status in SEEN_POSE_STATUSES else None
 
 
 def _goal_overlay(camera: StereoCamera, ooi: ObjectPose, T_ooi_goal: Array) -> CrossOverlay | None:
@@ -111,14 +111,14 @@ def _axes_overlay(camera: StereoCamera, T_cam_object: Array | None) -> CrossOver
     """Projection of an object's origin and axes; None behind the camera."""
     if T_cam_object is None:
         return None
-    ends_cam = T_cam_object[:3, 3] + AXIS_M * np.vstack([np.zeros(3), T_cam_object[:3, :3].T])
+    ends_cam = T_cam_object[:3, 3] + DRAWN_AXIS_LENGTH_M * np.vstack([np.zeros(3), T_cam_object[:3, :3].T])
     if ends_cam[:, 2].min() <= 0.01:
         return None
     points = np.round(project(camera, ends_cam), 1).tolist()
     return CrossOverlay(origin_px=points[0], axes_px=points[1:])
 
 
-UNDER_WAY_MAX = 2
+FRAMES_IN_FLIGHT_MAX = 2
 
 
 class VideoHub:
@@ -175,7 +175,7 @@ def video_router(service: JobService) -> APIRouter:
 
 
 async def _stream_to_viewer(socket: WebSocket, hub: VideoHub) -> None:
-    room = asyncio.Semaphore(UNDER_WAY_MAX)
+    room = asyncio.Semaphore(FRAMES_IN_FLIGHT_MAX)
     sending = asyncio.create_task(_send(socket, hub, room))
     drawn = asyncio.create_task(_count_drawn(socket, room))
     try:

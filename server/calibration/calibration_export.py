@@ -13,7 +13,7 @@ PARENT, CHILD = "tcp", "cam_left"
 
 def as_yaml(calibration: LocalCalibration, validity: CalibrationValidity) -> str:
     """Everything that a person or a program may ask of it, units in the names."""
-    made, limits = calibration.made, calibration.expiry
+    made, limits = calibration.made_at, calibration.expiry
     translation, quat_wxyz = _mount_translation_quaternion(calibration)
     body = {
         "format": "longreach calibration export",
@@ -52,7 +52,7 @@ def as_yaml(calibration: LocalCalibration, validity: CalibrationValidity) -> str
 def as_ros(calibration: LocalCalibration, validity: CalibrationValidity) -> str:
     """The mount as geometry_msgs/TransformStamped in YAML, with the command that publishes it as a comment."""
     (x, y, z), (w, i, j, k) = _mount_translation_quaternion(calibration)
-    t_s = calibration.made.t_unix_s
+    t_s = calibration.made_at.t_unix_s
     stamp = {"sec": int(t_s // 1), "nanosec": int((t_s % 1) * 1e9)}
     transform = {
         "header": {"stamp": stamp, "frame_id": PARENT},

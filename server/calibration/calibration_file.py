@@ -17,10 +17,12 @@ from server.calibration.contracts import Array, CameraTrack
 from server.calibration.joint_observations import JointTrack, OdometryRun
 from server.calibration.slip_monitor import ToolSeen
 
-FORMAT = "longreach local calibration"
-VERSION = 1
-ENCODER_STEP_S = 0.04  # joints are kept this far apart: at 0.2 m/s^2 a straight line between them is 0.04 mm off
-DECIMALS = 10
+FILE_FORMAT_NAME = "longreach local calibration"
+FILE_FORMAT_VERSION = 1
+ENCODER_SAMPLE_PERIOD_S = (
+    0.04  # joints are kept this far apart: at 0.2 m/s^2 a straight line between them is 0.04 mm off
+)
+SAVED_DECIMALS = 10
 
 Numbers = list[float]
 Matrix = list[Numbers]
@@ -36,7 +38,7 @@ class SavedCalibration:
     """What a file holds."""
 
     calibration: LocalCalibration
-    runs: tuple[OdometryRun, ...] = ()
+    odometry_runs: tuple[OdometryRun, ...] = ()
 
 
 class _Part(BaseModel):
@@ -110,13 +112,13 @@ def calibration_text(saved: SavedCalibration) -> str:
     """The file's text (JSON)."""
     one, made, tool, found = (
         saved.calibration,
-        saved.calibration.made,
-        saved.calibration.tool,
+        saved.calibration.made_at,
+        saved.calibration.tool_marker_pose,
         saved.calibration.local_map,
     )
     body = {
-        "format": FORMAT,
-        "version": VERSION,
+        "format": FILE_FORMAT_NAME,
+        "version": FILE_FORMAT_VERSION,
         **{name: getattr(one, name) for name in _PLAIN},
         "R_tcp_cam": one.R_tcp_cam.tolist(),
         "covariance_rad2": one.covariance.tolist(),
@@ -130,7 +132,7 @@ def calibration_text(saved: SavedCalibration) -> str:
         "tool": tool and {"T_cam_tool": tool.T_cam_tool.tolist(), "covariance": tool.covariance.tolist()},
         "local_map": found and {name: _array_as_list(getattr(found, name)) for name in _MapCalibration.model_fields},
         "expiry": {name: getattr(one.expiry, name) for name in _Expiry.model_fields},
-        "runs": [_run_body(run) for run in saved.runs],
+        "runs": [_run_body(run) for run in saved.odometry_runs],
     }
     return json.dumps(body, allow_nan=False)
 
@@ -155,17 +157,19 @@ def _array_as_list(value: object) -> object:
 
 
 def _run_body(run: OdometryRun) -> dict[str, object]:
-    joints = run.joints
+    joints = run.joint_track
     step = (
-        max(1, round(ENCODER_STEP_S / max(float(np.median(np.diff(joints.t_s))), 1e-6))) if len(joints.t_s) > 1 else 1
+        max(1, round(ENCODER_SAMPLE_PERIOD_S / max(float(np.median(np.diff(joints.t_s))), 1e-6)))
+        if len(joints.t_s) > 1
+        else 1
     )
     keep = np.unique(np.append(np.arange(0, len(joints.t_s), step), len(joints.t_s) - 1))
     return {
-        "camera_t_s": run.camera.t_s.tolist(),
-        "Ts_vo_cam": np.round(run.camera.Ts_vo_cam, DECIMALS).tolist(),
+        "camera_t_s": run.camera_track.t_s.tolist(),
+        "Ts_vo_cam": np.round(run.camera_track.Ts_vo_cam, SAVED_DECIMALS).tolist(),
         "joints_t_s": joints.t_s[keep].tolist(),
-        "qs_rad": np.round(joints.qs[keep], DECIMALS).tolist(),
-        "sides": None if joints.sides is None else np.round(joints.sides[keep], 6).tolist(),
+        "qs_rad": np.round(joints.qs[keep], SAVED_DECIMALS).tolist(),
+        "sides": None if joints.backlash_sides is None else np.round(joints.backlash_sides[keep], 6).tolist(),
     }
 
 
@@ -178,11 +182,11 @@ def parse_calibration(text: str) -> SavedCalibration:
         body = json.loads(text)
     except ValueError as error:
         raise CalibrationFileError(f"calibration file is damaged ({error}); calibrate again") from error
-    if not isinstance(body, dict) or body.get("format") != FORMAT:
-        raise CalibrationFileError(f"not a '{FORMAT}' file; give one written by longreach")
-    if body.get("version") != VERSION:
+    if not isinstance(body, dict) or body.get("format") != FILE_FORMAT_NAME:
+        raise CalibrationFileError(f"not a '{FILE_FORMAT_NAME}' file; give one written by longreach")
+    if body.get("version") != FILE_FORMAT_VERSION:
         raise CalibrationFileError(
-            f"calibration file has format version {body.get('version')!r}, this program reads {VERSION}; "
+            f"calibration file has format version {body.get('version')!r}, this program reads {FILE_FORMAT_VERSION}; "
             "calibrate again"
         )
     try:
@@ -202,10 +206,10 @@ def _read(file: _CalibrationFile) -> SavedCalibration:
         R_tcp_cam=require_rotation(np.array(file.R_tcp_cam), "R_tcp_cam"),
         covariance=require_covariance(np.array(file.covariance_rad2), 3, "covariance_rad2"),
         p_tcp_cam_m=np.array(file.p_tcp_cam_m),
-        made=MadeAt(
+        made_at=MadeAt(
             made.t_unix_s, np.array(made.q_rad), _checked_pose(made.T_base_tcp, "T_base_tcp"), made.oil_temperature_c
         ),
-        tool=None if tool is None else _tool_from_record(tool),
+        tool_marker_pose=None if tool is None else _tool_from_record(tool),
         local_map=None if found is None else _local_map_from_record(found),
         expiry=CalibrationExpiry(**file.expiry.model_dump()),
     )

@@ -9,7 +9,7 @@ from machine.rotations import geodesic_angle
 from server.calibration.contracts import Array
 from server.calibration.slip_monitor import ToolSeen
 
-CLOCK_BACK_S = 60.0  # a calibration from further in the future than this: the PC's clock was set back
+FUTURE_TIMESTAMP_MAX_S = 60.0  # a calibration from further in the future than this: the PC's clock was set back
 
 
 class ValidityStatus(Enum):
@@ -102,8 +102,8 @@ class LocalCalibration:
     n_used: int
     path_length_m: float
     observability: float
-    made: MadeAt
-    tool: ToolSeen | None = None
+    made_at: MadeAt
+    tool_marker_pose: ToolSeen | None = None
     local_map: LocalMap | None = None
     expiry: CalibrationExpiry = field(default_factory=CalibrationExpiry)
     slip: str = ""
@@ -140,8 +140,8 @@ class LocalCalibration:
         return CalibrationValidity(ValidityStatus.SHIFTED, self.shift) if self.shift else None
 
     def _age_verdict(self, t_unix_s: float) -> CalibrationValidity | None:
-        age_s, limit_s = t_unix_s - self.made.t_unix_s, self.expiry.age_max_s
-        if age_s < -CLOCK_BACK_S:
+        age_s, limit_s = t_unix_s - self.made_at.t_unix_s, self.expiry.age_max_s
+        if age_s < -FUTURE_TIMESTAMP_MAX_S:
             text = f"the calibration is from {-age_s / 60.0:.0f} min in the future: the clock was set back; calibrate"
             return CalibrationValidity(ValidityStatus.CLOCK, text)
         if age_s > limit_s:
@@ -150,9 +150,9 @@ class LocalCalibration:
         return None
 
     def _displacement_verdict(self, q: Array, T_base_tcp: Array) -> CalibrationValidity | None:
-        far_m = float(np.linalg.norm(T_base_tcp[:3, 3] - self.made.T_base_tcp[:3, 3]))
-        turn_rad = geodesic_angle(self.made.T_base_tcp[:3, :3], T_base_tcp[:3, :3])
-        joint_rad = float(np.abs(q - self.made.q).max())
+        far_m = float(np.linalg.norm(T_base_tcp[:3, 3] - self.made_at.T_base_tcp[:3, 3]))
+        turn_rad = geodesic_angle(self.made_at.T_base_tcp[:3, :3], T_base_tcp[:3, :3])
+        joint_rad = float(np.abs(q - self.made_at.q).max())
         limits = self.expiry
         if far_m > limits.radius_m:
             text = f"the tool is {far_m:.2f} m from where it was calibrated (limit {limits.radius_m:.2f} m)"
@@ -168,7 +168,7 @@ class LocalCalibration:
         return None
 
     def _oil_temperature_verdict(self, oil_temperature_c: float | None) -> CalibrationValidity | None:
-        before = self.made.oil_temperature_c
+        before = self.made_at.oil_temperature_c
         if before is None or oil_temperature_c is None:
             return None
         change_k = oil_temperature_c - before

@@ -37,26 +37,28 @@ class ChordWeighting:
     one, up to a constant that depends on the arc lengths only.
     """
 
-    own: Array
-    factor: Array
-    spread: Array
+    weight_diagonal: Array
+    cholesky_factor: Array
+    smoothed_variance: Array
     log_det: float
 
     def project_values(self, values: Array) -> Array:
         """P @ values, shape (n, k)."""
-        return self.own[:, None] * (values - self.drift_component(values))
+        return self.weight_diagonal[:, None] * (values - self.drift_component(values))
 
     def drift_component(self, values: Array) -> Array:
         """What of the values (n, k) the drift takes up: T^-1 W values."""
-        return cho_solve_banded((self.factor, True), self.own[:, None] * values, check_finite=False)
+        return cho_solve_banded(
+            (self.cholesky_factor, True), self.weight_diagonal[:, None] * values, check_finite=False
+        )
 
     def left_out(self, values: Array) -> tuple[Array, Array]:
         """Each sample against what all others say of it.
 
         Returns: differences (n, k) [m] and the one-axis variance (n,) [m^2] of what the others say.
         """
-        lever = np.maximum(1.0 - self.own * self.spread, 1e-9)
-        return (values - self.drift_component(values)) / lever[:, None], self.spread / lever
+        lever = np.maximum(1.0 - self.weight_diagonal * self.smoothed_variance, 1e-9)
+        return (values - self.drift_component(values)) / lever[:, None], self.smoothed_variance / lever
 
 
 def chord_weighting(arc_steps_m: Array, drift: float, jitter: float, weights: Array) -> ChordWeighting:
@@ -82,7 +84,9 @@ def chord_weighting(arc_steps_m: Array, drift: float, jitter: float, weights: Ar
     factor = cholesky_banded(T, lower=True, check_finite=False)
     forward = factor[0] ** 2
     log_det = float(np.sum(np.log(own)) + np.sum(np.log(links)) - np.sum(np.log(forward)))
-    return ChordWeighting(own=own, factor=factor, spread=_inverse_diagonal(T, forward), log_det=log_det)
+    return ChordWeighting(
+        weight_diagonal=own, cholesky_factor=factor, smoothed_variance=_inverse_diagonal(T, forward), log_det=log_det
+    )
 
 
 def _inverse_diagonal(T: Array, forward: Array) -> Array:
@@ -98,21 +102,21 @@ def _inverse_diagonal(T: Array, forward: Array) -> Array:
 class PairedTracks:
     """Base points and velocities at the camera's times, the odometry turned into the base, all (n, 3) [m], [m/s]."""
 
-    points: Array
-    velocities: Array
-    rotated: Array
+    base_points: Array
+    base_velocities: Array
+    rotated_vo_points: Array
     arc_steps_m: Array  # (n-1,)
-    kept: NDArray[np.bool_]
+    inliers: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
 class ChordStep:
     """Change of (rotation vector, log scale, offset), its covariance (5, 5), the likeliest noise and its weighting."""
 
-    change: Array
+    parameter_step: Array
     covariance: Array
-    drift: float
-    jitter: float
+    drift_variance: float
+    jitter_variance: float
     weighting: ChordWeighting
 
 
@@ -143,12 +147,12 @@ def chord_step(tracks: PairedTracks, offset_s: float, offset_sigma_s: float) -> 
              along with that, which on 2 mm passes for a turn or strain of 0.3.
     Source:  restricted likelihood: Patterson, Thompson 1971; averaging: Hoeting et al. 1999.
     """
-    residuals = tracks.points - tracks.rotated
+    residuals = tracks.base_points - tracks.rotated_vo_points
     # the clean points stand for the rotated ones in the derivatives: the odometry's jitter must not explain itself
-    points, residuals = tracks.points - tracks.points.mean(axis=0), residuals - residuals.mean(axis=0)
-    columns = (_damp_weak_directions(points), tracks.velocities, residuals)
-    stacked, weights = np.hstack(columns), tracks.kept.astype(float)
-    count = 3.0 * (float(tracks.kept.sum()) - 1.0)
+    points, residuals = tracks.base_points - tracks.base_points.mean(axis=0), residuals - residuals.mean(axis=0)
+    columns = (_damp_weak_directions(points), tracks.base_velocities, residuals)
+    stacked, weights = np.hstack(columns), tracks.inliers.astype(float)
+    count = 3.0 * (float(tracks.inliers.sum()) - 1.0)
     found = []
     for ratio in _RATIOS:
         weighting = chord_weighting(tracks.arc_steps_m, float(ratio), 1.0, weights)
@@ -203,7 +207,7 @@ _JUMP_SIGMAS = 6.0
 _SCALE_STEP_MAX = 0.2
 _STEP_SMALL_SIGMAS = 0.01
 _STEP_SMALL = 1e-5  # rad, log scale and s: less shows nowhere, though tracks without noise know better
-TO_AND_FRO = 0.5  # share of a step that the next one takes back
+OSCILLATION_FRAC = 0.5  # share of a step that the next one takes back
 _FREE_ROUNDS = 8  # in which samples may come and go
 
 
@@ -217,21 +221,21 @@ class ChordRotation:
     scale: float
     offset_s: float
     covariance: Array
-    kept: NDArray[np.bool_]
-    drift: float
-    jitter: float
+    inliers: NDArray[np.bool_]
+    drift_variance: float
+    jitter_variance: float
     converged: bool
 
 
 @dataclass(frozen=True, slots=True)
 class _Guess:
-    R: Array
+    R_base_vo: Array
     scale: float
     offset_s: float
 
     def after(self, change: Array, bound_s: float) -> "_Guess":
         return _Guess(
-            rotation_from_rotvec(change[:3]) @ self.R,
+            rotation_from_rotvec(change[:3]) @ self.R_base_vo,
             self.scale * float(np.exp(np.clip(change[3], -_SCALE_STEP_MAX, _SCALE_STEP_MAX))),
             float(np.clip(self.offset_s + change[4], -bound_s, bound_s)),
         )
@@ -263,26 +267,26 @@ def fit_chord_rotation(
     tries, last = 0, np.zeros(5)
     while True:
         tries += 1
-        tracks = PairedTracks(points, velocities, guess.scale * points_vo @ guess.R.T, arc_steps_m, kept)
+        tracks = PairedTracks(points, velocities, guess.scale * points_vo @ guess.R_base_vo.T, arc_steps_m, kept)
         step = chord_step(tracks, guess.offset_s, offset_bound_s)
         sigmas = np.sqrt(np.diag(step.covariance))
-        change, last = _damp_oscillating_step(step.change, last, sigmas)
+        change, last = _damp_oscillating_step(step.parameter_step, last, sigmas)
         guess = guess.after(change, offset_bound_s)
         points, velocities = base_track(guess.offset_s)
-        before, kept = kept, _likely_inliers(points, guess.scale * points_vo @ guess.R.T, step, kept)
+        before, kept = kept, _likely_inliers(points, guess.scale * points_vo @ guess.R_base_vo.T, step, kept)
         if tries > _FREE_ROUNDS and (before & kept).sum() >= 0.5 * len(kept):
             kept = before & kept  # who is still coming and going stays out: the choice cannot go round in circles
-        small = np.abs(step.change) < _STEP_SMALL_SIGMAS * sigmas + _STEP_SMALL
+        small = np.abs(step.parameter_step) < _STEP_SMALL_SIGMAS * sigmas + _STEP_SMALL
         settled = bool(small.all()) and np.array_equal(before, kept)
         if settled or tries >= iterations_max:
             return ChordRotation(
-                R_base_vo=guess.R,
+                R_base_vo=guess.R_base_vo,
                 scale=guess.scale,
                 offset_s=guess.offset_s,
                 covariance=step.covariance,
-                kept=kept,
-                drift=step.drift,
-                jitter=step.jitter,
+                inliers=kept,
+                drift_variance=step.drift_variance,
+                jitter_variance=step.jitter_variance,
                 converged=settled,
             )
 
@@ -293,7 +297,7 @@ def _damp_oscillating_step(change: Array, last: Array, sigmas: Array) -> tuple[A
     Velocities at a swinging boom change with the offset, so full steps in the offset can go to and fro for long.
     """
     wide = change / sigmas
-    to_and_fro = float(wide @ last) < -TO_AND_FRO * float(last @ last)
+    to_and_fro = float(wide @ last) < -OSCILLATION_FRAC * float(last @ last)
     return (0.5 * change, 0.5 * wide) if to_and_fro else (change, wide)
 
 
@@ -309,7 +313,7 @@ def _not_jumping(residuals: Array) -> NDArray[np.bool_]:
 def _likely_inliers(points: Array, rotated: Array, step: ChordStep, kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Samples that are likelier part of the track than spread over the path's volume; the old ones if few are."""
     differences, variances = step.weighting.left_out(points - rotated)
-    total = variances + step.jitter
+    total = variances + step.jitter_variance
     outlier_frac = float(np.clip(1.0 - kept.mean(), 0.01, 0.5))
     volume = float(np.ptp(points, axis=0).max()) ** 3
     exponents = np.sum(differences**2, axis=1) / (2.0 * total)

@@ -16,11 +16,11 @@ from server.calibration.rotation_fit import fit_rotation
 class ChordPairs:
     """Index pairs into a track: chord k runs from sample `first[k]` to sample `last[k]`."""
 
-    first: NDArray[np.int64]
-    last: NDArray[np.int64]
+    start_indices: NDArray[np.int64]
+    end_indices: NDArray[np.int64]
 
     def __len__(self) -> int:
-        return len(self.first)
+        return len(self.start_indices)
 
 
 def arc_lengths(points: Array) -> Array:
@@ -40,12 +40,12 @@ def chord_pairs(points: Array, chord_m: float) -> ChordPairs:
     first = np.arange(len(s))
     moving = np.concatenate((np.diff(s) > 0.002 * chord_m, [False]))
     keep = (last < len(s)) & moving
-    return ChordPairs(first=first[keep], last=last[keep].astype(np.int64))
+    return ChordPairs(start_indices=first[keep], end_indices=last[keep].astype(np.int64))
 
 
 def chord_vectors(points: Array, pairs: ChordPairs) -> Array:
     """The vectors of the pairs. Args: points (n, 3) [m]. Returns: (k, 3) [m]."""
-    return points[pairs.last] - points[pairs.first]
+    return points[pairs.end_indices] - points[pairs.start_indices]
 
 
 def rotation_information(vectors: Array, weights: Array) -> Array:
@@ -76,7 +76,7 @@ def positions_at(t_s: Array, track_t_s: Array, track_points: Array) -> tuple[Arr
 
 def _residual_norms(tau_s: float, t_s: Array, vo: Array, track_t_s: Array, track: Array, pairs: ChordPairs) -> Array:
     points, inside = positions_at(t_s + tau_s, track_t_s, track)
-    keep = inside[pairs.first] & inside[pairs.last]
+    keep = inside[pairs.start_indices] & inside[pairs.end_indices]
     if keep.sum() < 3:
         return np.full(1, np.inf)
     chords_base, chords_vo = chord_vectors(points, pairs)[keep], chord_vectors(vo, pairs)[keep]

@@ -31,9 +31,9 @@ class HandEyeSettings:
 
     poses_min: int = 12  # fewer can be fitted exactly two by two, and say too small a covariance
     axis_spread_min_rad: float = float(np.deg2rad(2.0))  # rms rotation about the second strongest axis
-    freedom: float = 5.0  # of Student's t, the residuals' distribution: heavy tails, outliers fade
+    student_t_dof: float = 5.0  # of Student's t, the residuals' distribution: heavy tails, outliers fade
     iterations_max: int = 60
-    triples: int = 200  # random starts from three poses each
+    n_random_starts: int = 200  # random starts from three poses each
     residual_relative_max: float = 0.25  # median residual over the size of the motion, rotation and translation
     # medians; a target's pose is known to about 1 deg and 10 mm, encoders and clock add as much
     residual_rotation_max_rad: float = float(np.deg2rad(3.0))
@@ -55,8 +55,8 @@ class HandEyeEstimate:
 
     status: CalibrationStatus
     reason: str
-    X: Array | None
-    Y: Array | None
+    T_hand_cam: Array | None
+    T_base_target: Array | None
     covariance: Array | None
     residual_median_deg: float
     residual_median_mm: float
@@ -72,13 +72,13 @@ def refused_hand_eye(status: CalibrationStatus, reason: str, n: int = 0, spread:
     return HandEyeEstimate(status, reason, None, None, None, nan, nan, n, spread)
 
 
-DEFAULT_SETTINGS = HandEyeSettings()
+DEFAULT_HAND_EYE_SETTINGS = HandEyeSettings()
 #: What makes residuals that no camera and no encoder have.
-ORDER = " (order of Euler angles or quaternion, or a pose the wrong way round?)"
+POSE_CONVENTION_HINT = " (order of Euler angles or quaternion, or a pose the wrong way round?)"
 
 
 def solve_ax_yb(
-    As: Array, Bs: Array, settings: HandEyeSettings = DEFAULT_SETTINGS, camera_covariances: Array | None = None
+    As: Array, Bs: Array, settings: HandEyeSettings = DEFAULT_HAND_EYE_SETTINGS, camera_covariances: Array | None = None
 ) -> HandEyeEstimate:
     """X and Y of A X = Y B from pairs of poses.
 
@@ -118,12 +118,14 @@ def _solve_poses(
     refusal = _input_refusal(len(As), settings.poses_min, spread, settings)
     if refusal is not None:
         return refusal
-    X, Y = start_ax_yb(As, Bs, np.random.default_rng(0), settings.triples)
+    X, Y = start_ax_yb(As, Bs, np.random.default_rng(0), settings.n_random_starts)
     model = PoseModel(hand, inverse_poses(Bs), free_offset)
-    found = refine_hand_eye(model, HandEyeUnknowns(X, Y, offset_start_s), settings.freedom, settings.iterations_max)
+    found = refine_hand_eye(
+        model, HandEyeUnknowns(X, Y, offset_start_s), settings.student_t_dof, settings.iterations_max
+    )
     if camera_covariances is not None:
         weighted = WeightedModel(model, whiteners_of(camera_covariances, found.residuals, found.weights))
-        again = refine_hand_eye(weighted, found.unknowns, settings.freedom, settings.iterations_max)
+        again = refine_hand_eye(weighted, found.unknowns, settings.student_t_dof, settings.iterations_max)
         found = replace(again, residuals=model.evaluate(again.unknowns)[0])
     centred = Bs[:, :3, 3] - np.median(Bs[:, :3, 3], axis=0)
     turns = rotation_vectors(motions_between(Bs, *_far_pairs(len(Bs)))[:, :3, :3])
@@ -185,14 +187,18 @@ def _judge_estimate(
         (
             np.rad2deg(turned),
             np.rad2deg(settings.residual_rotation_max_rad),
-            f"rotations do not fit: residual [deg]{ORDER}",
+            f"rotations do not fit: residual [deg]{POSE_CONVENTION_HINT}",
         ),
-        (1e3 * missed, 1e3 * settings.residual_translation_max_m, f"translations do not fit: residual [mm]{ORDER}"),
+        (
+            1e3 * missed,
+            1e3 * settings.residual_translation_max_m,
+            f"translations do not fit: residual [mm]{POSE_CONVENTION_HINT}",
+        ),
         (turned / max(sizes[0], 1e-9), settings.residual_relative_max, "rotations do not fit: residual over motion"),
         (missed / max(sizes[1], 1e-9), settings.residual_relative_max, "translations do not fit: residual over motion"),
         (np.rad2deg(sigma_rotation), np.rad2deg(settings.sigma_rotation_max_rad), "rotation hardly known: sigma [deg]"),
         (1e3 * sigma_translation, 1e3 * settings.sigma_translation_max_m, "translation hardly known: sigma [mm]"),
-        (0.0 if found.settled else 1.0, 0.5, "the fit did not settle: flag"),
+        (0.0 if found.converged else 1.0, 0.5, "the fit did not settle: flag"),
     ):
         if not value <= limit:
             reason = f"{text} {value:.2f}, limit {limit:.2f}; turn more, about two axes, and check both streams"
@@ -200,8 +206,8 @@ def _judge_estimate(
     return HandEyeEstimate(
         status=CalibrationStatus.OK,
         reason="",
-        X=found.unknowns.X,
-        Y=found.unknowns.Y,
+        T_hand_cam=found.unknowns.T_hand_cam,
+        T_base_target=found.unknowns.T_base_target,
         covariance=found.covariance[:12, :12],
         residual_median_deg=float(np.rad2deg(turned)),
         residual_median_mm=1e3 * missed,
@@ -221,7 +227,7 @@ def estimate_hand_eye(
     Ts_base_hand: Array,
     t_cam_s: Array,
     Ts_cam_target: Array,
-    settings: HandEyeSettings = DEFAULT_SETTINGS,
+    settings: HandEyeSettings = DEFAULT_HAND_EYE_SETTINGS,
 ) -> HandEyeEstimate:
     """Hand-eye pose X, target pose Y and clock offset from two streams with unknown offset.
 
@@ -247,13 +253,13 @@ def estimate_hand_eye(
     start_s = _coarse_offset(hand, t_cam, Ts_cam, settings)
     track = inverse_poses(Ts_cam)
     found = _solve_poses(lambda offset_s: hand.poses_at(t_cam + offset_s), track, start_s, True, settings)
-    if found.X is not None and abs(found.time_offset_s) >= settings.offset_bound_s:
+    if found.T_hand_cam is not None and abs(found.time_offset_s) >= settings.offset_bound_s:
         text = f"time offset {1e3 * found.time_offset_s:.0f} ms, bound {1e3 * settings.offset_bound_s:.0f} ms"
         return refused_hand_eye(
             CalibrationStatus.POOR_FIT, f"{text}; check the clocks", found.n_used, found.axis_spread_rad
         )
     text = f"time offset {1e3 * found.time_offset_s:.1f} ms, sigma {1e3 * found.time_offset_sigma_s:.1f} ms"
-    return found if found.X is None else replace(found, reason=text)
+    return found if found.T_hand_cam is None else replace(found, reason=text)
 
 
 class HandPoses:

@@ -88,14 +88,16 @@ _OFFSET_STEP_S = 0.005
 class HandEyeUnknowns:
     """X, Y, clock offset [s]."""
 
-    X: Array
-    Y: Array
+    T_hand_cam: Array
+    T_base_target: Array
     offset_s: float = 0.0
 
     def changed_by(self, change: Array) -> "HandEyeUnknowns":
         """Changed by (X 6, Y 6, offset if it is free)."""
         offset_s = self.offset_s + (float(change[12]) if len(change) > 12 else 0.0)
-        return HandEyeUnknowns(moved_pose(self.X, change[:6]), moved_pose(self.Y, change[6:12]), offset_s)
+        return HandEyeUnknowns(
+            moved_pose(self.T_hand_cam, change[:6]), moved_pose(self.T_base_target, change[6:12]), offset_s
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,18 +107,18 @@ class PoseModel:
     Residual (n, 6), in camera axes, where the camera's noise lives: log(R_seen R_pred^T), t_seen - t_pred.
     """
 
-    hand: HandTrack
+    hand_track: HandTrack
     Ts_cam_target: Array
     free_offset: bool
 
     def evaluate(self, at: HandEyeUnknowns) -> tuple[Array, Array]:
         """Residuals (n, 6) [rad, m] and their derivative (n, 6, 12 + offset)."""
-        As = self.hand(at.offset_s)
+        As = self.hand_track(at.offset_s)
         R_pred, t_pred, w, R_XA = self._predicted_pose_terms(at, As)
         seen = self.Ts_cam_target
         turned = rotation_vectors(seen[:, :3, :3] @ R_pred.transpose(0, 2, 1))
         residuals = np.hstack((turned, seen[:, :3, 3] - t_pred))
-        n, R_X = len(As), at.X[:3, :3]
+        n, R_X = len(As), at.T_hand_cam[:3, :3]
         J = np.zeros((n, 6, 12 + self.free_offset))
         J[:, :3, :3] = R_X.T
         J[:, :3, 6:9] = -R_XA
@@ -125,7 +127,7 @@ class PoseModel:
         J[:, 3:, 9:12] = -R_XA
         if self.free_offset:
             sides = [
-                self._predicted_pose_terms(at, self.hand(at.offset_s + side))
+                self._predicted_pose_terms(at, self.hand_track(at.offset_s + side))
                 for side in (-_OFFSET_STEP_S, _OFFSET_STEP_S)
             ]
             turned = rotation_vectors(sides[1][0] @ sides[0][0].transpose(0, 2, 1))
@@ -134,10 +136,10 @@ class PoseModel:
         return residuals, J
 
     def _predicted_pose_terms(self, at: HandEyeUnknowns, As: Array) -> tuple[Array, Array, Array, Array]:
-        R_X, inverse_A = at.X[:3, :3], inverse_poses(As)
-        w = (inverse_A @ at.Y)[:, :3, 3] - at.X[:3, 3]
+        R_X, inverse_A = at.T_hand_cam[:3, :3], inverse_poses(As)
+        w = (inverse_A @ at.T_base_target)[:, :3, 3] - at.T_hand_cam[:3, 3]
         R_XA = R_X.T @ inverse_A[:, :3, :3]
-        return R_XA @ at.Y[:3, :3], w @ R_X, w, R_XA
+        return R_XA @ at.T_base_target[:3, :3], w @ R_X, w, R_XA
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,12 +147,12 @@ class WeightedModel:
     """Another model's residuals and derivatives, each sample's multiplied by its own matrix (n, 6, 6)."""
 
     model: PoseModel
-    whiteners: Array
+    whitening_matrices: Array
 
     def evaluate(self, at: HandEyeUnknowns) -> tuple[Array, Array]:
         """Residuals (n, 6), of equal spread if the matrices are right, and their derivative."""
         residuals, J = self.model.evaluate(at)
-        return np.einsum("nij,nj->ni", self.whiteners, residuals), self.whiteners @ J
+        return np.einsum("nij,nj->ni", self.whitening_matrices, residuals), self.whitening_matrices @ J
 
 
 def whiteners_of(covariances: Array, residuals: Array, weights: Array) -> Array:
@@ -180,7 +182,7 @@ class RefinedHandEye:
     covariance: Array
     residuals: Array
     weights: Array
-    settled: bool
+    converged: bool
 
 
 def refine_hand_eye(

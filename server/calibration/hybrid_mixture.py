@@ -26,9 +26,9 @@ class MixtureMatch:
     R_x_y: Array
     t_x_y: Array
     sigma_m: float
-    kappa: float
+    vmf_concentration: float
     iterations: int
-    pairing: Array
+    pairing_probabilities: Array
 
 
 def _log_vmf_normaliser(kappa: float) -> float:

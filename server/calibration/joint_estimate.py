@@ -35,24 +35,29 @@ from server.calibration.joint_observations import (
     thin_samples,
 )
 from server.calibration.joint_state import JointState, state_steps
-from server.calibration.joint_verdict import SEEING_FREEDOMS, FitResiduals, covariance_widened_by_misfit, fit_verdict
+from server.calibration.joint_verdict import (
+    CAMERA_PARAMETERS_DOF,
+    FitResiduals,
+    covariance_widened_by_misfit,
+    fit_verdict,
+)
 from server.calibration.kinematic_errors import ErrorModel, ErrorPrior, error_model
 from server.calibration.lens_evidence import LensEvidence, mean_evidence
 
-ROUNDS_MAX = 8
-STEP_DONE = 1e-3  # of a standard deviation
-OUTLIER_SIGMA = 2.5
+ITERATIONS_MAX = 8
+CONVERGED_STEP_SIGMAS = 1e-3  # of a standard deviation
+OUTLIER_SIGMAS = 2.5
 SCATTER_ROUNDS_MAX, SCATTER_SAME = 3, 0.15
-TAKEN_BY_FIT = 20  # of a run's freedoms, about
-PATH_MIN_M = 0.15
-UNKNOWN_OOI = np.array([np.pi] * 3 + [10.0] * 3)
+FITTED_DOF_PER_RUN = 20  # of a run's freedoms, about
+PATH_LENGTH_MIN_M = 0.15
+OOI_POSE_PRIOR_SIGMA = np.array([np.pi] * 3 + [10.0] * 3)
 
 
 @dataclass(frozen=True, slots=True)
 class JointPrior:
     """What is believed before anything was seen. Standard deviations."""
 
-    errors: ErrorPrior = field(default_factory=ErrorPrior)
+    kinematic_errors: ErrorPrior = field(default_factory=ErrorPrior)
     sigma_mount_rad: float = float(np.deg2rad(3.0))  # camera against the machine file, per axis
     sigma_mount_m: float = 0.010
     sigma_tool_marker_rad: float = float(np.deg2rad(1.0))
@@ -68,7 +73,7 @@ class JointEstimate:
 
     status: CalibrationStatus
     reason: str
-    model: ErrorModel
+    error_model: ErrorModel
     state: JointState | None
     covariance: Array | None
     residual_rms_mm: float  # of the odometry's positions
@@ -78,27 +83,27 @@ class JointEstimate:
     n_looks: int
     path_length_m: float
     observability: float  # share of the prior's rotation variance of the mount that the data took away, 0..1
-    noise: NoiseModel = field(default_factory=NoiseModel)  # that was taken for granted
+    noise_model: NoiseModel = field(default_factory=NoiseModel)  # that was taken for granted
     layout_covariance: Array | None = None  # (6, 6) of the OOI by its markers' layout, OOI axes; no data lessen it
 
 
 @dataclass(slots=True)
 class _Problem:
-    model: ErrorModel
-    noise: NoiseModel
-    believed: JointState
-    sigma: Array
-    runs: list[tuple[OdometryRun, RunSamples, Array]]
-    scatters: list[Scatter]  # of each run
+    error_model: ErrorModel
+    noise_model: NoiseModel
+    prior_state: JointState
+    prior_sigma: Array
+    odometry_runs: list[tuple[OdometryRun, RunSamples, Array]]
+    position_scatters: list[Scatter]  # of each run
     looks: tuple[tuple[LookAt, Array, Array], ...]  # with weight (12, 12) and sensitivity to the lens (12, 7)
-    bending: Array
+    odometry_lens_jacobian: Array
     weights: list[Array]
-    evidence: LensEvidence  # what the looks' corners say of lens and prints beyond their poses
+    lens_evidence: LensEvidence  # what the looks' corners say of lens and prints beyond their poses
 
     @property
     def mount(self) -> slice:
         """Of the camera's rotation among the unknowns."""
-        return slice(self.model.n, self.model.n + 3)
+        return slice(self.error_model.n, self.error_model.n + 3)
 
 
 def estimate_jointly(
@@ -119,30 +124,32 @@ def estimate_jointly(
     Returns: JointEstimate; a status with a reason where the data do not carry one.
     """
     believed, accuracy = prior or JointPrior(), noise or NoiseModel()
-    model = error_model(machine, believed.errors)
+    model = error_model(machine, believed.kinematic_errors)
     refusal = _input_refusal(runs, looks, model)
     if refusal:
         return _refused_estimate(model, *refusal, 0.0)
-    thin = [(run, thin_samples(run, accuracy)) for run in runs if len(run.camera.t_s) >= 3]
+    thin = [(run, thin_samples(run, accuracy)) for run in runs if len(run.camera_track.t_s) >= 3]
     usable = [(run, samples) for run, samples in thin if len(samples.t_s) >= 3]  # of a camera that stood one is left
     length = float(sum(samples.length_m[-1] for _, samples in usable))
-    if runs and length < PATH_MIN_M:
-        reason = f"camera moved {1e3 * length:.0f} mm in all (need {1e3 * PATH_MIN_M:.0f} mm); drive a longer path"
+    if runs and length < PATH_LENGTH_MIN_M:
+        reason = (
+            f"camera moved {1e3 * length:.0f} mm in all (need {1e3 * PATH_LENGTH_MIN_M:.0f} mm); drive a longer path"
+        )
         return _refused_estimate(model, CalibrationStatus.TOO_FEW, reason, length)
     if not shows_plane(machine.camera, looks[-1].T_cam_ooi):
         reason = "the object of interest is too near, edge-on or behind the camera: no wall to see about it; look again"
         return _refused_estimate(model, CalibrationStatus.DEGENERATE, reason, length)
     start = _start(machine, model, looks[-1])
     problem = _Problem(
-        model=model,
-        noise=accuracy,
-        believed=_prior_mean(machine, start),
-        sigma=_prior_sigmas(model, believed),
-        runs=[
+        error_model=model,
+        noise_model=accuracy,
+        prior_state=_prior_mean(machine, start),
+        prior_sigma=_prior_sigmas(model, believed),
+        odometry_runs=[
             (run, samples, _inverse_matrix(run_covariance(samples, accuracy, Scatter(accuracy.sigma_position_m))))
             for run, samples in usable
         ],
-        scatters=[Scatter(accuracy.sigma_position_m)] * len(usable),
+        position_scatters=[Scatter(accuracy.sigma_position_m)] * len(usable),
         looks=tuple(
             (
                 look,
@@ -151,9 +158,9 @@ def estimate_jointly(
             )
             for look in looks
         ),
-        bending=odometry_sensitivity(machine.camera, looks[-1].T_cam_ooi),
+        odometry_lens_jacobian=odometry_sensitivity(machine.camera, looks[-1].T_cam_ooi),
         weights=[np.ones(len(samples.t_s) - 1) for _, samples in usable],
-        evidence=mean_evidence([look.evidence for look in looks if look.evidence is not None]),
+        lens_evidence=mean_evidence([look.lens_evidence for look in looks if look.lens_evidence is not None]),
     )
     state, information = _fit_until_scatter_settles(problem, start)
     if state is None:
@@ -172,10 +179,14 @@ def _input_refusal(
     if not all(np.isfinite(T).all() for look in looks for T in (look.T_cam_tool, look.T_cam_ooi)):
         return CalibrationStatus.DEGENERATE, "a look's poses are not finite; look again"
     for run in runs:
-        values = (run.camera.t_s, run.camera.Ts_vo_cam, run.joints.t_s, run.joints.qs)
+        values = (run.camera_track.t_s, run.camera_track.Ts_vo_cam, run.joint_track.t_s, run.joint_track.qs)
         if not all(np.isfinite(value).all() for value in values):
             return CalibrationStatus.DEGENERATE, "a track holds values that are not finite"
-        if len(run.joints.t_s) < 2 or np.any(np.diff(run.joints.t_s) <= 0.0) or np.any(np.diff(run.camera.t_s) <= 0.0):
+        if (
+            len(run.joint_track.t_s) < 2
+            or np.any(np.diff(run.joint_track.t_s) <= 0.0)
+            or np.any(np.diff(run.camera_track.t_s) <= 0.0)
+        ):
             return CalibrationStatus.DEGENERATE, "a track's times do not rise; check the clocks"
     return None
 
@@ -186,7 +197,7 @@ def _start(machine: Machine, model: ErrorModel, look: LookAt) -> JointState:
     T_tcp_cam = machine.T_tcp_cam_left.copy()
     T_tcp_cam[:3, :3] = R_tcp_cam
     T_base_ooi = tcp_pose(chain_of(machine), look.q) @ T_tcp_cam @ look.T_cam_ooi
-    return JointState(model.mean.copy(), T_tcp_cam, machine.T_tcp_tool.copy(), T_base_ooi, 1.0, 0.0)
+    return JointState(model.prior_mean.copy(), T_tcp_cam, machine.T_tcp_tool.copy(), T_base_ooi, 1.0, 0.0)
 
 
 def _prior_mean(machine: Machine, start: JointState) -> JointState:
@@ -202,12 +213,15 @@ def _prior_sigmas(model: ErrorModel, prior: JointPrior) -> Array:
     camera = [prior.sigma_mount_rad] * 3 + [prior.sigma_mount_m] * 3
     tool = [prior.sigma_tool_marker_rad] * 3 + [prior.sigma_tool_marker_m] * 3
     rest = [prior.sigma_scale_frac, prior.sigma_time_s]
-    return np.concatenate([model.sigma, camera, tool, UNKNOWN_OOI, rest, prior.lens.sigma])
+    return np.concatenate([model.prior_sigma, camera, tool, OOI_POSE_PRIOR_SIGMA, rest, prior.lens.sigma])
 
 
 def _run_and_look_residuals(problem: _Problem, state: JointState) -> tuple[list[tuple[Array, Array]], list[Array]]:
-    runs = [run_residuals(problem.model, state, run, samples, problem.bending) for run, samples, _ in problem.runs]
-    return runs, [look_residual(problem.model, state, look, S) for look, _, S in problem.looks]
+    runs = [
+        run_residuals(problem.error_model, state, run, samples, problem.odometry_lens_jacobian)
+        for run, samples, _ in problem.odometry_runs
+    ]
+    return runs, [look_residual(problem.error_model, state, look, S) for look, _, S in problem.looks]
 
 
 def _fit_until_scatter_settles(problem: _Problem, start: JointState) -> tuple[JointState | None, Array]:
@@ -227,32 +241,39 @@ def _scatter_renewed(problem: _Problem, state: JointState) -> bool:
              was right; correlation of neighbours from the residuals themselves. How much the boom sways on the way is
              not known before, and decides what the path is worth.
     """
-    low, high = problem.noise.sigma_position_range_m
+    low, high = problem.noise_model.sigma_position_range_m
     renewed = False
-    for i, (run, samples, W) in enumerate(problem.runs):
-        position, _ = run_residuals(problem.model, state, run, samples, problem.bending)
+    for i, (run, samples, W) in enumerate(problem.odometry_runs):
+        position, _ = run_residuals(problem.error_model, state, run, samples, problem.odometry_lens_jacobian)
         weighted = np.sqrt(problem.weights[i])[:, None] * position
-        freedoms = max(position.size - TAKEN_BY_FIT, 0.5 * position.size)
+        freedoms = max(position.size - FITTED_DOF_PER_RUN, 0.5 * position.size)
         ratio = float(np.einsum("ia,ij,ja->", weighted, W, weighted)) / freedoms
         alike = float(np.sum(weighted[1:] * weighted[:-1]) / max(np.sum(weighted**2), 1e-18))
-        before = problem.scatters[i]
+        before = problem.position_scatters[i]
         after = Scatter(
             float(np.clip(before.sigma_m * np.sqrt(ratio), low, high)),
-            float(np.clip(alike, *problem.noise.neighbours_range)),
+            float(np.clip(alike, *problem.noise_model.neighbours_range)),
         )
-        changed = abs(after.sigma_m / before.sigma_m - 1.0), abs(after.neighbours - before.neighbours)
+        changed = (
+            abs(after.sigma_m / before.sigma_m - 1.0),
+            abs(after.neighbour_correlation - before.neighbour_correlation),
+        )
         if max(changed) > SCATTER_SAME:
-            problem.scatters[i] = after
-            problem.runs[i] = run, samples, _inverse_matrix(run_covariance(samples, problem.noise, after))
+            problem.position_scatters[i] = after
+            problem.odometry_runs[i] = (
+                run,
+                samples,
+                _inverse_matrix(run_covariance(samples, problem.noise_model, after)),
+            )
             renewed = True
     return renewed
 
 
 def _gauss_newton_fit(problem: _Problem, start: JointState) -> tuple[JointState | None, Array]:
     state = start
-    information = np.eye(len(problem.sigma))
-    for _ in range(ROUNDS_MAX):
-        information, gradient = _normal_equations(problem, state, state.step_from(problem.believed))
+    information = np.eye(len(problem.prior_sigma))
+    for _ in range(ITERATIONS_MAX):
+        information, gradient = _normal_equations(problem, state, state.step_from(problem.prior_state))
         try:
             step: Array = np.asarray(-np.linalg.solve(information, gradient), dtype=np.float64)
         except np.linalg.LinAlgError:
@@ -260,7 +281,7 @@ def _gauss_newton_fit(problem: _Problem, start: JointState) -> tuple[JointState 
         if not np.isfinite(step).all():
             return None, information
         state = state.moved(step)
-        if float(np.max(np.abs(step) / problem.sigma)) < STEP_DONE:
+        if float(np.max(np.abs(step) / problem.prior_sigma)) < CONVERGED_STEP_SIGMAS:
             break
     return state, information
 
@@ -268,27 +289,29 @@ def _gauss_newton_fit(problem: _Problem, start: JointState) -> tuple[JointState 
 def _normal_equations(problem: _Problem, state: JointState, gone: Array) -> tuple[Array, Array]:
     """J^T W J and J^T W r, the prior included; the samples' weights are renewed on the way."""
     runs, looks = _run_and_look_residuals(problem, state)
-    steps = state_steps(problem.model)
+    steps = state_steps(problem.error_model)
     shifted = [_run_and_look_residuals(problem, state.moved(step)) for step in np.diag(steps)]
-    information, gradient = np.diag(problem.sigma**-2.0), gone / problem.sigma**2
-    for i, (_, _, W) in enumerate(problem.runs):
+    information, gradient = np.diag(problem.prior_sigma**-2.0), gone / problem.prior_sigma**2
+    for i, (_, _, W) in enumerate(problem.odometry_runs):
         position, turn = runs[i]
         Jp = np.stack([(other[0][i][0] - position) / h for other, h in zip(shifted, steps, strict=True)], axis=-1)
         Jt = np.stack([(other[0][i][1] - turn) / h for other, h in zip(shifted, steps, strict=True)], axis=-1)
-        problem.weights[i] = _robust_sample_weights(position, turn, problem.noise)
+        problem.weights[i] = _robust_sample_weights(position, turn, problem.noise_model)
         root = np.sqrt(problem.weights[i])
         Wr = root[:, None] * W * root[None, :]
         information += np.einsum("iap,ij,jaq->pq", Jp, Wr, Jp, optimize=True)
         gradient += np.einsum("iap,ij,ja->p", Jp, Wr, position, optimize=True)
-        wt = problem.weights[i] / problem.noise.sigma_turn_rad**2
+        wt = problem.weights[i] / problem.noise_model.sigma_turn_rad**2
         information += np.einsum("iap,i,iaq->pq", Jt, wt, Jt, optimize=True)
         gradient += np.einsum("iap,i,ia->p", Jt, wt, turn, optimize=True)
     for i, (_, W, _) in enumerate(problem.looks):
         J = np.column_stack([(other[1][i] - looks[i]) / h for other, h in zip(shifted, steps, strict=True)])
         information += J.T @ W @ J
         gradient += J.T @ W @ looks[i]
-    information[-N_LENS:, -N_LENS:] += problem.evidence.information
-    gradient[-N_LENS:] += problem.evidence.information @ state.lens - problem.evidence.vector
+    information[-N_LENS:, -N_LENS:] += problem.lens_evidence.information
+    gradient[-N_LENS:] += (
+        problem.lens_evidence.information @ state.lens_corrections - problem.lens_evidence.information_vector
+    )
     return information, gradient
 
 
@@ -303,7 +326,7 @@ def _robust_sample_weights(position: Array, turn: Array, noise: NoiseModel) -> A
     off = np.linalg.norm(position - smooth, axis=1) / (np.sqrt(3.0) * 1.5 * noise.sigma_position_m)
     turned = np.linalg.norm(turn, axis=1) / (np.sqrt(3.0) * 3.0 * noise.sigma_turn_rad)
     worst = np.maximum(off, turned)
-    return np.where(worst > OUTLIER_SIGMA, (OUTLIER_SIGMA / np.maximum(worst, 1e-12)) ** 2, 1.0)
+    return np.where(worst > OUTLIER_SIGMAS, (OUTLIER_SIGMAS / np.maximum(worst, 1e-12)) ** 2, 1.0)
 
 
 def _running_median(values: Array) -> Array:
@@ -316,44 +339,44 @@ def _judge_estimate(problem: _Problem, state: JointState, information: Array, le
     fitted = _fit_residuals(problem, state)
     runs, _ = _run_and_look_residuals(problem, state)
     distances = np.concatenate([np.linalg.norm(position, axis=1) for position, _ in runs]) if runs else np.zeros(1)
-    left = np.trace(covariance[problem.mount, problem.mount]) / float(np.sum(problem.sigma[problem.mount] ** 2))
+    left = np.trace(covariance[problem.mount, problem.mount]) / float(np.sum(problem.prior_sigma[problem.mount] ** 2))
     status, reason = fit_verdict(fitted)
     good = status is CalibrationStatus.OK
     return JointEstimate(
         status=status,
         reason=reason,
-        model=problem.model,
+        error_model=problem.error_model,
         state=state if good else None,
         covariance=covariance_widened_by_misfit(covariance, fitted.worst_mean_square) if good else None,
         residual_rms_mm=1e3 * float(np.sqrt(np.mean(distances**2))),
         residual_max_mm=1e3 * float(distances.max()),
         misfit=fitted.worst_mean_square,
-        n_samples=int(sum(len(samples.t_s) for _, samples, _ in problem.runs)),
+        n_samples=int(sum(len(samples.t_s) for _, samples, _ in problem.odometry_runs)),
         n_looks=len(problem.looks),
         path_length_m=length_m,
         observability=float(np.clip(1.0 - left, 0.0, 1.0)),
-        noise=problem.noise,
+        noise_model=problem.noise_model,
     )
 
 
 def _fit_residuals(problem: _Problem, state: JointState) -> FitResiduals:
     runs, looks = _run_and_look_residuals(problem, state)
     positions, turns, spreads = [], [], []
-    largest = problem.noise.sigma_position_range_m[1] ** 2
-    for (position, turn), (_, _, W), weights in zip(runs, problem.runs, problem.weights, strict=True):
+    largest = problem.noise_model.sigma_position_range_m[1] ** 2
+    for (position, turn), (_, _, W), weights in zip(runs, problem.odometry_runs, problem.weights, strict=True):
         weighted = np.sqrt(weights)[:, None] * position
         positions.append(float(np.einsum("ia,ij,ja->", weighted, W, weighted)) / position.size)
         spreads.append(float(np.mean(weighted**2)) / largest)
-        turns.append(float(np.sum(weights[:, None] * turn**2)) / (turn.size * problem.noise.sigma_turn_rad**2))
-    off = state.step_from(problem.believed)
-    mount, seeing = off[problem.mount], (off / problem.sigma)[-SEEING_FREEDOMS:]
+        turns.append(float(np.sum(weights[:, None] * turn**2)) / (turn.size * problem.noise_model.sigma_turn_rad**2))
+    off = state.step_from(problem.prior_state)
+    mount, seeing = off[problem.mount], (off / problem.prior_sigma)[-CAMERA_PARAMETERS_DOF:]
     return FitResiduals(
         look_chi2=[float(residual @ W @ residual) for residual, (_, W, _) in zip(looks, problem.looks, strict=True)],
         run_position=positions,
         run_turn=turns,
         run_spread=spreads,
         weights=problem.weights,
-        mount_chi2=float(np.sum((mount / problem.sigma[problem.mount]) ** 2)),
+        mount_chi2=float(np.sum((mount / problem.prior_sigma[problem.mount]) ** 2)),
         mount_rad=float(np.linalg.norm(mount)),
         seeing_chi2=float(seeing @ seeing),
     )

@@ -27,7 +27,7 @@ from server.calibration.nuisances import (
     lens_groups,
 )
 
-ROUNDS_MAX = 12
+ITERATIONS_MAX = 12
 CLOSE_M, CLOSE_RAD = 1e-6, 1e-7
 
 
@@ -66,21 +66,21 @@ def joints_for_goal(
     """
     if estimate.state is None or estimate.covariance is None:
         raise ValueError(f"joint estimate is {estimate.status.value}: {estimate.reason}")
-    model, state = estimate.model, estimate.state
+    model, state = estimate.error_model, estimate.state
     q = q_now
     T_nominal = tcp_pose(chain, q_now)
-    for _ in range(ROUNDS_MAX):
+    for _ in range(ITERATIONS_MAX):
         shift, turn = _goal_error_in_base(model, state, q, T_ooi_goal, side)
         if np.linalg.norm(shift) < CLOSE_M and np.linalg.norm(turn) < CLOSE_RAD:
             break
         T_nominal = _corrected_tcp_pose(T_nominal, shift, turn, state)
         found = inverse_nearest(chain, T_nominal, q)
-        if found.q is None:
+        if found.q_rad is None:
             return JointGoal(None, found.reason, T_nominal, None)
-        q = found.q
+        q = found.q_rad
     else:
         return JointGoal(None, "the corrected goal does not converge; retract and calibrate again", T_nominal, None)
-    covariance, found = goal_covariance(estimate, q, noise or estimate.noise, side)
+    covariance, found = goal_covariance(estimate, q, noise or estimate.noise_model, side)
     return JointGoal(q, "", tcp_pose(chain, q), covariance, found)
 
 
@@ -110,7 +110,7 @@ def goal_covariance(
 
     What is not known, where joints come to rest, and where the OOI's markers hang.
     """
-    model, state, covariance = estimate.model, estimate.state, estimate.covariance
+    model, state, covariance = estimate.error_model, estimate.state, estimate.covariance
     if state is None or covariance is None:
         raise ValueError(f"joint estimate is {estimate.status.value}: {estimate.reason}")
     here = tool_in_ooi(model, state, q, side)

@@ -19,7 +19,7 @@ from machine.poses import moved_pose, transform_points
 from machine.rotations import skew_matrices
 from server.calibration.contracts import Array
 
-LENS_NAMES = (
+LENS_PARAMETER_NAMES = (
     "focal length",
     "principal point x",
     "principal point y",
@@ -28,14 +28,16 @@ LENS_NAMES = (
     "tool marker print",
     "OOI marker print",
 )
-N_LENS, FOCAL, TOOL_PRINT, OOI_PRINT = len(LENS_NAMES), 0, 5, 6
+N_LENS, FOCAL, TOOL_PRINT, OOI_PRINT = len(LENS_PARAMETER_NAMES), 0, 5, 6
 #: Steps for numerical derivatives: share, px, px, 1, px, share, share.
-LENS_STEPS = np.array([1e-4, 1e-2, 1e-2, 1e-4, 1e-2, 1e-4, 1e-4])
-FOCAL_GOOD_FRAC = 0.0015  # one sigma that a careful calibration of the camera leaves
-FOCAL_SIGMAS = 3.0  # a right camera is doubted once in 370 paths
+LENS_DERIVATIVE_STEPS = np.array([1e-4, 1e-2, 1e-2, 1e-4, 1e-2, 1e-4, 1e-4])
+FOCAL_SIGMA_GOOD_FRAC = 0.0015  # one sigma that a careful calibration of the camera leaves
+FOCAL_DOUBT_SIGMAS = 3.0  # a right camera is doubted once in 370 paths
 PLANE_POINTS_MIN = 6
-STAND_IN_SIDE_M = 0.15  # for an object without single markers
-STAND_IN = Marker(-1, STAND_IN_SIDE_M, "ooi", np.eye(4))  # a board hangs and is printed as well as a marker
+FALLBACK_MARKER_SIDE_M = 0.15  # for an object without single markers
+FALLBACK_MARKER = Marker(
+    -1, FALLBACK_MARKER_SIDE_M, "ooi", np.eye(4)
+)  # a board hangs and is printed as well as a marker
 WALL_GRID, BORDER_PX, WAY_M = (8, 6), 20.0, 0.1
 
 
@@ -82,7 +84,7 @@ def look_sensitivity(machine: Machine, T_cam_tool: Array, T_cam_ooi: Array) -> A
     seen = ((machine.markers_on("tool"), T_cam_tool, TOOL_PRINT), (machine.markers_on("ooi"), T_cam_ooi, OOI_PRINT))
     parts = []
     for own, T_cam_object, printed in seen:
-        markers = own or (STAND_IN,)
+        markers = own or (FALLBACK_MARKER,)
         changes = pixel_changes(machine.camera, T_cam_object, markers, printed)
         parts.append(_pose_jacobian_pinv(machine.camera, T_cam_object, corners_of(markers)) @ changes)
     return np.vstack(parts)
@@ -111,7 +113,7 @@ def layout_covariance(machine: Machine, T_cam_ooi: Array, prior: LensPrior) -> A
 
     OOI axes: rotation vector [rad], then position [m]. No look at the same markers takes any of it away.
     """
-    markers = machine.markers_on("ooi") or (STAND_IN,)
+    markers = machine.markers_on("ooi") or (FALLBACK_MARKER,)
     inverse = _pose_jacobian_pinv(machine.camera, T_cam_ooi, corners_of(markers))
     R = np.kron(np.eye(2), T_cam_ooi[:3, :3].T)
     found = R @ inverse @ layout_effects(machine.camera, T_cam_ooi, markers, prior)
@@ -193,7 +195,7 @@ def pixel_changes(camera: StereoCamera, T_cam_object: Array, markers: Sequence[M
     """d px / d lens (4 n, 7); `printed`: which unknown is the scale of this object's print."""
     points = transform_points(T_cam_object, corners_of(markers))
     changes = _lens_changes(camera, points).reshape(-1, N_LENS)
-    h = LENS_STEPS[printed]
+    h = LENS_DERIVATIVE_STEPS[printed]
     grown = transform_points(T_cam_object, corners_of(markers, h))
     changes[:, printed] = (both_pixels((camera, camera), grown) - both_pixels((camera, camera), points)) / h
     return np.nan_to_num(changes)
@@ -202,9 +204,10 @@ def pixel_changes(camera: StereoCamera, T_cam_object: Array, markers: Sequence[M
 def _lens_changes(camera: StereoCamera, points_cam: Array) -> Array:
     """d px / d lens (n, 4, 7); zero for the prints."""
     base = both_pixels((camera, camera), points_cam)
-    steps = np.diag(LENS_STEPS)
+    steps = np.diag(LENS_DERIVATIVE_STEPS)
     columns = [
-        (both_pixels(eyes_off(camera, step), points_cam) - base) / h for step, h in zip(steps, LENS_STEPS, strict=True)
+        (both_pixels(eyes_off(camera, step), points_cam) - base) / h
+        for step, h in zip(steps, LENS_DERIVATIVE_STEPS, strict=True)
     ]
     return np.nan_to_num(np.stack(columns, axis=-1)).reshape(-1, 4, N_LENS)
 

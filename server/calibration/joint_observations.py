@@ -20,12 +20,12 @@ class JointTrack:
 
     t_s: Array
     qs: Array
-    sides: Array | None = None
+    backlash_sides: Array | None = None
 
     def joints_at(self, t_s: Array) -> tuple[Array, Array | None]:
         """Joints and their sides at these times (k, n), linear between samples."""
         qs = self._interpolate_columns(t_s, self.qs)
-        return qs, None if self.sides is None else self._interpolate_columns(t_s, self.sides)
+        return qs, None if self.backlash_sides is None else self._interpolate_columns(t_s, self.backlash_sides)
 
     def _interpolate_columns(self, t_s: Array, values: Array) -> Array:
         return np.column_stack([np.interp(t_s, self.t_s, column) for column in values.T])
@@ -35,8 +35,8 @@ class JointTrack:
 class OdometryRun:
     """One path: the camera's own trajectory, and the encoders during it."""
 
-    camera: CameraTrack
-    joints: JointTrack
+    camera_track: CameraTrack
+    joint_track: JointTrack
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class LookAt:
     T_cam_ooi: Array
     tool_covariance: Array
     ooi_covariance: Array
-    side: Array | None = None
-    evidence: LensEvidence | None = None  # of its corners on lens and prints
+    backlash_sides: Array | None = None
+    lens_evidence: LensEvidence | None = None  # of its corners on lens and prints
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,14 +83,14 @@ class RunSamples:
 
 def thin_samples(run: OdometryRun, noise: NoiseModel) -> RunSamples:
     """Samples about evenly spaced along the path, the first one included."""
-    positions = run.camera.Ts_vo_cam[:, :3, 3]
+    positions = run.camera_track.Ts_vo_cam[:, :3, 3]
     length = arc_lengths(positions)
     spacing = max(noise.sample_spacing_m, float(length[-1]) / noise.samples_max)
     wanted = np.arange(0.0, float(length[-1]) + 1e-9, spacing)
     index = np.unique(np.searchsorted(length, wanted).clip(0, len(length) - 1))
-    first = run.camera.Ts_vo_cam[index[0]]
-    relative = inverse_pose(first) @ run.camera.Ts_vo_cam[index]
-    return RunSamples(run.camera.t_s[index], relative, length[index])
+    first = run.camera_track.Ts_vo_cam[index[0]]
+    relative = inverse_pose(first) @ run.camera_track.Ts_vo_cam[index]
+    return RunSamples(run.camera_track.t_s[index], relative, length[index])
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ class Scatter:
     """
 
     sigma_m: float
-    neighbours: float = 0.0
+    neighbour_correlation: float = 0.0
 
 
 def run_covariance(samples: RunSamples, noise: NoiseModel, scatter: Scatter) -> Array:
@@ -113,7 +113,7 @@ def run_covariance(samples: RunSamples, noise: NoiseModel, scatter: Scatter) -> 
     """
     p, length = samples.Ts_first_cam[1:, :3, 3], samples.length_m[1:]
     apart = np.abs(np.subtract.outer(np.arange(len(p)), np.arange(len(p))))
-    own = scatter.sigma_m**2 * scatter.neighbours**apart + noise.sigma_position_range_m[0] ** 2
+    own = scatter.sigma_m**2 * scatter.neighbour_correlation**apart + noise.sigma_position_range_m[0] ** 2
     walk = noise.sigma_drift_frac**2 * np.minimum.outer(length, length)
     return own + walk + noise.sigma_affine_frac**2 * (p @ p.T)
 
@@ -125,15 +125,15 @@ def run_residuals(
 
     bending (7, 3, 3): what each lens unknown adds to a step (`joint_lens.odometry_sensitivity`).
     """
-    qs, sides = run.joints.joints_at(samples.t_s + state.time_offset_s)
-    Ts_base_cam = tcp_poses_with_errors(model, qs, state.errors, sides) @ state.T_tcp_cam
+    qs, sides = run.joint_track.joints_at(samples.t_s + state.time_offset_s)
+    Ts_base_cam = tcp_poses_with_errors(model, qs, state.kinematic_errors, sides) @ state.T_tcp_cam
     R_first, p_first = Ts_base_cam[0, :3, :3], Ts_base_cam[0, :3, 3]
     p = (Ts_base_cam[1:, :3, 3] - p_first) @ R_first
     R = R_first.T @ Ts_base_cam[1:, :3, :3]
     measured = samples.Ts_first_cam[1:]
     turns = rotation_vectors(R @ np.swapaxes(measured[:, :3, :3], 1, 2))
-    bent = p @ np.tensordot(state.lens, bending, axes=1).T
-    return state.scale * p + bent - measured[:, :3, 3], turns
+    bent = p @ np.tensordot(state.lens_corrections, bending, axes=1).T
+    return state.odometry_scale * p + bent - measured[:, :3, 3], turns
 
 
 def look_residual(model: ErrorModel, state: JointState, look: LookAt, sensitivity: Array) -> Array:
@@ -141,12 +141,12 @@ def look_residual(model: ErrorModel, state: JointState, look: LookAt, sensitivit
 
     sensitivity (12, 7): to the lens unknowns (`joint_lens.look_sensitivity`).
     """
-    sides = None if look.side is None else look.side[None]
-    T_base_tcp = tcp_poses_with_errors(model, look.q[None], state.errors, sides)[0]
+    sides = None if look.backlash_sides is None else look.backlash_sides[None]
+    T_base_tcp = tcp_poses_with_errors(model, look.q[None], state.kinematic_errors, sides)[0]
     T_cam_tool = inverse_pose(state.T_tcp_cam) @ state.T_tcp_tool
     T_cam_ooi = inverse_pose(T_base_tcp @ state.T_tcp_cam) @ state.T_base_ooi
     tool, ooi = pose_difference(look.T_cam_tool, T_cam_tool), pose_difference(look.T_cam_ooi, T_cam_ooi)
-    return np.concatenate([tool, ooi]) + sensitivity @ state.lens
+    return np.concatenate([tool, ooi]) + sensitivity @ state.lens_corrections
 
 
 def look_covariance(model: ErrorModel, state: JointState, look: LookAt, noise: NoiseModel) -> Array:
@@ -175,5 +175,5 @@ def _sigma_joints(model: ErrorModel, look: LookAt, noise: NoiseModel) -> Array:
     Model:   a joint on side s of its play w may still be anywhere within (1 - |s|) w / 2 of there, evenly.
     """
     rest = np.resize(np.array(noise.sigma_joint_rad), model.n_joints)
-    side = np.zeros(model.n_joints) if look.side is None else look.side
-    return np.hypot(rest, (1.0 - np.abs(side)) * 0.5 * play_widths(model, model.mean) / np.sqrt(3.0))
+    side = np.zeros(model.n_joints) if look.backlash_sides is None else look.backlash_sides
+    return np.hypot(rest, (1.0 - np.abs(side)) * 0.5 * play_widths(model, model.prior_mean) / np.sqrt(3.0))

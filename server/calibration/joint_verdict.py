@@ -14,11 +14,11 @@ from scipy.special import chdtri
 from server.calibration.contracts import Array, CalibrationStatus
 from server.calibration.joint_lens import N_LENS
 
-SURE = 0.999  # a sound look in a thousand is refused by chance
+CHI2_CONFIDENCE = 0.999  # a sound look in a thousand is refused by chance
 LOOK_FREEDOMS, OOI_FREEDOMS = 12, 6  # of the looks together, as many go into where the OOI is
 RUN_MISFIT_MAX = 2.0  # scatter is renewed until right within a third, so twice is neither that nor chance
-MOUNT_SURE = 0.9999  # with a prior of 3 deg per axis: 14 deg from the machine file
-SEEING_FREEDOMS = 2 + N_LENS  # scale, clock, lens and prints
+PRIOR_CHI2_CONFIDENCE = 0.9999  # with a prior of 3 deg per axis: 14 deg from the machine file
+CAMERA_PARAMETERS_DOF = 2 + N_LENS  # scale, clock, lens and prints
 OUTLIERS_MAX_FRAC = 0.4
 
 
@@ -46,7 +46,7 @@ class FitResiduals:
     def worst_mean_square(self) -> float:
         """The worst of all mean squares, about 1 or less where everything agrees."""
         freedoms = max(1, LOOK_FREEDOMS * len(self.look_chi2) - OOI_FREEDOMS)
-        looks, seeing = sum(self.look_chi2) / freedoms, self.seeing_chi2 / SEEING_FREEDOMS
+        looks, seeing = sum(self.look_chi2) / freedoms, self.seeing_chi2 / CAMERA_PARAMETERS_DOF
         return float(max(looks, seeing, *self.run_position, *self.run_turn, *self.run_spread, 0.0))
 
 
@@ -98,7 +98,7 @@ def _run_misfit_reason(fitted: FitResiduals) -> str:
 
 
 def _mount_misfit_reason(fitted: FitResiduals) -> str:
-    limit = float(chdtri(3, 1.0 - MOUNT_SURE))
+    limit = float(chdtri(3, 1.0 - PRIOR_CHI2_CONFIDENCE))
     if fitted.mount_chi2 <= limit:
         return ""
     return (
@@ -108,7 +108,7 @@ def _mount_misfit_reason(fitted: FitResiduals) -> str:
 
 
 def _camera_misfit_reason(fitted: FitResiduals) -> str:
-    limit = float(chdtri(SEEING_FREEDOMS, 1.0 - MOUNT_SURE))
+    limit = float(chdtri(CAMERA_PARAMETERS_DOF, 1.0 - PRIOR_CHI2_CONFIDENCE))
     if fitted.seeing_chi2 <= limit:
         return ""
     return (
@@ -118,4 +118,4 @@ def _camera_misfit_reason(fitted: FitResiduals) -> str:
 
 
 def _chi2_bound(freedoms: int) -> float:
-    return float(chdtri(freedoms, 1.0 - SURE))
+    return float(chdtri(freedoms, 1.0 - CHI2_CONFIDENCE))

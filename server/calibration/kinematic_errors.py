@@ -74,30 +74,30 @@ class ErrorModel:
     kinds, joints (p,): what each parameter is. mean, sigma (p,): prior. steps (p,): for numerical derivatives.
     """
 
-    a: Array
-    d: Array
-    alpha: Array
+    dh_a_m: Array
+    dh_d_m: Array
+    dh_alpha_rad: Array
     theta_offset: Array
     mass_kg: Array
     com_m: Array
     gravity_base: Array
     T_flange_tcp: Array
-    kinds: Integers
-    joints: Integers
-    mean: Array
-    sigma: Array
-    steps: Array
-    names: tuple[str, ...] = field(default=())
+    parameter_kinds: Integers
+    parameter_joints: Integers
+    prior_mean: Array
+    prior_sigma: Array
+    derivative_steps: Array
+    parameter_names: tuple[str, ...] = field(default=())
 
     @property
     def n_joints(self) -> int:
         """Joints of the chain."""
-        return len(self.a)
+        return len(self.dh_a_m)
 
     @property
     def n(self) -> int:
         """Parameters that may be off."""
-        return len(self.mean)
+        return len(self.prior_mean)
 
 
 def error_model(machine: Machine, prior: ErrorPrior | None = None) -> ErrorModel:
@@ -126,20 +126,20 @@ def error_model(machine: Machine, prior: ErrorPrior | None = None) -> ErrorModel
     kept = [row for row in rows if row[3] > 0.0]
     chain = chain_of(machine)
     return ErrorModel(
-        a=chain.a,
-        d=chain.d,
-        alpha=chain.alpha,
+        dh_a_m=chain.dh_a_m,
+        dh_d_m=chain.dh_d_m,
+        dh_alpha_rad=chain.dh_alpha_rad,
         theta_offset=chain.theta_offset,
         mass_kg=np.array([joint.mass_kg for joint in machine.joints]),
         com_m=np.array([joint.com_m for joint in machine.joints]),
         gravity_base=np.asarray(machine.gravity_base_m_s2, dtype=float),
         T_flange_tcp=chain.T_flange_tcp,
-        kinds=np.array([row[0] for row in kept], dtype=np.int64),
-        joints=np.array([row[1] for row in kept], dtype=np.int64),
-        mean=np.array([row[2] for row in kept]),
-        sigma=np.array([row[3] for row in kept]),
-        steps=np.array([_STEPS[row[0]] for row in kept]),
-        names=tuple(f"{machine.joints[row[1]].name} {row[0].name.lower()}" for row in kept),
+        parameter_kinds=np.array([row[0] for row in kept], dtype=np.int64),
+        parameter_joints=np.array([row[1] for row in kept], dtype=np.int64),
+        prior_mean=np.array([row[2] for row in kept]),
+        prior_sigma=np.array([row[3] for row in kept]),
+        derivative_steps=np.array([_STEPS[row[0]] for row in kept]),
+        parameter_names=tuple(f"{machine.joints[row[1]].name} {row[0].name.lower()}" for row in kept),
     )
 
 
@@ -241,8 +241,8 @@ def _tcp_poses_with_errors(
 def play_widths(model: ErrorModel, values: Array) -> Array:
     """Width of each joint's play (n,) [rad]."""
     widths = np.zeros(model.n_joints)
-    chosen = model.kinds == ErrorKind.PLAY
-    widths[model.joints[chosen]] = values[chosen]
+    chosen = model.parameter_kinds == ErrorKind.PLAY
+    widths[model.parameter_joints[chosen]] = values[chosen]
     return widths
 
 
@@ -258,16 +258,16 @@ def tcp_poses_with_errors(model: ErrorModel, qs: Array, values: Array, sides: Ar
     """
     turned = qs if sides is None else qs - 0.5 * sides * play_widths(model, values)
     return _tcp_poses_with_errors(
-        model.a,
-        model.d,
-        model.alpha,
+        model.dh_a_m,
+        model.dh_d_m,
+        model.dh_alpha_rad,
         model.theta_offset,
         model.mass_kg,
         model.com_m,
         model.gravity_base,
         model.T_flange_tcp,
-        model.kinds,
-        model.joints,
+        model.parameter_kinds,
+        model.parameter_joints,
         np.ascontiguousarray(values, dtype=np.float64),
         np.ascontiguousarray(turned, dtype=np.float64),
     )

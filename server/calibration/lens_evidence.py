@@ -14,8 +14,8 @@ from machine.poses import transform_points
 from server.calibration.contracts import Array
 from server.calibration.joint_lens import (
     FOCAL,
-    FOCAL_GOOD_FRAC,
-    FOCAL_SIGMAS,
+    FOCAL_DOUBT_SIGMAS,
+    FOCAL_SIGMA_GOOD_FRAC,
     N_LENS,
     OOI_PRINT,
     TOOL_PRINT,
@@ -36,7 +36,7 @@ class LensEvidence:
     """Information (7, 7) on the lens unknowns and information times their values (7,)."""
 
     information: Array
-    vector: Array
+    information_vector: Array
 
 
 def lens_evidence(
@@ -55,7 +55,7 @@ def lens_evidence(
         markers = [marker for marker in own if marker.marker_id in corners_px]
         if markers:
             found = _of_object(machine, markers, T, printed, corners_px, prior)
-            information, vector = information + found.information, vector + found.vector
+            information, vector = information + found.information, vector + found.information_vector
     return LensEvidence(information, vector)
 
 
@@ -90,7 +90,7 @@ def mean_evidence(found: Sequence[LensEvidence]) -> LensEvidence:
     if not found:
         return LensEvidence(np.zeros((N_LENS, N_LENS)), np.zeros(N_LENS))
     information = np.mean([look.information for look in found], axis=0)
-    return LensEvidence(information, np.mean([look.vector for look in found], axis=0))
+    return LensEvidence(information, np.mean([look.information_vector for look in found], axis=0))
 
 
 def lens_doubts(lens: Array, covariance: Array, prior: LensPrior) -> list[str]:
@@ -108,8 +108,8 @@ def lens_doubts(lens: Array, covariance: Array, prior: LensPrior) -> list[str]:
     ):
         chance = np.sqrt(max(believed[index] ** 2 - sigma[index] ** 2, 1e-18))
         if index == FOCAL:
-            chance = float(np.hypot(sigma[index], FOCAL_GOOD_FRAC))
-        if abs(lens[index]) > FOCAL_SIGMAS * chance:
+            chance = float(np.hypot(sigma[index], FOCAL_SIGMA_GOOD_FRAC))
+        if abs(lens[index]) > FOCAL_DOUBT_SIGMAS * chance:
             off, known = 100.0 * lens[index], 100.0 * sigma[index]
             found.append(f"{name} {off:+.2f} +- {known:.2f} % against the file: {remedy}")
     return found

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from server.calibration.contracts import Array
 
-LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
-RIG = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
+LENS_PARAMETER_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
+RIG_PARAMETER_NAMES = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
 CORNERS_MIN = 8  # of one view in one eye
 VIEWS_MIN = 6
 ITERATIONS_MAX = 60
-OUTLIER_RMS = 4.0  # times the median view's: the board was bent, blurred or taken for another
+OUTLIER_RMS_FACTOR = 4.0  # times the median view's: the board was bent, blurred or taken for another
 
 
 class LensFitError(ValueError):
@@ -27,7 +27,7 @@ class BoardView:
     """One picture of the board: for each eye, points (n, 3) [m, board] and corners (n, 2) [px]; None if not seen."""
 
     name: str
-    eyes: tuple[tuple[Array, Array] | None, ...]
+    eye_correspondences: tuple[tuple[Array, Array] | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,25 +39,29 @@ class LensFit:
     """
 
     size_px: tuple[int, int]
-    lenses: Array
-    rig: Array | None
+    lens_parameters: Array
+    rig_parameters: Array | None
     covariance: Array
     rms_px: float
     view_rms_px: Array
-    used: tuple[str, ...]
-    dropped: tuple[tuple[str, str], ...]
-    boards: Array
+    used_views: tuple[str, ...]
+    dropped_views: tuple[tuple[str, str], ...]
+    board_poses: Array
 
     @property
     def covariance_names(self) -> tuple[str, ...]:
         """What each row of the covariance is."""
-        eyes = ("left", "right") if len(self.lenses) == 2 else ("lens",)
-        return tuple(f"{eye}.{name}" for eye in eyes for name in LENS) + (() if self.rig is None else RIG)
+        eyes = ("left", "right") if len(self.lens_parameters) == 2 else ("lens",)
+        return tuple(f"{eye}.{name}" for eye in eyes for name in LENS_PARAMETER_NAMES) + (
+            () if self.rig_parameters is None else RIG_PARAMETER_NAMES
+        )
 
     @property
     def values(self) -> Array:
         """The numbers that `names` names."""
-        return np.concatenate([self.lenses.ravel(), *([] if self.rig is None else [self.rig])])
+        return np.concatenate(
+            [self.lens_parameters.ravel(), *([] if self.rig_parameters is None else [self.rig_parameters])]
+        )
 
 
 def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
@@ -72,24 +76,24 @@ def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
     usable = [view for view in views if _has_visible_board(view) and _is_whole(view)]
     dropped = [(view.name, f"fewer than {CORNERS_MIN} corners in an eye") for view in views if view not in usable]
     fitted = _fit_lens(usable, size_px)
-    outlying = fitted.view_rms_px > OUTLIER_RMS * np.median(fitted.view_rms_px)
+    outlying = fitted.view_rms_px > OUTLIER_RMS_FACTOR * np.median(fitted.view_rms_px)
     if outlying.any():
-        limit = f"its rms is beyond {OUTLIER_RMS:g} times the median's"
+        limit = f"its rms is beyond {OUTLIER_RMS_FACTOR:g} times the median's"
         dropped += [
             (view.name, f"{rms:.2f} px: {limit}")
             for view, rms, off in zip(usable, fitted.view_rms_px, outlying, strict=True)
             if off
         ]
         fitted = _fit_lens([view for view, off in zip(usable, outlying, strict=True) if not off], size_px)
-    return replace(fitted, dropped=tuple(dropped))
+    return replace(fitted, dropped_views=tuple(dropped))
 
 
 def _has_visible_board(view: BoardView) -> bool:
-    return any(eye is not None for eye in view.eyes)
+    return any(eye is not None for eye in view.eye_correspondences)
 
 
 def _is_whole(view: BoardView) -> bool:
-    return all(eye is not None and len(eye[0]) >= CORNERS_MIN for eye in view.eyes)
+    return all(eye is not None and len(eye[0]) >= CORNERS_MIN for eye in view.eye_correspondences)
 
 
 def _fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
@@ -125,10 +129,13 @@ class _Problem:
 
     def __init__(self, views: Sequence[BoardView]) -> None:
         self._views = views
-        self._eyes = len(views[0].eyes)
+        self._eyes = len(views[0].eye_correspondences)
         self._fixed = 9 * self._eyes + (6 if self._eyes == 2 else 0)
         self._data = [
-            [(np.ascontiguousarray(points), np.ascontiguousarray(px)) for points, px in (e for e in view.eyes if e)]
+            [
+                (np.ascontiguousarray(points), np.ascontiguousarray(px))
+                for points, px in (e for e in view.eye_correspondences if e)
+            ]
             for view in views
         ]
 
@@ -190,14 +197,14 @@ class _Problem:
         rms = [float(np.sqrt(np.mean(residuals[first:end] ** 2))) for first, end in pairwise(ends)]
         return LensFit(
             size_px=size_px,
-            lenses=x[: 9 * self._eyes].reshape(self._eyes, 9),
-            rig=x[9 * self._eyes : self._fixed] if self._eyes == 2 else None,
+            lens_parameters=x[: 9 * self._eyes].reshape(self._eyes, 9),
+            rig_parameters=x[9 * self._eyes : self._fixed] if self._eyes == 2 else None,
             covariance=covariance[: self._fixed, : self._fixed],
             rms_px=float(np.sqrt(np.mean(residuals**2))),
             view_rms_px=np.array(rms),
-            used=tuple(view.name for view in self._views),
-            dropped=(),
-            boards=x[self._fixed :].reshape(-1, 6),
+            used_views=tuple(view.name for view in self._views),
+            dropped_views=(),
+            board_poses=x[self._fixed :].reshape(-1, 6),
         )
 
 
@@ -211,29 +218,29 @@ def _inverse_pose_vectors(pose: Array) -> tuple[Array, Array]:
 
 
 COLUMNS, ROWS = 8, 6
-TILT_MIN_DEG = 20.0
-TILTED_MIN = 3  # views tilted that far to each of four sides
-RANGE_MIN = 1.6  # farthest over nearest
+BOARD_TILT_MIN_DEG = 20.0
+TILTED_VIEWS_MIN = 3  # views tilted that far to each of four sides
+DISTANCE_RATIO_MIN = 1.6  # farthest over nearest
 FOCAL_SIGMA_MAX_FRAC = 1e-3
-VIEWS_GOOD = 15
-CELLS = ("left", "middle", "right"), ("top", "middle", "bottom")
+VIEWS_RECOMMENDED = 15
+IMAGE_REGION_NAMES = ("left", "middle", "right"), ("top", "middle", "bottom")
 
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
     """Corners in each part of each eye's picture (eyes, ROWS, COLUMNS), and what to photograph next."""
 
-    corners: NDArray[np.int64]
+    corner_counts: NDArray[np.int64]
     advice: tuple[str, ...]
 
 
 def coverage_of(views: list[BoardView], fit: LensFit) -> Coverage:
     """The coverage of the used views. Args: views: all of them; those that the fit dropped do not count."""
-    used = [view for view in views if view.name in set(fit.used)]
+    used = [view for view in views if view.name in set(fit.used_views)]
     width, height = fit.size_px
-    counts = np.zeros((len(fit.lenses), ROWS, COLUMNS), dtype=np.int64)
+    counts = np.zeros((len(fit.lens_parameters), ROWS, COLUMNS), dtype=np.int64)
     for view in used:
-        for eye, seen in enumerate(view.eyes):
+        for eye, seen in enumerate(view.eye_correspondences):
             if seen is not None:
                 u = np.clip((seen[1][:, 0] / width * COLUMNS).astype(int), 0, COLUMNS - 1)
                 v = np.clip((seen[1][:, 1] / height * ROWS).astype(int), 0, ROWS - 1)
@@ -247,31 +254,32 @@ def _view_coverage_advice(counts: NDArray[np.int64], fit: LensFit) -> list[str]:
     if empty.any():
         places = sorted({_image_region_name(row, column) for row, column in np.argwhere(empty)})
         out.append(f"hold the board into the {', '.join(places)} of the picture: no corner was seen there")
-    tilts = np.array([_tilt_deg(board) for board in fit.boards])
+    tilts = np.array([_tilt_deg(board) for board in fit.board_poses])
     for axis, sides in ((0, ("its top", "its bottom")), (1, ("its left side", "its right side"))):
         for sign, side in zip((1.0, -1.0), sides, strict=True):
-            count = int(np.sum(sign * tilts[:, axis] > TILT_MIN_DEG))
-            if count < TILTED_MIN:
+            count = int(np.sum(sign * tilts[:, axis] > BOARD_TILT_MIN_DEG))
+            if count < TILTED_VIEWS_MIN:
                 out.append(
-                    f"tilt the board by 30 to 45 deg with {side} away from the camera: {count} of {TILTED_MIN} views"
+                    f"tilt the board by 30 to 45 deg with {side} away from the camera: {count} of {TILTED_VIEWS_MIN} "
+                    "views"
                 )
-    distances = np.linalg.norm(fit.boards[:, 3:], axis=1)
-    if distances.max() < RANGE_MIN * distances.min():
+    distances = np.linalg.norm(fit.board_poses[:, 3:], axis=1)
+    if distances.max() < DISTANCE_RATIO_MIN * distances.min():
         near, far = 1e3 * distances.min(), 1e3 * distances.max()
         out.append(f"go nearer and farther: all views lie between {near:.0f} and {far:.0f} mm")
-    sigma = float(np.sqrt(fit.covariance[0, 0]) / fit.lenses[0, 0])
+    sigma = float(np.sqrt(fit.covariance[0, 0]) / fit.lens_parameters[0, 0])
     if sigma > FOCAL_SIGMA_MAX_FRAC and not out:
         out.append(
             f"more views: the focal length is known to {100 * sigma:.2f} %, {100 * FOCAL_SIGMA_MAX_FRAC:.1f} % is good"
         )
-    if len(fit.used) < VIEWS_GOOD:
-        out.append(f"{len(fit.used)} views are used, {VIEWS_GOOD} are good")
+    if len(fit.used_views) < VIEWS_RECOMMENDED:
+        out.append(f"{len(fit.used_views)} views are used, {VIEWS_RECOMMENDED} are good")
     return out
 
 
 def _image_region_name(row: int, column: int) -> str:
-    across = CELLS[0][0 if column < 3 else 2 if column > 4 else 1]
-    down = CELLS[1][0 if row < 2 else 2 if row > 3 else 1]
+    across = IMAGE_REGION_NAMES[0][0 if column < 3 else 2 if column > 4 else 1]
+    down = IMAGE_REGION_NAMES[1][0 if row < 2 else 2 if row > 3 else 1]
     return "middle" if across == down == "middle" else f"{down} {across}".replace("middle ", "").replace(" middle", "")
 
 

@@ -11,9 +11,9 @@ from server.calibration.contracts import Array, CalibrationStatus
 
 Mask = NDArray[np.bool_]
 
-METHOD = "line_equation"
-RADIUS_M = 0.2
-POINTS = 18
+METHOD_NAME = "line_equation"
+CIRCLE_RADIUS_M = 0.2
+CIRCLE_POINTS = 18
 _POINTS_MIN = 4
 _AWAY_FROM_CENTRE = 0.5  # of the radius: the nearest point must lie on the circle, or eq. 15 has no direction
 _FLAT_M = 0.01  # distances that differ by less than this around the circle have no minimum
@@ -33,7 +33,7 @@ class LineReference:
     T_base_tcp_ref: Array | None
     direction_base: Array | None
     distance_min_m: float
-    nearest: int
+    nearest_index: int
     residuals_m: Array
 
     @property
@@ -44,7 +44,7 @@ class LineReference:
 
 
 def circle_points(
-    T_base_tcp: Array, radius_m: float = RADIUS_M, n_points: int = POINTS, start_rad: float = 0.0
+    T_base_tcp: Array, radius_m: float = CIRCLE_RADIUS_M, n_points: int = CIRCLE_POINTS, start_rad: float = 0.0
 ) -> Array:
     """The circular path's points in base: centre, once around, centre.
 
@@ -72,7 +72,7 @@ def image_distance(p_cam_tool: Array, p_cam_ooi: Array) -> float:
 
 
 def line_reference(
-    T_base_tcp_init: Array, points_base: Array, distances_m: Array, radius_m: float = RADIUS_M
+    T_base_tcp_init: Array, points_base: Array, distances_m: Array, radius_m: float = CIRCLE_RADIUS_M
 ) -> LineReference:
     """Reference pose of the TCP by the minimum distance seen on the circle: orientation held, depth untouched.
 

@@ -13,7 +13,7 @@ from server.calibration.checks import CalibrationInputError, require_pose, requi
 from server.calibration.chords import positions_at
 from server.calibration.contracts import Array, CalibrationStatus, EncoderTrack
 
-METHOD = "line_fit"
+METHOD_NAME = "line_fit"
 _ROUNDS = 15
 _MAD_TO_SIGMA_2D = 1.0 / 1.1774  # median of a Rayleigh distribution
 _SIGMA_FLOOR_M = 1e-5
@@ -59,15 +59,15 @@ class LineFit:
 class _SeenDrivenSamples:
     """Seen vectors m and driven positions, turned into the nominal image axes, both (k, 2) [m]."""
 
-    seen: Array
-    driven: Array
+    seen_vectors_m: Array
+    driven_positions_m: Array
 
 
 @dataclass(frozen=True, slots=True)
 class _Similarity:
     """m = m0 - driven turned by `angle_rad` and scaled; residuals (k, 2), their robust one-axis sigma."""
 
-    m0: Array
+    translation_m: Array
     angle_rad: float
     scale: float
     weights: Array = field(repr=False)
@@ -108,7 +108,7 @@ def fit_line(
     if poor is not None:
         return _refused_fit(*poor, len(points))
     covariance, sigma_turn = _goal_covariance(samples, fit, limits)
-    goal_view = _rotated_plane_vectors(fit.m0[None], -fit.angle_rad)[0] / fit.scale
+    goal_view = _rotated_plane_vectors(fit.translation_m[None], -fit.angle_rad)[0] / fit.scale
     A_inverse = np.linalg.inv(A)
     goal = A_inverse @ goal_view
     residuals, weights = np.full((len(points), 2), np.nan), np.zeros(len(points))
@@ -145,11 +145,11 @@ def _require_samples(points_base: Array, vectors_m: Array) -> tuple[Array, Array
 
 
 def _too_little(samples: _SeenDrivenSamples, limits: LineFitSettings) -> tuple[CalibrationStatus, str] | None:
-    n = len(samples.seen)
+    n = len(samples.seen_vectors_m)
     if n < limits.samples_min:
         text = f"OOI and tool seen together in {n} samples, at least {limits.samples_min} needed"
         return CalibrationStatus.TOO_FEW, f"{text}; keep both in view"
-    centred = samples.driven - samples.driven.mean(axis=0)
+    centred = samples.driven_positions_m - samples.driven_positions_m.mean(axis=0)
     spread = float(np.linalg.svd(centred, compute_uv=False)[-1] / np.sqrt(n))
     if spread < limits.spread_min_m:
         text = (
@@ -161,7 +161,7 @@ def _too_little(samples: _SeenDrivenSamples, limits: LineFitSettings) -> tuple[C
 
 def _robust_similarity(samples: _SeenDrivenSamples, sigma_scale: float) -> _Similarity:
     """Reweighted least squares; weights 1 / (1 + (|r| / 2 sigma)^2)^2 after a plain start."""
-    weights = np.ones(len(samples.seen))
+    weights = np.ones(len(samples.seen_vectors_m))
     sigma = np.inf
     fit = _weighted_fit(samples, weights, 1.0, sigma_scale)
     for _ in range(_ROUNDS):
@@ -175,15 +175,15 @@ def _robust_similarity(samples: _SeenDrivenSamples, sigma_scale: float) -> _Simi
 def _weighted_fit(samples: _SeenDrivenSamples, weights: Array, sigma_m: float, sigma_scale: float) -> _Similarity:
     """2-D Kabsch in closed form, the scale drawn to 1."""
     share = weights / weights.sum()
-    mean_seen, mean_driven = share @ samples.seen, share @ samples.driven
-    a, b = samples.seen - mean_seen, -(samples.driven - mean_driven)
+    mean_seen, mean_driven = share @ samples.seen_vectors_m, share @ samples.driven_positions_m
+    a, b = samples.seen_vectors_m - mean_seen, -(samples.driven_positions_m - mean_driven)
     along = float(weights @ np.sum(a * b, axis=1))
     across = float(weights @ (b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]))
     angle = float(np.arctan2(across, along))
     prior = sigma_m**2 / sigma_scale**2
     scale = (np.hypot(along, across) + prior) / (float(weights @ np.sum(b**2, axis=1)) + prior)
     m0 = mean_seen + scale * _rotated_plane_vectors(mean_driven[None], angle)[0]
-    residuals = samples.seen - m0 + scale * _rotated_plane_vectors(samples.driven, angle)
+    residuals = samples.seen_vectors_m - m0 + scale * _rotated_plane_vectors(samples.driven_positions_m, angle)
     return _Similarity(m0, angle, float(scale), weights, residuals, sigma_m)
 
 
@@ -218,7 +218,7 @@ def _goal_covariance(samples: _SeenDrivenSamples, fit: _Similarity, limits: Line
     Model:   normal equations of (m0, angle, scale) with the robust weights, carried to c = Rot(-angle) m0 / scale;
              plus the model's angle times the way, and a floor.
     """
-    turned = _rotated_plane_vectors(samples.driven, fit.angle_rad)
+    turned = _rotated_plane_vectors(samples.driven_positions_m, fit.angle_rad)
     J = np.zeros((len(turned), 2, 4))
     J[:, :, :2] = np.eye(2)
     J[:, :, 2] = -fit.scale * np.column_stack((-turned[:, 1], turned[:, 0]))
@@ -226,7 +226,7 @@ def _goal_covariance(samples: _SeenDrivenSamples, fit: _Similarity, limits: Line
     information = np.einsum("k,kia,kib->ab", fit.weights, J, J) / fit.sigma_m**2
     information[3, 3] += 1.0 / limits.sigma_scale_frac**2
     P = np.linalg.inv(information)
-    goal = _rotated_plane_vectors(fit.m0[None], -fit.angle_rad)[0] / fit.scale
+    goal = _rotated_plane_vectors(fit.translation_m[None], -fit.angle_rad)[0] / fit.scale
     normal = np.array([-goal[1], goal[0]])
     back = _rotated_plane_vectors(np.eye(2), -fit.angle_rad).T / fit.scale
     G = np.column_stack((back, -normal, -goal / fit.scale))
@@ -248,7 +248,7 @@ class TimedLineFit:
 
     fit: LineFit
     time_offset_s: float
-    observable: bool
+    offset_observable: bool
 
 
 def fit_line_moving(
@@ -285,10 +285,10 @@ def fit_line_moving(
     grid = step_s * np.arange(-reach, reach + 1, dtype=np.float64)
     offset = _best_offset(grid, [fit_at(float(tau)) for tau in grid], contrast_min)
     if offset is None:
-        return TimedLineFit(fit_at(0.0), 0.0, observable=False)
+        return TimedLineFit(fit_at(0.0), 0.0, offset_observable=False)
     if abs(offset) > bound_s + 0.5 * step_s:
-        return TimedLineFit(_refuse_clock_offset(fit_at(offset), bound_s), 0.0, observable=False)
-    return TimedLineFit(fit_at(offset), offset, observable=True)
+        return TimedLineFit(_refuse_clock_offset(fit_at(offset), bound_s), 0.0, offset_observable=False)
+    return TimedLineFit(fit_at(offset), offset, offset_observable=True)
 
 
 def _refuse_clock_offset(fit: LineFit, bound_s: float) -> LineFit:

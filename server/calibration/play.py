@@ -8,7 +8,7 @@ import numpy as np
 
 from server.calibration.contracts import Array
 
-UNKNOWN = 0.0
+UNKNOWN_BACKLASH_SIDE = 0.0
 
 
 def play_sides(qs: Array, widths_rad: Array, start: Array) -> Array:
@@ -40,7 +40,7 @@ class PlayFollower:
     def __init__(self, widths_rad: Array, gap_max_s: float = 0.25) -> None:
         widths, self._gap_max_s = np.array(widths_rad, dtype=np.float64), gap_max_s
         self._nothing_known, self._per_rad = (
-            _play_side_bounds(np.full(len(widths), UNKNOWN), widths),
+            _play_side_bounds(np.full(len(widths), UNKNOWN_BACKLASH_SIDE), widths),
             _side_change_per_rad(widths),
         )
         self._bounds = self._nothing_known

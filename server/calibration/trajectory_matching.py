@@ -42,9 +42,9 @@ from server.calibration.trajectory_matching_refusals import (
 class FusedRotation:
     """The joined rotation and how well the two agreed: `chi2` of their difference, 3 degrees of freedom."""
 
-    mount: MountRotation
+    mount_rotation: MountRotation
     chi2: float
-    inflated: bool
+    covariance_inflated: bool
 
 
 def prior_from_tool_marker(R_tcp_tool: Array, R_cam_tool: Array, sigma_rad: float) -> MountRotation:
@@ -77,8 +77,8 @@ def fuse_rotations(data: MountRotation, prior: MountRotation, chi2_max: float = 
     return FusedRotation(MountRotation(R, P * (chi2 / 3.0) if inflated else P), chi2, inflated)
 
 
-METHOD = "chords"
-DEFAULT_SETTINGS = MatchingSettings()
+METHOD_NAME = "chords"
+DEFAULT_MATCHING_SETTINGS = MatchingSettings()
 _VELOCITY_SPAN_S = 0.02
 
 
@@ -102,7 +102,7 @@ def estimate_camera_rotation(
     encoder: EncoderTrack,
     T_tcp_cam_nominal: Array,
     prior: MountRotation | None = None,
-    settings: MatchingSettings = DEFAULT_SETTINGS,
+    settings: MatchingSettings = DEFAULT_MATCHING_SETTINGS,
 ) -> CameraRotationEstimate:
     """The camera's rotation against the TCP, as the machine's own motion shows it here and now.
 
@@ -124,13 +124,13 @@ def estimate_camera_rotation(
         require_covariance(prior.covariance, 3, "prior.covariance")
     refusal = time_refusal(camera.t_s, "camera track") or time_refusal(encoder.t_s, "encoder track")
     if refusal is not None:
-        return refusal.estimate(METHOD, 0.0)
+        return refusal.estimate(METHOD_NAME, 0.0)
     tracks = _prepare_tracks(camera, encoder, T_tcp_cam)
     points = _points_at(tracks, 0.0) if len(tracks.t_enc_s) else np.zeros((0, 3))
     length = float(arc_lengths(points)[-1]) if len(points) else 0.0
     refusal = path_refusal(len(tracks.t_cam_s), len(tracks.t_enc_s), points, settings)
     found = refusal or _match_tracks(tracks, T_tcp_cam[:3, :3], prior, settings)
-    return found.estimate(METHOD, length) if isinstance(found, Refusal) else found
+    return found.estimate(METHOD_NAME, length) if isinstance(found, Refusal) else found
 
 
 def _prepare_tracks(camera: CameraTrack, encoder: EncoderTrack, T_tcp_cam: Array) -> _TrackPair:
@@ -184,7 +184,7 @@ def _match_tracks(
         return refusal
     if float(np.sqrt(fit.covariance[4, 4])) > settings.time_offset_sigma_max_s:
         notes = [*notes, "time offset not observable on this path"]
-    method = METHOD if prior is None else f"{METHOD}+tool_marker"
+    method = METHOD_NAME if prior is None else f"{METHOD_NAME}+tool_marker"
     return _build_estimate(tracks, fit, pairs, seen, mount, method, "; ".join(notes))
 
 
@@ -192,8 +192,8 @@ def _overlapping_samples(tracks: _TrackPair, offset_s: float, pairs: ChordPairs)
     """The samples whose shifted time still lies inside the encoder track, and the chords between them."""
     t = tracks.t_cam_s + offset_s
     inside = (t >= tracks.t_enc_s[0]) & (t <= tracks.t_enc_s[-1])
-    keep, number = inside[pairs.first] & inside[pairs.last], np.cumsum(inside) - 1
-    kept = ChordPairs(number[pairs.first[keep]], number[pairs.last[keep]])
+    keep, number = inside[pairs.start_indices] & inside[pairs.end_indices], np.cumsum(inside) - 1
+    kept = ChordPairs(number[pairs.start_indices[keep]], number[pairs.end_indices[keep]])
     return replace(tracks, t_cam_s=tracks.t_cam_s[inside], Ts_vo_cam=tracks.Ts_vo_cam[inside]), kept
 
 
@@ -212,7 +212,7 @@ def _build_estimate(
     notes: str,
 ) -> CameraRotationEstimate:
     points = _points_at(tracks, fit.offset_s)
-    both_kept = fit.kept[pairs.first] & fit.kept[pairs.last]
+    both_kept = fit.inliers[pairs.start_indices] & fit.inliers[pairs.end_indices]
     misses = chord_vectors(points - fit.scale * tracks.points_vo @ fit.R_base_vo.T, pairs)
     norms_mm = 1e3 * np.linalg.norm(misses, axis=1)
     return CameraRotationEstimate(
@@ -224,7 +224,7 @@ def _build_estimate(
         time_offset_s=fit.offset_s,
         residual_rms_mm=float(np.sqrt(np.mean(norms_mm[both_kept] ** 2))) if both_kept.any() else float("nan"),
         residual_max_mm=float(norms_mm.max()),
-        n_used=int(fit.kept.sum()),
+        n_used=int(fit.inliers.sum()),
         observability=seen,
         path_length_m=float(arc_lengths(points)[-1]),
     )
@@ -247,4 +247,4 @@ def _fuse_with_prior(data: MountRotation, prior: MountRotation | None) -> tuple[
         return data, []
     fused = fuse_rotations(data, prior)
     note = f"odometry and tool marker disagree (chi2 {fused.chi2:.0f} of 16.3), covariance inflated; check the marker"
-    return fused.mount, [note] if fused.inflated else []
+    return fused.mount_rotation, [note] if fused.covariance_inflated else []

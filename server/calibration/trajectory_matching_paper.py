@@ -16,8 +16,8 @@ from server.calibration.contracts import (
 from server.calibration.hybrid_mixture import MixtureMatch, MixtureSettings, register_poses
 from server.calibration.trajectory_matching_refusals import Refusal, time_refusal, usable_poses
 
-METHOD = "paper"
-DEFAULT_SETTINGS = MixtureSettings()
+METHOD_NAME = "paper"
+DEFAULT_MIXTURE_SETTINGS = MixtureSettings()
 _POSES_MAX = 100
 _PATH_LENGTH_MIN_M = 0.15
 _OBSERVABILITY_MIN = 0.001  # the paper's own path, nearly a line, has 0.008
@@ -35,7 +35,7 @@ def estimate_camera_rotation_paper(
     camera: CameraTrack,
     encoder: EncoderTrack,
     R_tcp_cam_assumed: Array,
-    settings: MixtureSettings = DEFAULT_SETTINGS,
+    settings: MixtureSettings = DEFAULT_MIXTURE_SETTINGS,
 ) -> CameraRotationEstimate:
     """The camera's rotation against the TCP by the paper's point set matching: no time offset, no lever arm.
 
@@ -54,18 +54,18 @@ def estimate_camera_rotation_paper(
     R_assumed = require_rotation(R_tcp_cam_assumed, "R_tcp_cam_assumed")
     wrong_time = time_refusal(camera.t_s, "camera track") or time_refusal(encoder.t_s, "encoder track")
     if wrong_time is not None:
-        return wrong_time.estimate(METHOD, 0.0)
+        return wrong_time.estimate(METHOD_NAME, 0.0)
     Ts_vo, Ts_tcp = _thin_poses(camera.Ts_vo_cam), _thin_poses(encoder.Ts_base_tcp)
     length = float(arc_lengths(Ts_tcp[:, :3, 3])[-1]) if len(Ts_tcp) > 1 else 0.0
     if min(len(Ts_vo), len(Ts_tcp)) < 12:
         counts = f"{len(Ts_vo)} camera and {len(Ts_tcp)} encoder poses, at least 12 of each are needed"
-        return Refusal(CalibrationStatus.TOO_FEW, f"{counts}; record both streams").estimate(METHOD, length)
+        return Refusal(CalibrationStatus.TOO_FEW, f"{counts}; record both streams").estimate(METHOD_NAME, length)
     if length < _PATH_LENGTH_MIN_M:
         text = f"path of {1e3 * length:.0f} mm, at least {1e3 * _PATH_LENGTH_MIN_M:.0f} mm needed; run a longer path"
-        return Refusal(CalibrationStatus.DEGENERATE, text).estimate(METHOD, length)
+        return Refusal(CalibrationStatus.DEGENERATE, text).estimate(METHOD_NAME, length)
     refusal = _shape_refusal(Ts_vo[:, :3, 3], Ts_tcp[:, :3, 3])
     if refusal is not None:
-        return refusal.estimate(METHOD, length)
+        return refusal.estimate(METHOD_NAME, length)
     R_cfa = coarse_frame_alignment(Ts_tcp[0, :3, :3], R_assumed, Ts_vo[0, :3, :3])
     match = register_poses(
         points_x=Ts_tcp[:, :3, 3],
@@ -75,7 +75,7 @@ def estimate_camera_rotation_paper(
         settings=settings,
     )
     found = _estimate_from_match(match, R_cfa, Ts_vo, Ts_tcp, length)
-    return found.estimate(METHOD, length) if isinstance(found, Refusal) else found
+    return found.estimate(METHOD_NAME, length) if isinstance(found, Refusal) else found
 
 
 def _thin_poses(Ts: Array) -> Array:
@@ -111,7 +111,7 @@ def _shape_refusal(points_vo: Array, points_tcp: Array) -> Refusal | None:
 def _fit_refusal(match: MixtureMatch, points_tcp: Array, gaps: Array) -> Refusal | None:
     """Sets that do not lie on each other: most poses taken as outliers, or a mirrored or foreign set."""
     extent = float(np.linalg.norm(points_tcp - points_tcp.mean(axis=0), axis=1).max())
-    paired = float(np.mean(match.pairing.sum(axis=0)))
+    paired = float(np.mean(match.pairing_probabilities.sum(axis=0)))
     relative = max(float(np.median(gaps)), match.sigma_m) / extent
     if not (paired >= _PAIRED_MIN_FRAC and relative <= _GAP_RELATIVE_MAX and np.isfinite(match.R_x_y).all()):
         text = f"the pose sets do not fit: {100 * paired:.0f} % paired, gap {relative:.2f} of the extent"
@@ -133,7 +133,7 @@ def _estimate_from_match(
     R_base_tcp = nearest_rotation(Ts_tcp[:, :3, :3].mean(axis=0))
     centred = Ts_tcp[:, :3, 3] - Ts_tcp[:, :3, 3].mean(axis=0)
     information = rotation_information(centred, np.ones(len(centred)))
-    information_total = information / match.sigma_m**2 + 2.0 * match.kappa * len(Ts_vo) * np.eye(3)
+    information_total = information / match.sigma_m**2 + 2.0 * match.vmf_concentration * len(Ts_vo) * np.eye(3)
     moved = Ts_vo[:, :3, 3] @ R_lc.T + match.t_x_y
     gaps = np.linalg.norm(moved[:, None] - Ts_tcp[None, :, :3, 3], axis=2).min(axis=1)
     refusal = _fit_refusal(match, Ts_tcp[:, :3, 3], gaps)
@@ -142,13 +142,13 @@ def _estimate_from_match(
     return CameraRotationEstimate(
         status=CalibrationStatus.OK,
         reason="",
-        method=METHOD,
+        method=METHOD_NAME,
         R_tcp_cam=R_base_tcp.T @ R_base_cam,
         covariance=R_base_tcp.T @ np.linalg.inv(information_total) @ R_base_tcp,
         time_offset_s=0.0,
         residual_rms_mm=float(1e3 * np.sqrt(np.mean(gaps**2))),
         residual_max_mm=float(1e3 * gaps.max()),
-        n_used=int(match.pairing.sum()),
+        n_used=int(match.pairing_probabilities.sum()),
         observability=observability(information),
         path_length_m=length_m,
     )

@@ -115,7 +115,7 @@ def fine_refusal(
     fit: ChordRotation, from_nominal_rad: float, sigma_rad: float, seen: float, settings: MatchingSettings
 ) -> Refusal | None:
     """What the final fit shows: an offset out of range, no settling, a far mounting, a rotation hardly known."""
-    n, bound = int(fit.kept.sum()), settings.time_offset_bound_s
+    n, bound = int(fit.inliers.sum()), settings.time_offset_bound_s
     texts = []
     if abs(fit.offset_s) >= bound:
         texts.append(f"time offset at its bound of {1e3 * bound:.0f} ms; check the camera's time stamps")

@@ -21,15 +21,15 @@ MATCHED_PAIRS_MAX = 6  # more add little: a still scene shows the same spots aga
 
 Observe = Callable[[Image, Image, int], PairObservation]
 
-RATE_PAIRS = 30
+RATE_WINDOW_PAIRS = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckSample:
     """What the check was given: the times of all pairs, and some pairs (left, right, stamp [ns])."""
 
-    times: StreamTimes
-    pairs: tuple[tuple[Image, Image, int], ...]
+    stream_times: StreamTimes
+    image_pairs: tuple[tuple[Image, Image, int], ...]
 
 
 def check_camera(
@@ -47,11 +47,11 @@ def check_camera(
              after each pair and each part, `steps(gathered)` times. tape: a taped distance between tool and OOI. masks:
              of the settings, left and right eye.
     """
-    findings = check_stream(gathered.times)
+    findings = check_stream(gathered.stream_times)
     wrong = _wrong_size(gathered, machine)
-    if wrong is not None or not gathered.pairs:
+    if wrong is not None or not gathered.image_pairs:
         return [*findings, wrong] if wrong is not None else findings
-    eyes = [(left, right) for left, right, _ in gathered.pairs]
+    eyes = [(left, right) for left, right, _ in gathered.image_pairs]
     findings += [check_sharpness(eyes), check_exposure(eyes)]
     on_step()
     spots = []
@@ -60,7 +60,7 @@ def check_camera(
         on_step()
     rig = check_rig(machine.camera, spots, rng)
     seen = []
-    for left, right, t_ns in gathered.pairs:
+    for left, right, t_ns in gathered.image_pairs:
         seen.append(observe(left, right, t_ns))
         on_step()
     markers = {marker.marker_id: marker for marker in machine.markers}
@@ -78,7 +78,7 @@ def check_camera(
 
 def progress_steps(gathered: CheckSample) -> int:
     """How often `check_camera` calls `on_step`."""
-    return 1 + min(len(gathered.pairs), MATCHED_PAIRS_MAX) + len(gathered.pairs)
+    return 1 + min(len(gathered.image_pairs), MATCHED_PAIRS_MAX) + len(gathered.image_pairs)
 
 
 def _evenly_spaced_pairs(pairs: Sequence[tuple[Image, Image]], n: int) -> list[tuple[Image, Image]]:
@@ -88,7 +88,7 @@ def _evenly_spaced_pairs(pairs: Sequence[tuple[Image, Image]], n: int) -> list[t
 
 def _wrong_size(gathered: CheckSample, machine: Machine) -> CheckFinding | None:
     wanted = (machine.camera.height_px, machine.camera.width_px)
-    shapes = {image.shape for left, right, _ in gathered.pairs for image in (left, right)}
+    shapes = {image.shape for left, right, _ in gathered.image_pairs for image in (left, right)}
     odd = [shape for shape in shapes if shape != wanted]
     if not odd:
         return None
@@ -100,42 +100,42 @@ def _wrong_size(gathered: CheckSample, machine: Machine) -> CheckFinding | None:
 class CheckSampler:
     """Takes pairs as they come. Of the pairs themselves only `keep` are copied: at least `every_ns` apart."""
 
-    keep: int
-    seconds: float
-    times: list[tuple[int, int, int, int]] = field(default_factory=list)
-    pairs: list[tuple[Image, Image, int]] = field(default_factory=list)
+    pairs_max: int
+    duration_s: float
+    pair_times: list[tuple[int, int, int, int]] = field(default_factory=list)
+    image_pairs: list[tuple[Image, Image, int]] = field(default_factory=list)
     _kept_ns: int = -(1 << 62)
 
     @property
     def n(self) -> int:
         """Pairs so far."""
-        return len(self.times)
+        return len(self.pair_times)
 
     @property
     def rate_hz(self) -> float:
         """Of the last pairs, by their arrival."""
-        recent = self.times[-RATE_PAIRS:]
+        recent = self.pair_times[-RATE_WINDOW_PAIRS:]
         span_ns = recent[-1][1] - recent[0][1] if recent else 0
         return (len(recent) - 1) * 1e9 / span_ns if span_ns > 0 else 0.0
 
     @property
     def missing_count(self) -> int:
         """Sequence numbers that never came."""
-        steps = ((before, after) for before, after in pairwise(self.times) if before[3] == after[3])
+        steps = ((before, after) for before, after in pairwise(self.pair_times) if before[3] == after[3])
         return sum(max(0, after[2] - before[2] - 1) for before, after in steps)
 
     def add(self, frame: StereoFrame) -> None:
         """The next pair."""
-        self.times.append((frame.t_exposure_ns, frame.t_receive_mono_ns, frame.sequence, frame.connection))
-        every_ns = self.seconds * 1e9 / self.keep
-        if len(self.pairs) < self.keep and frame.t_receive_mono_ns - self._kept_ns >= every_ns:
+        self.pair_times.append((frame.t_exposure_ns, frame.t_receive_mono_ns, frame.sequence, frame.connection_number))
+        every_ns = self.duration_s * 1e9 / self.pairs_max
+        if len(self.image_pairs) < self.pairs_max and frame.t_receive_mono_ns - self._kept_ns >= every_ns:
             self._kept_ns = frame.t_receive_mono_ns
-            self.pairs.append((np.array(frame.left), np.array(frame.right), frame.t_exposure_ns))
+            self.image_pairs.append((np.array(frame.left), np.array(frame.right), frame.t_exposure_ns))
 
     def sample(
         self, skipped: int, own_clock: bool = False, wanted_hz: float | None = None, stored: bool = False
     ) -> CheckSample:
         """What was taken so far, for `check_camera`."""
-        columns = np.array(self.times, dtype=np.int64).reshape(-1, 4).T
-        times = StreamTimes(*columns, skipped=skipped, own_clock=own_clock, wanted_hz=wanted_hz, stored=stored)
-        return CheckSample(times, tuple(self.pairs))
+        columns = np.array(self.pair_times, dtype=np.int64).reshape(-1, 4).T
+        times = StreamTimes(*columns, n_skipped=skipped, own_clock=own_clock, wanted_hz=wanted_hz, is_recorded=stored)
+        return CheckSample(times, tuple(self.image_pairs))

@@ -20,9 +20,9 @@ CONTRAST_WARN_GREY, CONTRAST_FAIL_GREY = 50.0, 25.0
 TILT_WARN_DEG, TILT_FAIL_DEG = 60.0, 75.0
 SIGMA_WARN_MM, SIGMA_FAIL_MM = 1.0, 5.0
 SEEN_WARN_FRAC, SEEN_FAIL_FRAC = 0.9, 0.5
-MARGIN_FRAC = 0.04  # of the picture's width that a marker should stay away from its border
-RIG_FIRST = "fix the findings on eyes, rows and scale first"
-CELL_SAMPLES_PX = 8  # a cell of the straightened marker
+BORDER_MARGIN_FRAC = 0.04  # of the picture's width that a marker should stay away from its border
+FIX_RIG_FIRST_REMEDY = "fix the findings on eyes, rows and scale first"
+RECTIFIED_CELL_PX = 8  # a cell of the straightened marker
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,14 +34,14 @@ class MarkerFigures:
     """
 
     marker_id: int
-    eyes: tuple[str, ...]
+    seen_by_eyes: tuple[str, ...]
     cell_px: float
     contrast_grey: float
     tilt_deg: float
     distance_m: float
     turn_right_deg: float
     turn_down_deg: float
-    brighter: str
+    brighter_side: str
 
 
 @dataclass(slots=True)
@@ -55,7 +55,7 @@ class CheckedObjectCounts:
     reasons: dict[str, int] = field(default_factory=dict)
     sigmas_mm: list[float] = field(default_factory=list)
     tilt_sigmas_deg: list[float] = field(default_factory=list)
-    markers: list[MarkerFigures] = field(default_factory=list)
+    marker_figures: list[MarkerFigures] = field(default_factory=list)
 
 
 def marker_figures(
@@ -98,11 +98,11 @@ def _contrast_and_brighter_side(
     """White minus black of the printed cells [grey levels], and the side that is lit more."""
     white = marker_cells(dictionary_by_name(dictionary_name), marker_id)
     n = white.shape[0]
-    size = n * CELL_SAMPLES_PX
+    size = n * RECTIFIED_CELL_PX
     square = np.array([[0, 0], [size, 0], [size, size], [0, size]], np.float32) - np.float32(0.5)
     H = cv2.getPerspectiveTransform(corners_px.astype(np.float32), square)
     straight = cv2.warpPerspective(image, H, (size, size), flags=cv2.INTER_LINEAR)
-    cells = straight.reshape(n, CELL_SAMPLES_PX, n, CELL_SAMPLES_PX)[:, 2:6, :, 2:6].mean(axis=(1, 3))
+    cells = straight.reshape(n, RECTIFIED_CELL_PX, n, RECTIFIED_CELL_PX)[:, 2:6, :, 2:6].mean(axis=(1, 3))
     contrast = float(cells[white].mean() - cells[~white].mean())
     rows, columns = np.nonzero(white)
     A = np.column_stack([columns - columns.mean(), rows - rows.mean(), np.ones(len(rows))])
@@ -126,7 +126,7 @@ def _aiming_angles_deg(camera: StereoCamera, corners: Mapping[str, Array], dista
     if "left" not in both:
         both["left"] = corners["right"] + [disparity, 0.0]
     points = np.vstack(list(both.values()))
-    margin = MARGIN_FRAC * camera.width_px
+    margin = BORDER_MARGIN_FRAC * camera.width_px
     low, high = np.full(2, margin), np.array([camera.width_px, camera.height_px]) - 1.0 - margin
     off = np.maximum(points.max(axis=0) - high, 0.0) - np.maximum(low - points.min(axis=0), 0.0)
     angles = np.rad2deg(np.arctan(off / [camera.fx_px, camera.fy_px]))
@@ -141,7 +141,7 @@ def tally_markers(
     markers = {marker.marker_id: marker for marker in machine.markers}
     for images, observation in zip(pairs, seen, strict=True):
         for pose in (observation.tool, observation.ooi):
-            counted = found[pose.on]
+            counted = found[pose.object_name]
             counted.n_pairs += 1
             counted.n_ok += pose.status is PoseStatus.OK
             counted.statuses[pose.status] = counted.statuses.get(pose.status, 0) + 1
@@ -154,15 +154,15 @@ def tally_markers(
                 counted.tilt_sigmas_deg.append(float(np.rad2deg(np.sqrt(variances[0]))))
                 counted.sigmas_mm.append(1e3 * float(np.sqrt(variances[1])))
         for name, counted in found.items():
-            whole = [view for view in observation.views if _is_on(view, markers, name)]
+            whole = [view for view in observation.marker_views if _is_on(view, markers, name)]
             counted.n_both_eyes += any(
                 view.corners_left_px is not None and view.corners_right_px is not None for view in whole
             )
-        for view in observation.views:
+        for view in observation.marker_views:
             marker = markers.get(view.marker_id)
             figures = None if marker is None else marker_figures(view, marker, machine, images)
             if marker is not None and figures is not None:
-                found[marker.on].markers.append(figures)
+                found[marker.on].marker_figures.append(figures)
     return found
 
 
@@ -178,8 +178,8 @@ def check_markers(tallies: Mapping[ObjectName, CheckedObjectCounts], rig_is_soun
     findings = []
     for name, counted in tallies.items():
         seen = _measurement_finding(name, counted)
-        findings.append(seen if rig_is_sound or seen.level is Level.OK else replace(seen, remedy=RIG_FIRST))
-        if counted.markers:
+        findings.append(seen if rig_is_sound or seen.level is Level.OK else replace(seen, remedy=FIX_RIG_FIRST_REMEDY))
+        if counted.marker_figures:
             findings.append(_view_quality_finding(name, counted))
     return findings
 
@@ -216,12 +216,12 @@ def _remedy_unseen(name: ObjectName, one: CheckedObjectCounts) -> str:
 
 def _view_quality_finding(name: ObjectName, one: CheckedObjectCounts) -> CheckFinding:
     """The worst of size, contrast, tilt and place over the object's markers."""
-    cell = float(np.median([marker.cell_px for marker in one.markers]))
-    contrast = float(np.median([marker.contrast_grey for marker in one.markers]))
-    tilt = float(np.median([marker.tilt_deg for marker in one.markers]))
-    distance = float(np.median([marker.distance_m for marker in one.markers]))
+    cell = float(np.median([marker.cell_px for marker in one.marker_figures]))
+    contrast = float(np.median([marker.contrast_grey for marker in one.marker_figures]))
+    tilt = float(np.median([marker.tilt_deg for marker in one.marker_figures]))
+    distance = float(np.median([marker.distance_m for marker in one.marker_figures]))
     both = one.n_both_eyes / max(one.n_pairs, 1)
-    ids = sorted({marker.marker_id for marker in one.markers})
+    ids = sorted({marker.marker_id for marker in one.marker_figures})
     text = (
         f"markers {', '.join(map(str, ids))}: {cell:.1f} px a cell, contrast {contrast:.0f} of 255, tilt {tilt:.0f} "
         f"deg, {distance:.2f} m away, by both eyes in {100 * both:.0f} % of the pairs"
@@ -249,7 +249,7 @@ def _view_quality_finding(name: ObjectName, one: CheckedObjectCounts) -> CheckFi
 
 def _move_closer_advice(one: CheckedObjectCounts, share: float) -> str:
     """Of the present distance only this share may remain."""
-    distance = float(np.median([marker.distance_m for marker in one.markers])) if one.markers else 0.0
+    distance = float(np.median([marker.distance_m for marker in one.marker_figures])) if one.marker_figures else 0.0
     away = distance * (1.0 - share)
     return f"move {max(away, 0.1):.1f} m closer" if distance else "move closer"
 
@@ -257,14 +257,18 @@ def _move_closer_advice(one: CheckedObjectCounts, share: float) -> str:
 def _lighting_advice(one: CheckedObjectCounts, contrast: float) -> str:
     """Light from the side that is darker now."""
     opposite = {"left": "the right", "right": "the left", "top": "below", "bottom": "above"}
-    sides = [marker.brighter for marker in one.markers if marker.brighter]
-    side = opposite[max(set(sides), key=sides.count)] if len(sides) > 0.5 * len(one.markers) else "the camera's side"
+    sides = [marker.brighter_side for marker in one.marker_figures if marker.brighter_side]
+    side = (
+        opposite[max(set(sides), key=sides.count)]
+        if len(sides) > 0.5 * len(one.marker_figures)
+        else "the camera's side"
+    )
     return f"light from {side}: contrast {contrast:.0f} of 255"
 
 
 def _aiming_advice(one: CheckedObjectCounts) -> str:
     """How to turn the camera, where markers stand at a border or beyond it; empty where they do not."""
-    single = [marker for marker in one.markers if len(marker.eyes) == 1] or one.markers
+    single = [marker for marker in one.marker_figures if len(marker.seen_by_eyes) == 1] or one.marker_figures
     if not single:
         return ""
     right = float(np.median([marker.turn_right_deg for marker in single]))

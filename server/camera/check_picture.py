@@ -8,13 +8,15 @@ import numpy as np
 from server.camera.check_findings import CheckFinding, Level, level_by_limits
 from server.vision.contracts import Image
 
-EYES = ("left", "right")
-REBLUR_PX = 1.5
-SMOOTHING_PX = 0.7
-OWN_BLUR_PX2 = SMOOTHING_PX**2 + 1.0 / 3.0  # and a difference over two pixels is a mean over two pixels
-EDGE_SHARE = 0.005  # the steepest of the pixels
-EDGE_MIN_GREY = 6.0  # per pixel; flatter pictures have no edges to measure by
-SHARPEST_PCT = 20.0  # of the edges: depth of field and soft shadows blur others
+EYE_NAMES = ("left", "right")
+REBLUR_SIGMA_PX = 1.5
+SMOOTHING_SIGMA_PX = 0.7
+FILTER_BLUR_VARIANCE_PX2 = (
+    SMOOTHING_SIGMA_PX**2 + 1.0 / 3.0
+)  # and a difference over two pixels is a mean over two pixels
+EDGE_PIXELS_FRAC = 0.005  # the steepest of the pixels
+EDGE_SLOPE_MIN_GREY = 6.0  # per pixel; flatter pictures have no edges to measure by
+BLUR_PERCENTILE = 20.0  # of the edges: depth of field and soft shadows blur others
 BLUR_WARN_PX, BLUR_FAIL_PX = 1.6, 2.6
 DARK_GREY, WHITE_GREY = 16, 250
 DARK_WARN_FRAC, DARK_FAIL_FRAC = 0.35, 0.8
@@ -29,19 +31,19 @@ def edge_blur_px(image: Image) -> float:
     Args:    image: grey (h, w).
     Source:  Zhuo and Sim 2011, Defocus map estimation from a single image, equations 3 to 5.
     """
-    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SMOOTHING_PX)  # against noise
-    blurred = cv2.GaussianBlur(smooth, (0, 0), REBLUR_PX)
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SMOOTHING_SIGMA_PX)  # against noise
+    blurred = cv2.GaussianBlur(smooth, (0, 0), REBLUR_SIGMA_PX)
     slope, softer = (
         np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)) / 8.0
         for grey in (smooth, blurred)
     )
-    limit = max(float(np.quantile(slope, 1.0 - EDGE_SHARE)), EDGE_MIN_GREY)
+    limit = max(float(np.quantile(slope, 1.0 - EDGE_PIXELS_FRAC)), EDGE_SLOPE_MIN_GREY)
     ridge = (slope >= limit) & (slope >= cv2.dilate(slope, np.ones((3, 3), np.uint8)))
     if ridge.sum() < 20:
         return float("nan")
     ratio = slope[ridge] / np.maximum(softer[ridge], 1e-3)
-    found = REBLUR_PX / np.sqrt(np.maximum(ratio**2 - 1.0, 1e-3))
-    return float(np.sqrt(max(np.percentile(found, SHARPEST_PCT) ** 2 - OWN_BLUR_PX2, 0.0)))
+    found = REBLUR_SIGMA_PX / np.sqrt(np.maximum(ratio**2 - 1.0, 1e-3))
+    return float(np.sqrt(max(np.percentile(found, BLUR_PERCENTILE) ** 2 - FILTER_BLUR_VARIANCE_PX2, 0.0)))
 
 
 def check_sharpness(pairs: Sequence[tuple[Image, Image]]) -> CheckFinding:
@@ -55,7 +57,7 @@ def check_sharpness(pairs: Sequence[tuple[Image, Image]]) -> CheckFinding:
     medians = [float(np.median(blur)) for blur in known]
     level = level_by_limits(max(medians), BLUR_WARN_PX, BLUR_FAIL_PX)
     text = f"blur {medians[0]:.1f} px in the left eye, {medians[1]:.1f} px in the right (limit {BLUR_WARN_PX:g})"
-    worse = EYES[int(np.argmax(medians))]
+    worse = EYE_NAMES[int(np.argmax(medians))]
     remedy = "" if level is Level.OK else f"focus or clean the {worse} lens, hold still, shorten the exposure"
     return CheckFinding("sharpness", level, text, remedy, {"blur_left_px": medians[0], "blur_right_px": medians[1]})
 
@@ -63,7 +65,7 @@ def check_sharpness(pairs: Sequence[tuple[Image, Image]]) -> CheckFinding:
 def check_exposure(pairs: Sequence[tuple[Image, Image]]) -> CheckFinding:
     """Finding `exposure`: dark and saturated shares, and how equal the eyes are."""
     figures: dict[str, float] = {}
-    for name, eye in zip(EYES, zip(*pairs, strict=True), strict=True):
+    for name, eye in zip(EYE_NAMES, zip(*pairs, strict=True), strict=True):
         grey = np.stack([image[::4, ::4] for image in eye])
         figures |= {
             f"dark_{name}_frac": float((grey < DARK_GREY).mean()),

@@ -13,12 +13,12 @@ from server.camera.check_findings import CheckFinding, Level, level_by_limits
 from server.vision.contracts import Image
 from server.vision.odometry_features import clear_matches
 
-FEATURES = 1500
-RATIO_MAX = 0.75  # of the best match's distance to the second best's
-ROWS_MAX_FRAC = 0.15  # of the height: a rig off by more shows in no sensible picture
-WINDOW_PX = 15
-REFINED_MAX_PX = 2.5
-FEW = 8
+SIFT_FEATURES_MAX = 1500
+MATCH_RATIO_MAX = 0.75  # of the best match's distance to the second best's
+ROW_OFFSET_MAX_FRAC = 0.15  # of the height: a rig off by more shows in no sensible picture
+KLT_WINDOW_PX = 15
+REFINEMENT_SHIFT_MAX_PX = 2.5
+FEATURES_MIN = 8
 
 
 def match_eyes(left: Image, right: Image) -> Array:
@@ -27,18 +27,18 @@ def match_eyes(left: Image, right: Image) -> Array:
     Model:   SIFT at half size, best match both ways and clearly better than the second; then the right eye's place is
              refined by Lucas and Kanade's alignment of the patch at full size, once in each direction.
     """
-    finder = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=0.02)
+    finder = cv2.SIFT.create(nfeatures=SIFT_FEATURES_MAX, contrastThreshold=0.02)
     keys_left, words_left = finder.detectAndCompute(_half_size_image(left), None)
     keys_right, words_right = finder.detectAndCompute(_half_size_image(right), None)
-    if len(keys_left) < FEW or len(keys_right) < FEW:
+    if len(keys_left) < FEATURES_MIN or len(keys_right) < FEATURES_MIN:
         return np.zeros((0, 4))
     there, back = _descriptor_matches(words_left, words_right), _descriptor_matches(words_right, words_left)
     pairs = [(i, j) for i, j in there.items() if back.get(j) == i]
-    if len(pairs) < FEW:
+    if len(pairs) < FEATURES_MIN:
         return np.zeros((0, 4))
     from_px = _full_px([keys_left[i].pt for i, _ in pairs])
     to_px = _full_px([keys_right[j].pt for _, j in pairs])
-    near = np.abs(from_px[:, 1] - to_px[:, 1]) < ROWS_MAX_FRAC * left.shape[0]
+    near = np.abs(from_px[:, 1] - to_px[:, 1]) < ROW_OFFSET_MAX_FRAC * left.shape[0]
     return _refined_matches(left, right, from_px[near], to_px[near])
 
 
@@ -53,7 +53,7 @@ def _full_px(half_px: Sequence[Sequence[float]]) -> np.ndarray:
 
 def _descriptor_matches(words: np.ndarray, others: np.ndarray) -> dict[int, int]:
     """Index of the clearly nearest other word."""
-    return {match.queryIdx: match.trainIdx for match in clear_matches(words, others, cv2.NORM_L2, RATIO_MAX)}
+    return {match.queryIdx: match.trainIdx for match in clear_matches(words, others, cv2.NORM_L2, MATCH_RATIO_MAX)}
 
 
 def _refined_matches(left: Image, right: Image, from_px: np.ndarray, to_px: np.ndarray) -> Array:
@@ -64,7 +64,7 @@ def _refined_matches(left: Image, right: Image, from_px: np.ndarray, to_px: np.n
     kept = (
         good
         & also
-        & (np.linalg.norm(there - to_px, axis=1) < REFINED_MAX_PX)
+        & (np.linalg.norm(there - to_px, axis=1) < REFINEMENT_SHIFT_MAX_PX)
         & (np.linalg.norm(back - from_px, axis=1) < 0.3)
     )
     return np.hstack([from_px[kept], there[kept]]).astype(float)
@@ -76,7 +76,7 @@ def _track_points(one: Image, other: Image, at: np.ndarray, start: np.ndarray) -
         np.ascontiguousarray(other),
         at.reshape(-1, 1, 2),
         start.copy().reshape(-1, 1, 2),
-        winSize=(WINDOW_PX, WINDOW_PX),
+        winSize=(KLT_WINDOW_PX, KLT_WINDOW_PX),
         maxLevel=0,
         criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
@@ -84,21 +84,23 @@ def _track_points(one: Image, other: Image, at: np.ndarray, start: np.ndarray) -
     return found.reshape(-1, 2), good.ravel().astype(bool)
 
 
-SPOTS_MIN = 60
-COVER_MIN = 6  # of 12 cells of the picture that must hold spots
-INLIER_PX = 1.5
-TRIALS = 400
-INLIER_SHARE_MIN = 0.4
+MATCHES_MIN = 60
+COVERED_CELLS_MIN = 6  # of 12 cells of the picture that must hold spots
+INLIER_MAX_PX = 1.5
+RANSAC_ITERATIONS = 400
+INLIERS_MIN_FRAC = 0.4
 SWAPPED_SHARE, PARALLEL_PX = 0.8, 1.0
-HUBER = 1.5
-INDEPENDENT_SPOTS = 40
-SIGMAS = 4.0
+HUBER_SIGMAS = 1.5
+INDEPENDENT_MATCHES = 40
+SIGNIFICANCE_SIGMAS = 4.0
 OFFSET_WARN_PX, OFFSET_FAIL_PX = 0.5, 1.5
 SPREAD_WARN_PX, SPREAD_FAIL_PX = 0.6, 2.0
 # What the rows can show of a rig, in the order of the fit, with what is believed of each before [rad or 1].
-TERMS = ("pitch", "roll", "focal", "yaw", "up", "ahead", "lens")
-PRIORS = np.array([0.1, 0.1, 0.05, 0.01, 0.003, 0.003, 0.3])
-FLOORS = np.array([1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0, 0.0])  # matching is not better than 0.05 px over the whole picture
+RIG_ERROR_TERMS = ("pitch", "roll", "focal", "yaw", "up", "ahead", "lens")
+RIG_ERROR_PRIOR_SIGMAS = np.array([0.1, 0.1, 0.05, 0.01, 0.003, 0.003, 0.3])
+RIG_ERROR_SIGMA_FLOORS = np.array(
+    [1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0, 0.0]
+)  # matching is not better than 0.05 px over the whole picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,10 +117,10 @@ class RigFit:
     pitch_rad: float
     roll_rad: float
     focal_ratio: float
-    sigma: Array
+    pitch_roll_focal_sigma: Array
     row_px: float
     spread_px: float
-    lens: float
+    k1_error: float
     lens_sigma: float
     lens_effect_px: float
     n_spots: int
@@ -150,12 +152,12 @@ def _row_px(camera: StereoCamera, rays: Array) -> Array:
 def _ransac_inliers(rows: Array, design: Array, rng: np.random.Generator) -> np.ndarray:
     """Spots that agree on pitch, roll and focal ratio (random samples of three)."""
     best = np.zeros(len(rows), bool)
-    for _ in range(TRIALS):
+    for _ in range(RANSAC_ITERATIONS):
         chosen = rng.choice(len(rows), 3, replace=False)
         A = design[chosen][:, :3]
         if abs(np.linalg.det(A)) < 1e-3 * np.prod(np.linalg.norm(A, axis=1)):
             continue
-        near = np.abs(rows - design[:, :3] @ np.linalg.solve(A, rows[chosen])) < INLIER_PX
+        near = np.abs(rows - design[:, :3] @ np.linalg.solve(A, rows[chosen])) < INLIER_MAX_PX
         if near.sum() > best.sum():
             best = near
     return best
@@ -172,27 +174,27 @@ def fit_rig(camera: StereoCamera, rays: Array, rng: np.random.Generator) -> RigF
     """
     rows, design = _row_px(camera, rays), _row_difference_jacobian(camera, rays)
     kept = _ransac_inliers(rows, design, rng)
-    if kept.sum() < INLIER_SHARE_MIN * len(rows) or kept.sum() < SPOTS_MIN:
+    if kept.sum() < INLIERS_MIN_FRAC * len(rows) or kept.sum() < MATCHES_MIN:
         return None
     A, r = design[kept], rows[kept]
-    theta, weights, scale = np.zeros(len(TERMS)), np.ones(len(r)), 0.3
+    theta, weights, scale = np.zeros(len(RIG_ERROR_TERMS)), np.ones(len(r)), 0.3
     for _ in range(20):
-        information = (A * weights[:, None]).T @ A / scale**2 + np.diag(PRIORS**-2.0)
+        information = (A * weights[:, None]).T @ A / scale**2 + np.diag(RIG_ERROR_PRIOR_SIGMAS**-2.0)
         theta = np.linalg.solve(information, (A * weights[:, None]).T @ r / scale**2)
         rest = r - A @ theta
         scale = max(1.4826 * float(np.median(np.abs(rest - np.median(rest)))), 0.03)
-        weights = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(rest), 1e-12))
-    independent = min(1.0, INDEPENDENT_SPOTS / len(r))
-    information = (A * weights[:, None]).T @ A / scale**2 * independent + np.diag(PRIORS**-2.0)
-    sigma = np.sqrt(np.diag(np.linalg.inv(information)) + FLOORS**2)
+        weights = np.minimum(1.0, HUBER_SIGMAS * scale / np.maximum(np.abs(rest), 1e-12))
+    independent = min(1.0, INDEPENDENT_MATCHES / len(r))
+    information = (A * weights[:, None]).T @ A / scale**2 * independent + np.diag(RIG_ERROR_PRIOR_SIGMAS**-2.0)
+    sigma = np.sqrt(np.diag(np.linalg.inv(information)) + RIG_ERROR_SIGMA_FLOORS**2)
     return RigFit(
         pitch_rad=float(theta[0]),
         roll_rad=float(theta[1]),
         focal_ratio=1.0 + float(theta[2]),
-        sigma=sigma[:3],
+        pitch_roll_focal_sigma=sigma[:3],
         row_px=float(np.median(rows[kept])),
         spread_px=scale,
-        lens=float(theta[6]),
+        k1_error=float(theta[6]),
         lens_sigma=float(sigma[6]),
         lens_effect_px=float(np.sqrt(np.mean((A[:, 6] * theta[6]) ** 2))),
         n_spots=int(kept.sum()),
@@ -205,7 +207,10 @@ def check_rig(camera: StereoCamera, spots: Sequence[Array], rng: np.random.Gener
     Args:    camera: what the pictures are said to be. spots: matched spots (n, 4) [raw px] of each pair.
     """
     rays = rays_of(camera, spots)
-    if len(rays) < SPOTS_MIN or _covered_cell_count(camera, np.vstack([np.zeros((0, 4)), *spots])) < COVER_MIN:
+    if (
+        len(rays) < MATCHES_MIN
+        or _covered_cell_count(camera, np.vstack([np.zeros((0, 4)), *spots])) < COVERED_CELLS_MIN
+    ):
         text = (
             f"{len(rays)} spots matched between the eyes, too few or too close together: the rig check is inconclusive"
         )
@@ -263,9 +268,9 @@ def _pitch_roll_focal_findings(camera: StereoCamera, fit: RigFit) -> list[CheckF
         ("focal_ratio", off, 100.0, "%", off * half_height, "at top and bottom"),
     )
     findings = []
-    for (name, raw, factor, unit, effect_px, where), raw_sigma in zip(rows, fit.sigma, strict=True):
+    for (name, raw, factor, unit, effect_px, where), raw_sigma in zip(rows, fit.pitch_roll_focal_sigma, strict=True):
         value, sigma = factor * raw, factor * float(raw_sigma)
-        certain = abs(value) > SIGMAS * sigma
+        certain = abs(value) > SIGNIFICANCE_SIGMAS * sigma
         level = level_by_limits(abs(effect_px), OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
         text = f"right eye against left {value:+.3f} +- {sigma:.3f} {unit}: {abs(effect_px):.1f} px {where}"
         remedy = f"the rig was bumped ({name}) or this is another camera's file: calibrate it again"
@@ -276,9 +281,9 @@ def _pitch_roll_focal_findings(camera: StereoCamera, fit: RigFit) -> list[CheckF
 
 
 def _lens_distortion_finding(fit: RigFit) -> CheckFinding:
-    certain = abs(fit.lens) > SIGMAS * fit.lens_sigma
+    certain = abs(fit.k1_error) > SIGNIFICANCE_SIGMAS * fit.lens_sigma
     level = level_by_limits(fit.lens_effect_px, OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
-    text = f"k1 off by {fit.lens:+.3f} +- {fit.lens_sigma:.3f}: {fit.lens_effect_px:.1f} px"
+    text = f"k1 off by {fit.k1_error:+.3f} +- {fit.lens_sigma:.3f}: {fit.lens_effect_px:.1f} px"
     remedy = "raw pictures are taken as rectified ones or the reverse, or it is another lens: give the right file"
-    figures = {"k1": fit.lens, "k1_sigma": fit.lens_sigma}
+    figures = {"k1": fit.k1_error, "k1_sigma": fit.lens_sigma}
     return CheckFinding("lens", level, text, "" if level is Level.OK else remedy, figures)

@@ -16,8 +16,8 @@ LOSS_WARN_FRAC, LOSS_FAIL_FRAC = 0.01, 0.10
 JITTER_WARN_S, JITTER_FAIL_S = 0.05, 0.25
 LATENCY_WARN_S, LATENCY_FAIL_S = 0.15, 0.5
 DRIFT_WARN_PPM = 500.0
-DRIFT_FROM_S = 5.0  # a shorter stream does not show the drift of the clocks
-SAME_CLOCK_MAX_S = 2.0  # stamps this close behind arrival may be of this computer's own clock
+DRIFT_DURATION_MIN_S = 5.0  # a shorter stream does not show the drift of the clocks
+SAME_CLOCK_LATENCY_MAX_S = 2.0  # stamps this close behind arrival may be of this computer's own clock
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,12 +30,12 @@ class StreamTimes:
 
     t_exposure_ns: Integers
     t_receive_ns: Integers
-    sequence: Integers
-    connection: Integers
-    skipped: int = 0
+    sequence_numbers: Integers
+    connection_numbers: Integers
+    n_skipped: int = 0
     own_clock: bool = False
     wanted_hz: float | None = None
-    stored: bool = False
+    is_recorded: bool = False
 
 
 def check_stream(times: StreamTimes) -> list[CheckFinding]:
@@ -46,7 +46,7 @@ def check_stream(times: StreamTimes) -> list[CheckFinding]:
         return [
             CheckFinding("stream", Level.FAIL, f"{n} pairs came (at least {PAIRS_MIN})", remedy, {"pairs": float(n)})
         ]
-    if times.stored:
+    if times.is_recorded:
         return [_pair_loss_finding(times), _timestamp_finding(times)]
     return [_frame_rate_finding(times), _pair_loss_finding(times), _timestamp_finding(times), _latency_finding(times)]
 
@@ -67,11 +67,11 @@ def _frame_rate_finding(times: StreamTimes) -> CheckFinding:
 def _pair_loss_finding(times: StreamTimes) -> CheckFinding:
     """Missing pairs by sequence numbers and by holes in the stamps, without those that we passed over ourselves."""
     missing = max(_missing_by_sequence(times), _missing_by_stamp(times))
-    lost = max(0, missing - times.skipped)
-    share = lost / (len(times.sequence) + missing)
+    lost = max(0, missing - times.n_skipped)
+    share = lost / (len(times.sequence_numbers) + missing)
     level = level_by_limits(share, LOSS_WARN_FRAC, LOSS_FAIL_FRAC)
-    text = f"{lost} pairs lost ({100.0 * share:.1f} %), {times.skipped} passed over here"
-    connections = len(np.unique(times.connection))
+    text = f"{lost} pairs lost ({100.0 * share:.1f} %), {times.n_skipped} passed over here"
+    connections = len(np.unique(times.connection_numbers))
     if connections > 1:
         level = Level.FAIL if level is Level.FAIL else Level.WARN
         text += f", {connections - 1} times the stream broke"
@@ -81,11 +81,11 @@ def _pair_loss_finding(times: StreamTimes) -> CheckFinding:
 
 def _within_connections(times: StreamTimes, values: Integers) -> Integers:
     """Steps between successive values of one connection."""
-    return np.diff(values)[np.diff(times.connection) == 0]
+    return np.diff(values)[np.diff(times.connection_numbers) == 0]
 
 
 def _missing_by_sequence(times: StreamTimes) -> int:
-    steps = _within_connections(times, times.sequence)
+    steps = _within_connections(times, times.sequence_numbers)
     return int(np.maximum(steps - 1, 0).sum())
 
 
@@ -119,13 +119,13 @@ def _latency_finding(times: StreamTimes) -> CheckFinding:
         remedy = "use a source that provides time stamps (X-Exposure-Ns, V4L2, RTSP)"
         return CheckFinding("latency", Level.WARN, text, remedy)
     t_s = (times.t_receive_ns - times.t_receive_ns[0]).astype(float) * 1e-9
-    newest = times.connection == times.connection[-1]
+    newest = times.connection_numbers == times.connection_numbers[-1]
     rest_s, drift_ppm = _without_drift(t_s[newest], late_s[newest])
     jitter_s = float(np.percentile(rest_s, 95) - rest_s.min())
     figures = {"jitter_p95_ms": 1e3 * jitter_s, "drift_ppm": drift_ppm}
     level = level_by_limits(jitter_s, JITTER_WARN_S, JITTER_FAIL_S)
     text = f"arrival varies by {1e3 * jitter_s:.1f} ms (95 %)"
-    if times.own_clock and 0.0 <= late_s.min() < SAME_CLOCK_MAX_S:
+    if times.own_clock and 0.0 <= late_s.min() < SAME_CLOCK_LATENCY_MAX_S:
         p50, p95 = (float(value) for value in np.percentile(late_s, (50, 95)))
         figures |= {"latency_p50_ms": 1e3 * p50, "latency_p95_ms": 1e3 * p95}
         text = f"latency {1e3 * p50:.1f} ms (95 %: {1e3 * p95:.1f} ms), {text}"
@@ -149,7 +149,7 @@ def _severity_rank(level: Level) -> int:
 
 def _without_drift(t_s: NDArray[np.float64], late_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Delays less the line under them (least of each tenth of the time), its slope [ppm]; 0 for a short stream."""
-    if t_s[-1] - t_s[0] < DRIFT_FROM_S:
+    if t_s[-1] - t_s[0] < DRIFT_DURATION_MIN_S:
         return late_s, 0.0
     parts = np.array_split(np.arange(len(t_s)), 10)
     lows = np.array([part[np.argmin(late_s[part])] for part in parts if len(part)])

@@ -13,7 +13,7 @@ from multiprocessing.process import BaseProcess
 from typing import TypeVar, cast
 
 from machine.description import Machine
-from recording.clock import SUSPENDED, mono_ns
+from recording.clock import SUSPENDED_REASON, mono_ns
 from recording.spawn import out_of_the_terminals_reach
 from server.calibration.contracts import CameraTrack
 from server.camera.contracts import (
@@ -38,25 +38,25 @@ from server.camera.contracts import (
 )
 from server.camera.errors import CameraError
 from server.camera.looking import LookCollector, TrackCollector
-from server.camera.process import LIFE_S, run_vision
+from server.camera.process import HEARTBEAT_PERIOD_S, run_vision
 from server.listeners import Listeners
 from server.supervised_tasks import whole_in_thread
 from server.targets.contracts import AnchoredTarget, SurfacePatch
 from server.targets.taught import ObjectBox, TaughtObject, TaughtView
 from server.vision.contracts import Array, Look, OdometryPose
 
-KEEP_REPORTS = 600  # 40 s at 15 Hz
-FRESH_S = 0.5  # a stream without a report for longer is silent
-QUIT_S = 4.0
-RESTART_S = 1.0
-HUNG_LOOKS = 30  # seconds in which a process that had begun says nothing: it is ended and started again
-ODOMETRY_START_S = 20.0
-MEASURE_S = 30.0  # until a target is measured
+REPORT_BUFFER_SIZE = 600  # 40 s at 15 Hz
+REPORT_SILENCE_MAX_S = 0.5  # a stream without a report for longer is silent
+QUIT_TIMEOUT_S = 4.0
+RESTART_DELAY_S = 1.0
+SILENT_HEARTBEATS_MAX = 30  # seconds in which a process that had begun says nothing: it is ended and started again
+ODOMETRY_START_TIMEOUT_S = 20.0
+TARGET_MEASURE_TIMEOUT_S = 30.0  # until a target is measured
 Answer = TypeVar("Answer", TargetMeasured, MarksFound, ViewTaught)
-MAP_S = 10.0  # until the map of an odometry run is there
-PROCESS_START_S = 240.0  # on a new machine everything is compiled first
+ODOMETRY_MAP_TIMEOUT_S = 10.0  # until the map of an odometry run is there
+PROCESS_START_TIMEOUT_S = 240.0  # on a new machine everything is compiled first
 
-STARTING = "camera: vision process is starting"
+STARTING_STATUS_TEXT = "camera: vision process is starting"
 
 _log = logging.getLogger(__name__)
 
@@ -69,7 +69,7 @@ class VisionClient:
     def __init__(self, settings: VisionSettings, machine: Machine) -> None:
         self._settings = settings
         self._machine = machine
-        self._reports: deque[FrameReport] = deque(maxlen=KEEP_REPORTS)
+        self._reports: deque[FrameReport] = deque(maxlen=REPORT_BUFFER_SIZE)
         self._listeners = Listeners[[FrameReport]]("a stereo pair")
         self._arrived = asyncio.Event()
         self._process: BaseProcess | None = None
@@ -84,7 +84,7 @@ class VisionClient:
         self._measured: TargetAnswer | None = None
         self._requests = 0
         self._runs = self._map_wanted = 0  # of odometry
-        self.stream_text = STARTING
+        self.stream_text = STARTING_STATUS_TEXT
         self.latest_preview: tuple[bytes, int] | None = None
         self.last_odometry: tuple[OdometryPose, ...] = ()
         self.last_map: OdometryMap | None = None  # of last_odometry, a little later than it
@@ -144,7 +144,9 @@ class VisionClient:
             pipe.send(QuitCommand())
         except OSError:
             _log.info("vision process had already ended")
-        await asyncio.to_thread(process.join, QUIT_S if self._begun else 0.0)  # while it compiles it hears nothing
+        await asyncio.to_thread(
+            process.join, QUIT_TIMEOUT_S if self._begun else 0.0
+        )  # while it compiles it hears nothing
         if process.is_alive():
             process.kill()
             await asyncio.to_thread(process.join, 1.0)
@@ -164,7 +166,7 @@ class VisionClient:
             n_pairs=n_pairs,
             t_from_ns=mono_ns() + int(self._settings.exposure_slack_s * 1e9),
             pose_source=self._pose_source,
-            average=lambda pairs: average_look(pairs, spread_max_mm),
+            average_pairs=lambda pairs: average_look(pairs, spread_max_mm),
         )
         finished: asyncio.Future[Look] = asyncio.get_running_loop().create_future()
 
@@ -187,30 +189,32 @@ class VisionClient:
     ) -> AnchoredTarget | SurfacePatch:
         """Measure the surface at a raw left pixel of a pair that was shown."""
         command = MeasureTargetCommand(self._requests + 1, sequence, pixel, roll_rad)
-        return (await self._answered(command, TargetMeasured)).found
+        return (await self._answered(command, TargetMeasured)).target_or_refused_patch
 
     async def find_marks(self, sequence: int, diameters_m: tuple[float, ...]) -> MarksFound:
         """Find boreholes and rings in a pair that was shown."""
         answer = await self._answered(FindMarksCommand(self._requests + 1, sequence, diameters_m), MarksFound)
-        self._requests += len(answer.marks)  # the marks' targets have these numbers
+        self._requests += len(answer.marks_with_targets)  # the marks' targets have these numbers
         return answer
 
     async def teach_view(self, sequence: int, box: ObjectBox) -> TaughtView | str:
         """Landmarks of an object in a pair that was shown, or why that view cannot be used."""
-        return (await self._answered(TeachViewCommand(self._requests + 1, sequence, box), ViewTaught)).found
+        return (await self._answered(TeachViewCommand(self._requests + 1, sequence, box), ViewTaught)).view_or_reason
 
     async def _answered(
         self, command: MeasureTargetCommand | FindMarksCommand | TeachViewCommand, kind: type[Answer]
     ) -> Answer:
         """The answer with the command's number, which is of its kind. Raises: CameraError: it does not come."""
-        self._requests = command.request
+        self._requests = command.request_id
         self._send(command)
         try:
-            async with asyncio.timeout(MEASURE_S):
-                await self._until(lambda: self._measured is not None and self._measured.request >= command.request)
+            async with asyncio.timeout(TARGET_MEASURE_TIMEOUT_S):
+                await self._until(
+                    lambda: self._measured is not None and self._measured.request_id >= command.request_id
+                )
         except TimeoutError:
-            raise CameraError(f"target was not measured within {MEASURE_S:.0f} s; try again") from None
-        if not isinstance(self._measured, kind) or self._measured.request != command.request:
+            raise CameraError(f"target was not measured within {TARGET_MEASURE_TIMEOUT_S:.0f} s; try again") from None
+        if not isinstance(self._measured, kind) or self._measured.request_id != command.request_id:
             raise CameraError("another target was measured in the meantime; choose again")
         return self._measured
 
@@ -230,13 +234,14 @@ class VisionClient:
         await self._wait_for_process()
         self._runs += 1
         self._track = track = TrackCollector(self._runs)
-        self._send(OdometryCommand(on=True, run=track.run, masks=masks))
+        self._send(OdometryCommand(enabled=True, odometry_run=track.odometry_run, still_masks_wanted=masks))
         try:
-            async with asyncio.timeout(ODOMETRY_START_S):
+            async with asyncio.timeout(ODOMETRY_START_TIMEOUT_S):
                 await self._until(lambda: bool(track.poses))
         except TimeoutError:
             raise CameraError(
-                f"odometry gave no pose within {ODOMETRY_START_S:.0f} s; {self._silence_text() or 'check the camera'}"
+                f"odometry gave no pose within {ODOMETRY_START_TIMEOUT_S:.0f} s; "
+                f"{self._silence_text() or 'check the camera'}"
             ) from None
 
     async def stop_odometry(self) -> CameraTrack:
@@ -245,20 +250,20 @@ class VisionClient:
         if track is None:
             raise CameraError("odometry was not started; start it first")
         try:
-            async with asyncio.timeout(FRESH_S):
+            async with asyncio.timeout(REPORT_SILENCE_MAX_S):
                 await self._until(lambda: self.latest is not None and self.latest.t_exposure_mapped_ns >= t_end_ns)
         except TimeoutError:
-            _log.warning("no pair after the end of the odometry run within %.1f s", FRESH_S)
+            _log.warning("no pair after the end of the odometry run within %.1f s", REPORT_SILENCE_MAX_S)
         self._track = None
-        self._send(OdometryCommand(on=False, run=track.run))
-        self._map_wanted = track.run
+        self._send(OdometryCommand(enabled=False, odometry_run=track.odometry_run))
+        self._map_wanted = track.odometry_run
         self.last_odometry, self.last_map = tuple(track.poses), None
         return track.track()
 
     async def odometry_map(self) -> OdometryMap | None:
         """The map of the run that ended last; None where it does not come."""
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(MAP_S):
+            async with asyncio.timeout(ODOMETRY_MAP_TIMEOUT_S):
                 await self._until(lambda: self.last_map is not None)
         return self.last_map
 
@@ -268,15 +273,17 @@ class VisionClient:
         if track is None:
             return
         with contextlib.suppress(CameraError):  # no process, no odometry
-            self._send(OdometryCommand(on=False, run=track.run))
+            self._send(OdometryCommand(enabled=False, odometry_run=track.odometry_run))
 
     async def _wait_for_process(self) -> None:
         """Until the vision process has sent something: a picture's report, or what is wrong with its source."""
         try:
-            async with asyncio.timeout(PROCESS_START_S):
-                await self._until(lambda: self.stream_text != STARTING)
+            async with asyncio.timeout(PROCESS_START_TIMEOUT_S):
+                await self._until(lambda: self.stream_text != STARTING_STATUS_TEXT)
         except TimeoutError:
-            raise CameraError(f"vision process has not started within {PROCESS_START_S:.0f} s; see its log") from None
+            raise CameraError(
+                f"vision process has not started within {PROCESS_START_TIMEOUT_S:.0f} s; see its log"
+            ) from None
 
     async def _until(self, condition: Callable[[], bool]) -> None:
         while not condition():
@@ -340,10 +347,10 @@ class VisionClient:
         """
         silent = 0
         while True:
-            await asyncio.sleep(LIFE_S)
+            await asyncio.sleep(HEARTBEAT_PERIOD_S)
             silent, self._heard = 0 if self._heard or not self._begun else silent + 1, False
-            if silent >= HUNG_LOOKS and self._process is not None:
-                _log.error("no message from the vision process for %.0f s; terminating it", silent * LIFE_S)
+            if silent >= SILENT_HEARTBEATS_MAX and self._process is not None:
+                _log.error("no message from the vision process for %.0f s; terminating it", silent * HEARTBEAT_PERIOD_S)
                 self._process.kill()
                 silent = 0
 
@@ -357,7 +364,7 @@ class VisionClient:
             self._measured = message
             self._arrived.set()
         elif isinstance(message, OdometryMap):
-            if message.run == self._map_wanted:
+            if message.odometry_run == self._map_wanted:
                 self.last_map = message
                 self._arrived.set()
         elif not isinstance(message, SignOfLife):
@@ -380,19 +387,25 @@ class VisionClient:
         if self._loop is None or pipe is not self._pipe:
             return
         code = self._process.exitcode if self._process is not None else None
-        why = SUSPENDED if self.stream_text == SUSPENDED else f"vision process ended unexpectedly (exit code {code})"
+        why = (
+            SUSPENDED_REASON
+            if self.stream_text == SUSPENDED_REASON
+            else f"vision process ended unexpectedly (exit code {code})"
+        )
         self.stream_text = f"{why}; starting it again"
         _log.error(self.stream_text)
         self._pipe = None
         pipe.close()
         self.restarts += 1
-        self._track = None if self._track is None else TrackCollector(self._track.run)  # its start frame is lost
+        self._track = (
+            None if self._track is None else TrackCollector(self._track.odometry_run)
+        )  # its start frame is lost
         self._restart = self._loop.create_task(self._respawn(), name="vision-restart")
 
     async def _respawn(self) -> None:
         """Start another, as often as it takes; when cancelled, the one that is being started is there to be ended."""
         while True:
-            await asyncio.sleep(RESTART_S)
+            await asyncio.sleep(RESTART_DELAY_S)
             try:
                 return await whole_in_thread(self._spawn)
             except Exception as error:  # no processes, files or threads left, or a defect: without it nothing is seen

@@ -45,7 +45,7 @@ class StereoFrame:
     t_exposure_ns: int
     t_receive_mono_ns: int
     sequence: int
-    connection: int = 0
+    connection_number: int = 0
 
 
 class StereoSource(Protocol):
@@ -92,7 +92,7 @@ class FrameReport:
     odometry: OdometryPose | None
     fps: float
     process_ms: float
-    skipped: int
+    n_skipped: int
     warnings: tuple[str, ...]
     sharpness: float
     preview_jpeg: bytes | None
@@ -127,8 +127,8 @@ class OdometryMap:
     """
 
     points_vo: Array
-    run: int
-    still: tuple[Image | None, Image | None] = (None, None)
+    odometry_run: int
+    still_masks: tuple[Image | None, Image | None] = (None, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,16 +138,16 @@ class OdometryCommand:
     masks: its map shall say what stood still in the pictures, which costs a second at its end.
     """
 
-    on: bool
-    run: int
-    masks: bool = False
+    enabled: bool
+    odometry_run: int
+    still_masks_wanted: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class PoseSourceCommand:
     """Choose how marker poses are found."""
 
-    name: PoseSourceName
+    pose_source: PoseSourceName
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +159,8 @@ class QuitCommand:
 class MeasureTargetCommand:
     """Measure the surface at a raw left pixel of the pair with that sequence number. request: echoed in the answer."""
 
-    request: int
-    sequence: int
+    request_id: int
+    pair_sequence: int
     pixel: tuple[float, float]
     roll_rad: float = 0.0
 
@@ -172,8 +172,8 @@ class FindMarksCommand:
     request: echoed in the answer; the marks' targets are numbered from it on.
     """
 
-    request: int
-    sequence: int
+    request_id: int
+    pair_sequence: int
     diameters_m: tuple[float, ...]
 
 
@@ -188,33 +188,33 @@ class UseTargetCommand:
 class TeachViewCommand:
     """Measure the landmarks of an object in the pair with that sequence number. request: echoed in the answer."""
 
-    request: int
-    sequence: int
-    box: ObjectBox
+    request_id: int
+    pair_sequence: int
+    object_box: ObjectBox
 
 
 @dataclass(frozen=True, slots=True)
 class ViewTaught:
     """The answer to a TeachViewCommand: the view, or why it cannot be used."""
 
-    request: int
-    found: TaughtView | str
+    request_id: int
+    view_or_reason: TaughtView | str
 
 
 @dataclass(frozen=True, slots=True)
 class TargetMeasured:
     """The answer to a MeasureTargetCommand: a target that can be used, or the refused patch."""
 
-    request: int
-    found: AnchoredTarget | SurfacePatch
+    request_id: int
+    target_or_refused_patch: AnchoredTarget | SurfacePatch
 
 
 @dataclass(frozen=True, slots=True)
 class MarksFound:
     """The answer to a FindMarksCommand: each mark with its target, or the patch that cannot be one; or why none."""
 
-    request: int
-    marks: tuple[tuple[RoundMark, AnchoredTarget | SurfacePatch], ...]
+    request_id: int
+    marks_with_targets: tuple[tuple[RoundMark, AnchoredTarget | SurfacePatch], ...]
     reason: str
 
 

@@ -12,9 +12,11 @@ from server.vision.contracts import Look, LookStatus, OdometryPose, OdometryStat
 
 Average = Callable[[Sequence[PairObservation]], Look]
 
-FAILED_BATCHES = 2  # a look that fails by what it shows, not by motion, gets one more batch of pairs
+FAILED_BATCHES_MAX = 2  # a look that fails by what it shows, not by motion, gets one more batch of pairs
 
-SIGMA_MAX_M = 0.010  # chords are 80 mm: a path known worse (another brick, two motions) does not help a calibration
+POSITION_SIGMA_MAX_M = (
+    0.010  # chords are 80 mm: a path known worse (another brick, two motions) does not help a calibration
+)
 POSES_MAX = 180 * 60  # as long as encoders are kept to match them with, at 60 pairs a second
 
 
@@ -22,13 +24,13 @@ POSES_MAX = 180 * 60  # as long as encoders are kept to match them with, at 60 p
 class TrackCollector:
     """Takes reports of one odometry run while it lasts; the newest POSES_MAX poses are kept."""
 
-    run: int
+    odometry_run: int
     poses: deque[OdometryPose] = field(default_factory=lambda: deque(maxlen=POSES_MAX))
     _offsets_ns: deque[int] = field(default_factory=lambda: deque(maxlen=POSES_MAX))
 
     def add(self, report: FrameReport) -> None:
         """Keep this report's odometry, if it has one and it is of this run."""
-        if report.odometry is not None and report.odometry_run == self.run:
+        if report.odometry is not None and report.odometry_run == self.odometry_run:
             self.poses.append(report.odometry)
             self._offsets_ns.append(report.t_exposure_mapped_ns - report.observation.t_exposure_ns)
 
@@ -49,7 +51,7 @@ class TrackCollector:
 def _is_known(pose: OdometryPose) -> bool:
     return (
         pose.status is not OdometryStatus.LOST
-        and float(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1]) < SIGMA_MAX_M**2
+        and float(np.linalg.eigvalsh(pose.covariance[3:, 3:])[-1]) < POSITION_SIGMA_MAX_M**2
     )
 
 
@@ -65,9 +67,9 @@ class LookCollector:
     n_pairs: int
     t_from_ns: int
     pose_source: PoseSourceName
-    average: Average
-    best: Look | None = None
-    unusable: int = 0
+    average_pairs: Average
+    best_look: Look | None = None
+    n_unusable: int = 0
     last_warning: str = ""
     _pairs: list[PairObservation] = field(default_factory=list)
     _new: int = 0
@@ -83,13 +85,13 @@ class LookCollector:
             return None
         self._pairs = [*self._pairs, report.observation][-self.n_pairs :]
         self._new += 1
-        self._unsure = 0 if report.observation.searched else self._unsure + 1
+        self._unsure = 0 if report.observation.fully_searched else self._unsure + 1
         if len(self._pairs) < self.n_pairs or self._new < self._wanted_new() or self._unsure > 0:
             return None
         return self._try_finish_look()
 
     def _reject_frame_report(self, report: FrameReport) -> None:
-        self.unusable += 1
+        self.n_unusable += 1
         self.last_warning = report.warnings[0]
         self._pairs = self._pairs[: max(0, len(self._pairs) - self._unsure)]
         self._new = max(0, self._new - self._unsure)
@@ -97,23 +99,23 @@ class LookCollector:
 
     def _wanted_new(self) -> int:
         """After a first try, half a batch of new pairs before the next one."""
-        return self.n_pairs if self.best is None else max(1, self.n_pairs // 2)
+        return self.n_pairs if self.best_look is None else max(1, self.n_pairs // 2)
 
     def _try_finish_look(self) -> Look | None:
         self._new = 0
-        self.best = look = self.average(tuple(self._pairs))
+        self.best_look = look = self.average_pairs(tuple(self._pairs))
         if look.status is LookStatus.OK:
             return look
         if look.status is not LookStatus.NOT_AT_REST:
             self._failed += 1
-        return look if self._failed >= FAILED_BATCHES else None
+        return look if self._failed >= FAILED_BATCHES_MAX else None
 
     def at_timeout(self, timeout_s: float, stream_text: str) -> Look:
         """What to answer when time is up: the last verdict, or why there were too few pairs."""
-        if self.best is not None:
-            return self.best
-        if self.unusable:
-            reason = f"{self.unusable} pairs were unusable: {self.last_warning}"
+        if self.best_look is not None:
+            return self.best_look
+        if self.n_unusable:
+            reason = f"{self.n_unusable} pairs were unusable: {self.last_warning}"
         else:
             reason = stream_text or "the camera stream is too slow or silent"
         text = f"{len(self._pairs)} of {self.n_pairs} pairs within {timeout_s:.1f} s; {reason}"

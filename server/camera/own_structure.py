@@ -14,15 +14,19 @@ from server.vision.contracts import Array, Image
 
 BLOCK_PX = 16
 PAIRS_MIN = 5
-NOISE_PCT = 5.0  # of the blocks change least over time: what changes there is noise, or the camera saw no still part
-TEXTURE_MIN_NOISE = 1.0  # of a block, in sigmas of the noise: below it nothing says whether it moved
-STILL_FRAC = 0.35  # change over time by texture: blocks that keep still have noise only, those that move about 1
-MOVED_FRAC = 0.7
+NOISE_BLOCKS_PERCENTILE = (
+    5.0  # of the blocks change least over time: what changes there is noise, or the camera saw no still part
+)
+TEXTURE_MIN_SIGMAS = 1.0  # of a block, in sigmas of the noise: below it nothing says whether it moved
+STILL_CHANGE_MAX_FRAC = (
+    0.35  # change over time by texture: blocks that keep still have noise only, those that move about 1
+)
+MOVED_CHANGE_MIN_FRAC = 0.7
 MOVED_BLOCKS_MIN_FRAC = 0.2  # of all blocks with texture: fewer, and the camera stood
-UNMASKED_MIN_FRAC = 0.02  # of the picture; outlines of blocks differ by less from run to run
+UNMASKED_AREA_MIN_FRAC = 0.02  # of the picture; outlines of blocks differ by less from run to run
 STILL_BLOCKS_MIN = 4  # of a part; fewer are chance
-OUTLINE_PX = 1.5  # an outline may be so far from the mask that it follows
-BORDER_BLOCKS = 1  # a mask reaches so far beyond what was seen: a corner's patch must not touch it
+OUTLINE_TOLERANCE_PX = 1.5  # an outline may be so far from the mask that it follows
+MASK_DILATION_BLOCKS = 1  # a mask reaches so far beyond what was seen: a corner's patch must not touch it
 
 
 Masks = tuple[Sequence[Array], Sequence[Array]]
@@ -39,20 +43,22 @@ def still_mask(images: Sequence[Image]) -> Image | None:
         return None
     stack = np.stack([image.astype(np.float64) for image in images])
     over_time, over_block = _block_means(stack.var(axis=0)), _mean_block_variance(stack)
-    noise = max(float(np.percentile(over_time, NOISE_PCT)), 0.25)  # grey^2; half a grey level is what 8 bits leave
+    noise = max(
+        float(np.percentile(over_time, NOISE_BLOCKS_PERCENTILE)), 0.25
+    )  # grey^2; half a grey level is what 8 bits leave
     change, texture = np.maximum(over_time - noise, 0.0), np.maximum(over_block - noise, 1e-9)
-    textured = texture > TEXTURE_MIN_NOISE**2 * noise
+    textured = texture > TEXTURE_MIN_SIGMAS**2 * noise
     ratio = np.sqrt(change / texture)
-    moved = textured & (ratio > MOVED_FRAC)
+    moved = textured & (ratio > MOVED_CHANGE_MIN_FRAC)
     if moved.sum() < max(1.0, MOVED_BLOCKS_MIN_FRAC * textured.sum()):
         return None
-    still = textured & (ratio < STILL_FRAC)
+    still = textured & (ratio < STILL_CHANGE_MAX_FRAC)
     open_to = cv2.morphologyEx(np.asarray(still | ~textured, np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
     parts = np.asarray(cv2.connectedComponents(np.asarray(open_to, np.uint8), connectivity=4)[1], np.int64)
     counts = np.bincount(parts[still], minlength=int(parts.max()) + 1)
     own = (counts >= STILL_BLOCKS_MIN) & (np.arange(len(counts)) > 0)
     wide = np.asarray(
-        cv2.dilate(own[parts].astype(np.uint8), np.ones((2 * BORDER_BLOCKS + 1,) * 2, np.uint8)), np.uint8
+        cv2.dilate(own[parts].astype(np.uint8), np.ones((2 * MASK_DILATION_BLOCKS + 1,) * 2, np.uint8)), np.uint8
     )
     height, width = images[0].shape
     return np.asarray(255 * np.kron(wide, np.ones((BLOCK_PX, BLOCK_PX), np.uint8))[:height, :width], np.uint8)
@@ -90,7 +96,7 @@ def check_own_structure(pairs: Sequence[tuple[Image, Image]], masks: Masks = (()
         f"{100 * shares[0]:.0f} % of the left and {100 * shares[1]:.0f} % of the right picture move with the camera; "
         f"{100 * open_fracs[0]:.0f} % and {100 * open_fracs[1]:.0f} % are not masked"
     )
-    if max(open_fracs) < UNMASKED_MIN_FRAC:
+    if max(open_fracs) < UNMASKED_AREA_MIN_FRAC:
         return CheckFinding("own structure", Level.OK, text, figures=figures)
     remedy = f"put into [camera] of the settings: {mask_line('left', left)} {mask_line('right', right)}"
     return CheckFinding("own structure", Level.WARN, text, remedy, figures)
@@ -162,5 +168,7 @@ def mask_polygons(mask: Mask, camera: StereoCamera, name: str) -> tuple[Array, .
 def mask_outlines(mask: Image) -> tuple[Array, ...]:
     """Polygons (k, 2) [px] around what is not 0 in a mask (h, w); holes are covered too."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    simple = (np.asarray(cv2.approxPolyDP(contour, OUTLINE_PX, True), float).reshape(-1, 2) for contour in contours)
+    simple = (
+        np.asarray(cv2.approxPolyDP(contour, OUTLINE_TOLERANCE_PX, True), float).reshape(-1, 2) for contour in contours
+    )
     return tuple(polygon for polygon in simple if len(polygon) >= 3)

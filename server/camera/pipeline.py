@@ -27,10 +27,12 @@ from server.targets.tool_mask import ToolMask
 from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
 
 MAP_POINTS = 600  # reported at the end of a run, for the 3D view
-RATE_FRAMES = 30  # the frame rate is averaged over this many pairs
+RATE_WINDOW_PAIRS = 30  # the frame rate is averaged over this many pairs
 
-STEP_NS = 50_000_000  # most by which pairs must all be later than the map before it follows a clock that was set back
-STEP_PAIRS = 8
+CLOCK_STEP_MIN_NS = (
+    50_000_000  # most by which pairs must all be later than the map before it follows a clock that was set back
+)
+CLOCK_STEP_PAIRS = 8
 
 
 class CameraClock:
@@ -75,7 +77,7 @@ class CameraClock:
             self._since.clear()
         if self._short_ns > 0:
             self._since.append((t_receive_mono_ns, offset_ns))
-            if len(self._since) == STEP_PAIRS:
+            if len(self._since) == CLOCK_STEP_PAIRS:
                 self._follow()
         return t_exposure_ns + self.offset_ns
 
@@ -83,7 +85,7 @@ class CameraClock:
         """The clock was set back if every pair since then is later than the map."""
         now_ns = self._t_receive_ns
         later_ns = min(aged_offset(*seen, now_ns) for seen in self._since) - self.offset_ns
-        if later_ns > min(STEP_NS, self._short_ns // 2):
+        if later_ns > min(CLOCK_STEP_MIN_NS, self._short_ns // 2):
             self._smallest.begin(now_ns, self.offset_ns + min(later_ns, self._short_ns))
         self._short_ns = 0
         self._since.clear()
@@ -136,7 +138,7 @@ class VisionPipeline:
         self._clock = CameraClock()
         self._health = ImageHealth(camera)
         self._mask = ToolMask(tool_ids, settings.mask_scale)
-        self._receive_ns: deque[int] = deque(maxlen=RATE_FRAMES)
+        self._receive_ns: deque[int] = deque(maxlen=RATE_WINDOW_PAIRS)
         self._preview_ns = 0
         self._odometry_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="odometry")
 
@@ -176,13 +178,13 @@ class VisionPipeline:
         findings = self._health.before_use(frame)
         forbidden = any(finding.forbids_odometry for finding in findings)
         mapped_ns = self._clock.to_pc_clock(
-            frame.t_exposure_ns, frame.t_receive_mono_ns, frame.connection, self._health.stamp_short_ns
+            frame.t_exposure_ns, frame.t_receive_mono_ns, frame.connection_number, self._health.stamp_short_ns
         )
         if self._pictures is not None and not forbidden:
             self._pictures.add(frame.left, frame.right)
         following = None if forbidden else self._start_following(frame)
         observation = self._pose_sources[self._pose_source].observe(frame.left, frame.right, frame.t_exposure_ns)
-        self._mask.update(observation.views)
+        self._mask.update(observation.marker_views)
         if following is None and not forbidden:
             odometry = self._follow(frame)
         else:
@@ -200,7 +202,7 @@ class VisionPipeline:
             odometry_run=self._odometry_run,
             fps=self._rate_hz(),
             process_ms=(time.perf_counter() - started_s) * 1e3,
-            skipped=skipped,
+            n_skipped=skipped,
             warnings=tuple(finding.text for finding in findings if finding.forbids_look),
             sharpness=sharpness(frame.left),
             preview_jpeg=preview,

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from machine.description import Machine
-from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
+from recording.clock import SUSPENDED_REASON, SuspendWatch, mono_ns, mono_s
 from server.camera.contracts import (
     FindMarksCommand,
     MeasureTargetCommand,
@@ -40,9 +40,11 @@ from server.targets.tool_mask import ToolMask
 from server.vision.contracts import Image, ObjectPoseSource
 from server.vision.marker_search import dictionary_by_name
 
-HANDOVER_S = 0.0005  # how soon a thread hands the interpreter on; Python's 5 ms are a third of a pair's time
-WARM_UP_STEP_NS = 66_000_000
-LIFE_S = 1.0  # a sign of life comes as often
+THREAD_SWITCH_INTERVAL_S = (
+    0.0005  # how soon a thread hands the interpreter on; Python's 5 ms are a third of a pair's time
+)
+WARM_UP_PERIOD_NS = 66_000_000
+HEARTBEAT_PERIOD_S = 1.0  # a sign of life comes as often
 READ_TIMEOUT_S = 0.1  # how soon a command is heard when no pictures come
 
 _log = logging.getLogger(__name__)
@@ -53,7 +55,7 @@ def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline
     from server.vision.aruco_source import ArucoPoseSource, MonoArucoPoseSource
     from server.vision.odometry import StereoOdometry
 
-    sys.setswitchinterval(HANDOVER_S)
+    sys.setswitchinterval(THREAD_SWITCH_INTERVAL_S)
 
     def make_odometry() -> Odometry:
         return StereoOdometry(machine.camera)
@@ -75,7 +77,7 @@ def _warm_up(machine: Machine, source: ObjectPoseSource, odometry: Odometry, hea
     """Compile what is compiled on first use now, on a made-up wall with markers, and not during the first motion."""
     for number, (left, right) in enumerate(made_up_pairs(machine)):
         decode_grey(cv2.imencode(".jpg", left)[1].reshape(-1))
-        t_ns = number * WARM_UP_STEP_NS
+        t_ns = number * WARM_UP_PERIOD_NS
         health.inspect(StereoFrame(left, right, t_ns, t_ns, number), source.observe(left, right, t_ns))
         odometry.process(left, right, t_ns)
 
@@ -129,7 +131,7 @@ def _report_and_wait(pipe: Connection, text: str) -> None:
     """A source that can never work: report it and wait for a QuitCommand, so that it is not started again and again."""
     try:
         pipe.send(StreamNotice(mono_ns(), text))
-        while not (pipe.poll(LIFE_S) and isinstance(pipe.recv(), QuitCommand)):
+        while not (pipe.poll(HEARTBEAT_PERIOD_S) and isinstance(pipe.recv(), QuitCommand)):
             pipe.send(SignOfLife())
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
@@ -160,14 +162,14 @@ class VisionLoop:
         if self._source.ended and frame is None and not self._quit:
             self._quit = self._pipe.poll(timeout_s) and self._execute_command(self._pipe.recv())
         if self._suspend.was_suspended():  # what is buffered is old, and the camera's clock may have stood: begun again
-            self._pipe.send(StreamNotice(mono_ns(), SUSPENDED))
+            self._pipe.send(StreamNotice(mono_ns(), SUSPENDED_REASON))
             self._quit = True
             return
         if frame is not None:
             self._pipe.send(self._pipeline.process(frame, self._source.skipped))
         for answer in self._pipeline.targets_measured():
             self._pipe.send(answer)
-        if mono_s() - self._life_s >= LIFE_S:
+        if mono_s() - self._life_s >= HEARTBEAT_PERIOD_S:
             self._life_s = mono_s()
             self._pipe.send(SignOfLife())
         self._report_state()  # after the pair: a stream may have ended behind it
@@ -181,10 +183,12 @@ class VisionLoop:
     def _execute_command(self, command: VisionCommand) -> bool:
         match command:
             case OdometryCommand():
-                ended = self._pipeline.switch_odometry(command.on, command.run, command.masks)
+                ended = self._pipeline.switch_odometry(
+                    command.enabled, command.odometry_run, command.still_masks_wanted
+                )
                 if ended is not None:
                     self._pipe.send(ended)
-            case PoseSourceCommand(name=name):
+            case PoseSourceCommand(pose_source=name):
                 self._pipeline.use_pose_source(name)
             case MeasureTargetCommand() | FindMarksCommand() | UseTargetCommand() | TeachViewCommand():
                 self._pipeline.obey_target(command)

@@ -15,8 +15,8 @@ from server.vision.contracts import Image
 
 MapPlane = NDArray[np.float32]
 EyeMaps = tuple[MapPlane, MapPlane]
-IDENTITY_PX = 1e-6  # maps that move nothing by more are left out
-CENTRING = 0.5  # the frame of this share of the image's size is what the new principal point centres
+IDENTITY_MAP_MAX_PX = 1e-6  # maps that move nothing by more are left out
+CENTRING_FRAME_FRAC = 0.5  # the frame of this share of the image's size is what the new principal point centres
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ def undistorted_rays(eye: EyeCalibration, pixels: Array, R_rect_eye: Array | Non
     R = np.eye(3) if R_rect_eye is None else R_rect_eye
     points = np.ascontiguousarray(pixels, dtype=float).reshape(-1, 1, 2)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-12)
-    if eye.model == "fisheye":
+    if eye.lens_model == "fisheye":
         rays = cv2.fisheye.undistortPoints(points, eye.matrix, eye.coefficients, R=R, criteria=criteria)
     else:
         rays = cv2.undistortPoints(points, eye.matrix, eye.coefficients, R=R, P=np.eye(3), criteria=criteria)
@@ -83,7 +83,7 @@ def _middle_ray(eye: EyeCalibration, R_rect_eye: Array, rig: RigCalibration) -> 
     """Mean rectified ray (2,) of the frame around the inner half of the raw picture."""
     size = np.array([rig.width_px, rig.height_px]) - 1.0
     corners = np.array([[-1, -1], [0, -1], [1, -1], [1, 0], [1, 1], [0, 1], [-1, 1], [-1, 0]])
-    return undistorted_rays(eye, 0.5 * size * (1.0 + CENTRING * corners), R_rect_eye).mean(axis=0)
+    return undistorted_rays(eye, 0.5 * size * (1.0 + CENTRING_FRAME_FRAC * corners), R_rect_eye).mean(axis=0)
 
 
 def rectifying_maps(rig: RigCalibration, plan: Rectification) -> tuple[EyeMaps, EyeMaps]:
@@ -92,7 +92,7 @@ def rectifying_maps(rig: RigCalibration, plan: Rectification) -> tuple[EyeMaps, 
     size = (rig.width_px, rig.height_px)
 
     def maps(eye: EyeCalibration, R: Array) -> EyeMaps:
-        make = cv2.fisheye.initUndistortRectifyMap if eye.model == "fisheye" else cv2.initUndistortRectifyMap
+        make = cv2.fisheye.initUndistortRectifyMap if eye.lens_model == "fisheye" else cv2.initUndistortRectifyMap
         x, y = make(eye.matrix, eye.coefficients, R, new, size, cv2.CV_32FC1)
         return np.asarray(x, np.float32), np.asarray(y, np.float32)
 
@@ -142,4 +142,4 @@ def _is_identity(x: MapPlane, y: MapPlane) -> bool:
     height, width = x.shape
     off_x = float(np.abs(x - np.arange(width, dtype=np.float32)).max())
     off_y = float(np.abs(y - np.arange(height, dtype=np.float32)[:, None]).max())
-    return max(off_x, off_y) <= max(IDENTITY_PX, float(np.spacing(np.float32(width))))
+    return max(off_x, off_y) <= max(IDENTITY_MAP_MAX_PX, float(np.spacing(np.float32(width))))

@@ -11,7 +11,7 @@ import numpy as np
 from machine.poses import inverse_pose
 from machine.rotations import Array
 from server.camera.rectification_rig import (
-    FISHEYE_COUNT,
+    FISHEYE_COEFFICIENT_COUNT,
     EyeCalibration,
     LensModel,
     RigCalibration,
@@ -22,31 +22,31 @@ from server.camera.rectification_rig import (
 from server.camera.rectification_yaml import Fields
 
 # Names under which OpenCV's samples and common tools write them; the first one that is there counts.
-MATRIX_NAMES = (
+CAMERA_MATRIX_KEYS = (
     ("M1", "K1", "cameraMatrix1", "camera_matrix_left", "left_camera_matrix", "K_left", "cameraMatrixL"),
     ("M2", "K2", "cameraMatrix2", "camera_matrix_right", "right_camera_matrix", "K_right", "cameraMatrixR"),
 )
-LENS_NAMES = (
+DISTORTION_KEYS = (
     ("D1", "distCoeffs1", "dist_coeffs_left", "left_distortion", "D_left", "distCoeffsL"),
     ("D2", "distCoeffs2", "dist_coeffs_right", "right_distortion", "D_right", "distCoeffsR"),
 )
-EYE_LENS = ("distortion_coefficients",)
+ROS_DISTORTION_KEYS = ("distortion_coefficients",)
 OPENCV_MODELS: dict[str, LensModel] = {
     **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), "fisheye"),
     **dict.fromkeys(
         ("pinhole", "brown", "perspective", "plumb_bob", "radtan", "radial-tangential", "rational_polynomial"), "brown"
     ),
 }
-OMNIDIRECTIONAL = re.compile(r"xi(_?[0-9lr].*)?$", re.IGNORECASE)  # the mirror's parameter of each eye
-ROTATION_NAMES = ("R", "rotation", "R_right_left")
-PLACE_NAMES = ("T", "translation", "t", "T_right_left")
-SIZE_NAMES = ("imageSize", "image_size", "size", "resolution")
-SIDE_NAMES = (("image_width", "width", "width_px"), ("image_height", "height", "height_px"))
+MIRROR_PARAMETER_PATTERN = re.compile(r"xi(_?[0-9lr].*)?$", re.IGNORECASE)  # the mirror's parameter of each eye
+ROTATION_KEYS = ("R", "rotation", "R_right_left")
+TRANSLATION_KEYS = ("T", "translation", "t", "T_right_left")
+IMAGE_SIZE_KEYS = ("imageSize", "image_size", "size", "resolution")
+IMAGE_WIDTH_HEIGHT_KEYS = (("image_width", "width", "width_px"), ("image_height", "height", "height_px"))
 
 
 def is_opencv(fields: Fields) -> bool:
     """Whether both eyes' matrices are in one file."""
-    return all(fields.of_any(names) for names in MATRIX_NAMES)
+    return all(fields.of_any(names) for names in CAMERA_MATRIX_KEYS)
 
 
 def parse_opencv(fields: Fields, size_px: tuple[int, int]) -> RigCalibration:
@@ -94,14 +94,16 @@ def parse_eye(fields: Fields) -> tuple[EyeCalibration, tuple[int, int] | None]:
         eye = _ros_eye(fields)
     else:
         _refuse_part_of_picture(fields)
-        matrix, lens = fields.matrix("camera_matrix", (3, 3)), fields.numbers(EYE_LENS[0])
-        eye = eye_from_matrix(matrix, lens, _read_lens_model(fields, (EYE_LENS,)), fields.file, "camera_matrix")
+        matrix, lens = fields.matrix("camera_matrix", (3, 3)), fields.numbers(ROS_DISTORTION_KEYS[0])
+        eye = eye_from_matrix(
+            matrix, lens, _read_lens_model(fields, (ROS_DISTORTION_KEYS,)), fields.file, "camera_matrix"
+        )
     size = _image_size_px(fields, (0, 0))
     return eye, size if all(size) else None
 
 
 def _refuse_omnidirectional(fields: Fields) -> None:
-    mirror = next((key for key in fields.tree if OMNIDIRECTIONAL.match(str(key))), None)
+    mirror = next((key for key in fields.tree if MIRROR_PARAMETER_PATTERN.match(str(key))), None)
     if mirror is not None:
         raise fields.refusal(
             f"field {mirror} belongs to OpenCV's omnidirectional model (omnidir), which is not read; calibrate with "
@@ -109,7 +111,7 @@ def _refuse_omnidirectional(fields: Fields) -> None:
         )
 
 
-def _read_lens_model(fields: Fields, lens_names: tuple[tuple[str, ...], ...] = LENS_NAMES) -> LensModel:
+def _read_lens_model(fields: Fields, lens_names: tuple[tuple[str, ...], ...] = DISTORTION_KEYS) -> LensModel:
     """The lens model that a file states; one with four coefficients must state it, because both models have four."""
     _refuse_omnidirectional(fields)
     key = fields.of_any(("model", "camera_model", "distortion_model"))
@@ -122,22 +124,23 @@ def _read_lens_model(fields: Fields, lens_names: tuple[tuple[str, ...], ...] = L
     if flag is not None:
         return "fisheye" if fields.lower_text(flag) in ("1", "true") else "brown"
     lenses = [fields.numbers(name) for names in lens_names if (name := fields.of_any(names)) is not None]
-    if any(len(lens) == FISHEYE_COUNT and lens.any() for lens in lenses):
+    if any(len(lens) == FISHEYE_COEFFICIENT_COUNT and lens.any() for lens in lenses):
         raise fields.refusal(
-            f"{FISHEYE_COUNT} distortion coefficients are k1 k2 p1 p2 of the pinhole model or k1 k2 k3 k4 of the "
+            f"{FISHEYE_COEFFICIENT_COUNT} distortion coefficients are k1 k2 p1 p2 of the pinhole model or k1 k2 k3 k4 "
+            "of the "
             "fisheye model, and the file does not state which; add the line `model: pinhole` or `model: fisheye`"
         )
     return "brown"
 
 
 def _opencv_eye(fields: Fields, index: int, model: LensModel) -> EyeCalibration:
-    name = _required_field_name(fields, MATRIX_NAMES[index])
-    lens = fields.numbers(_required_field_name(fields, LENS_NAMES[index]))
+    name = _required_field_name(fields, CAMERA_MATRIX_KEYS[index])
+    lens = fields.numbers(_required_field_name(fields, DISTORTION_KEYS[index]))
     return eye_from_matrix(fields.matrix(name, (3, 3)), lens, model, fields.file, name)
 
 
 def _stereo_extrinsics(fields: Fields) -> tuple[Array, Array]:
-    rotation, place = fields.of_any(ROTATION_NAMES), fields.of_any(PLACE_NAMES)
+    rotation, place = fields.of_any(ROTATION_KEYS), fields.of_any(TRANSLATION_KEYS)
     if rotation is not None and place is not None:
         t = fields.matrix(place, (3, 1)).ravel()
         return _read_rotation_matrix(fields, rotation), translation_in_metres(t, fields.file, place)
@@ -157,11 +160,11 @@ def _read_rotation_matrix(fields: Fields, name: str) -> Array:
 
 
 def _image_size_px(fields: Fields, size_px: tuple[int, int]) -> tuple[int, int]:
-    name = fields.of_any(SIZE_NAMES)
+    name = fields.of_any(IMAGE_SIZE_KEYS)
     if name is not None:
         width, height = fields.matrix(name, (1, 2)).ravel()
         return int(width), int(height)
-    width_name, height_name = (fields.of_any(names) for names in SIDE_NAMES)
+    width_name, height_name = (fields.of_any(names) for names in IMAGE_WIDTH_HEIGHT_KEYS)
     if width_name is not None and height_name is not None:
         return fields.whole_number(width_name), fields.whole_number(height_name)
     return size_px

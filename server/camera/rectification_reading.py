@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from machine.lens import PRINCIPAL_OFF_MAX_FRAC, principal_off_frac
+from machine.lens import PRINCIPAL_OFFSET_MAX_FRAC, principal_off_frac
 from machine.rotations import Array
 from recording.files import read_text
 from server.camera.rectification_formats import (
@@ -24,7 +24,7 @@ from server.camera.rectification_rig import CalibrationFileError, EyeCalibration
 from server.camera.rectification_yaml import Fields, parse_yaml
 from server.camera.rectification_zed import is_zed, parse_zed
 
-IN_FOLDER = (  # pairs looked for, in this order
+CALIBRATION_FILE_NAMES = (  # pairs looked for, in this order
     ("mav0/cam0/sensor.yaml", "mav0/cam1/sensor.yaml"),
     ("cam0/sensor.yaml", "cam1/sensor.yaml"),
     ("left.yaml", "right.yaml"),
@@ -33,23 +33,23 @@ IN_FOLDER = (  # pairs looked for, in this order
 )
 
 
-KNOWN = (
+SUPPORTED_FORMATS_TEXT = (
     "a ZED's SNxxxx.conf, OpenCV's stereo YAML (one file, or intrinsics and extrinsics), two ROS camera_info YAML, two "
     "EuRoC sensor.yaml, a Kalibr camchain.yaml, or KITTI's calib.txt"
 )
 
 
-LABEL = re.compile(r"^(P_rect_0|P)([0-3])\s*:\s*(.*)$")
-NUMBER = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
-PAIRS = ((0, 1), (2, 3))  # grey and colour
+KITTI_LABEL_PATTERN = re.compile(r"^(P_rect_0|P)([0-3])\s*:\s*(.*)$")
+NUMBER_PATTERN = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+KITTI_CAMERA_PAIRS = ((0, 1), (2, 3))  # grey and colour
 
 
 def is_kitti(text: str) -> bool:
     """Whether a text is projection matrices: labelled lines, or nothing but numbers."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    bare = bool(lines) and all(NUMBER.match(word) for line in lines for word in line.split())
-    labelled = [found for line in lines if (found := LABEL.match(line))]
-    return bare or any(NUMBER.match(found[3].split()[0]) for found in labelled if found[3].strip())
+    bare = bool(lines) and all(NUMBER_PATTERN.match(word) for line in lines for word in line.split())
+    labelled = [found for line in lines if (found := KITTI_LABEL_PATTERN.match(line))]
+    return bare or any(NUMBER_PATTERN.match(found[3].split()[0]) for found in labelled if found[3].strip())
 
 
 def parse_kitti(text: str, file: str, size_px: tuple[int, int]) -> RigCalibration:
@@ -73,12 +73,12 @@ def _parse_projection_matrices(text: str, file: str) -> tuple[Array, Array]:
     found: dict[int, Array] = {}
     bare: list[Array] = []
     for number, line in enumerate(text.splitlines(), start=1):
-        labelled = LABEL.match(line.strip())
+        labelled = KITTI_LABEL_PATTERN.match(line.strip())
         if labelled:
             found[int(labelled[2])] = _parse_3x4_matrix(labelled[3], f"{file}: {labelled[1]}{labelled[2]}")
-        elif line.strip() and NUMBER.match(line.split()[0]):
+        elif line.strip() and NUMBER_PATTERN.match(line.split()[0]):
             bare.append(_parse_3x4_matrix(line, f"{file}: line {number}"))
-    for left, right in PAIRS:
+    for left, right in KITTI_CAMERA_PAIRS:
         if left in found and right in found:
             return found[left], found[right]
     if len(bare) == 2:
@@ -88,7 +88,7 @@ def _parse_projection_matrices(text: str, file: str) -> tuple[Array, Array]:
 
 def _parse_3x4_matrix(text: str, subject: str) -> Array:
     words = text.split()
-    if len(words) != 12 or not all(NUMBER.match(word) for word in words):
+    if len(words) != 12 or not all(NUMBER_PATTERN.match(word) for word in words):
         raise CalibrationFileError(f"{subject} has {len(words)} words; give 3 x 4 numbers")
     return np.array(words, dtype=float).reshape(3, 4)
 
@@ -113,16 +113,16 @@ def parse_calibration(
     Raises:  CalibrationFileError: file, field, value, remedy; also for a text of no known format.
     """
     if len(files) not in (1, 2):
-        raise CalibrationFileError(f"calibration: {len(files)} files; give one or two: {KNOWN}")
+        raise CalibrationFileError(f"calibration: {len(files)} files; give one or two: {SUPPORTED_FORMATS_TEXT}")
     plain = [CalibrationText(file.name, file.text.removeprefix("\ufeff")) for file in files]
     rig = _parse_rig_calibration(plain, size_px)
     for name, eye in (("left", rig.left), ("right", rig.right)):
         off_frac = principal_off_frac((eye.cx_px, eye.cy_px), (rig.width_px, rig.height_px))
-        if off_frac > PRINCIPAL_OFF_MAX_FRAC and not off_centre:
+        if off_frac > PRINCIPAL_OFFSET_MAX_FRAC and not off_centre:
             raise CalibrationFileError(
                 f"{' and '.join(file.name for file in files)}: {name} eye: principal point ({eye.cx_px:g}, "
                 f"{eye.cy_px:g}) px lies {100 * off_frac:.0f} % of {rig.width_px} x {rig.height_px} px from the middle "
-                f"(limit {100 * PRINCIPAL_OFF_MAX_FRAC:g} %); give the calibration of this image size, or confirm a "
+                f"(limit {100 * PRINCIPAL_OFFSET_MAX_FRAC:g} %); give the calibration of this image size, or confirm a "
                 "cropped picture with [camera] off_centre = true"
             )
     return rig
@@ -147,7 +147,7 @@ def _of_one(fields: Fields, size_px: tuple[int, int]) -> RigCalibration:
         return parse_opencv(fields, size_px)
     if is_ros(fields) or is_euroc(fields):
         raise fields.refusal("one eye only; give the other eye's file as well, the left one first")
-    raise fields.refusal(f"no calibration of a stereo rig; give {KNOWN}")
+    raise fields.refusal(f"no calibration of a stereo rig; give {SUPPORTED_FORMATS_TEXT}")
 
 
 def _of_two(left: Fields, right: Fields, size_px: tuple[int, int]) -> RigCalibration:
@@ -158,7 +158,7 @@ def _of_two(left: Fields, right: Fields, size_px: tuple[int, int]) -> RigCalibra
     merged = Fields(f"{left.file} and {right.file}", {**left.tree, **right.tree})
     if is_opencv(merged):
         return parse_opencv(merged, size_px)
-    raise merged.refusal(f"no calibration of a stereo rig together; give {KNOWN}")
+    raise merged.refusal(f"no calibration of a stereo rig together; give {SUPPORTED_FORMATS_TEXT}")
 
 
 def read_calibration(paths: Sequence[str], size_px: tuple[int, int], off_centre: bool = False) -> RigCalibration:
@@ -176,11 +176,11 @@ def read_calibration(paths: Sequence[str], size_px: tuple[int, int], off_centre:
 
 
 def _in_folder(folder: Path) -> list[Path]:
-    for names in IN_FOLDER:
+    for names in CALIBRATION_FILE_NAMES:
         files = [folder / name for name in names]
         if all(file.is_file() for file in files):
             return files
-    looked = ", ".join(" + ".join(names) for names in IN_FOLDER)
+    looked = ", ".join(" + ".join(names) for names in CALIBRATION_FILE_NAMES)
     raise CalibrationFileError(f"calibration folder {folder}: none of {looked}; give the files themselves")
 
 

@@ -9,14 +9,14 @@ from machine.rotations import Array, geodesic_angle, nearest_rotation
 from server.camera.errors import CameraError
 
 LensModel = Literal["brown", "fisheye"]
-BROWN_COUNTS = (0, 4, 5, 8, 12, 14)  # coefficients that OpenCV's pinhole model knows
-FISHEYE_COUNT = 4
-SIZE_MAX_PX = 8192
+BROWN_COEFFICIENT_COUNTS = (0, 4, 5, 8, 12, 14)  # coefficients that OpenCV's pinhole model knows
+FISHEYE_COEFFICIENT_COUNT = 4
+IMAGE_SIDE_MAX_PX = 8192
 FOCAL_MIN_FRAC, FOCAL_MAX_FRAC = 0.1, 20.0  # of the image's width
-ROTATION_DEFECT_MAX = 1e-3
-TURN_MAX_DEG = 30.0  # between the eyes; a stereo pair with more does not rectify well
+ORTHONORMALITY_ERROR_MAX = 1e-3
+EYE_ROTATION_MAX_DEG = 30.0  # between the eyes; a stereo pair with more does not rectify well
 BASELINE_MIN_M, BASELINE_MAX_M = 0.01, 2.5
-COEFFICIENT_MAX = 1e4
+DISTORTION_COEFFICIENT_MAX = 1e4
 RADIUS_MAX, RADIUS_STEPS = 6.0, 3001  # undistorted focal lengths at which a lens is asked whether it folds back
 
 
@@ -38,7 +38,7 @@ class EyeCalibration:
     cx_px: float
     cy_px: float
     distortion: tuple[float, ...] = ()
-    model: LensModel = "brown"
+    lens_model: LensModel = "brown"
 
     @property
     def matrix(self) -> Array:
@@ -109,8 +109,8 @@ def checked_rig(rig: RigCalibration, file: str) -> RigCalibration:
     Raises: CalibrationFileError: a number that no stereo rig has.
     """
     size = (rig.width_px, rig.height_px)
-    if not all(0 < side <= SIZE_MAX_PX for side in size):
-        raise CalibrationFileError(f"{file}: image size {size[0]} x {size[1]} px (limit 1 .. {SIZE_MAX_PX})")
+    if not all(0 < side <= IMAGE_SIDE_MAX_PX for side in size):
+        raise CalibrationFileError(f"{file}: image size {size[0]} x {size[1]} px (limit 1 .. {IMAGE_SIDE_MAX_PX})")
     for name, eye in (("left", rig.left), ("right", rig.right)):
         check_eye(eye, size, f"{file}: {name} eye")
     R, t = rig.R_right_left, rig.t_right_left_m
@@ -119,9 +119,9 @@ def checked_rig(rig: RigCalibration, file: str) -> RigCalibration:
             f"{file}: rotation or translation between the eyes is not 3 x 3 and 3 finite numbers"
         )
     defect = float(np.abs(R @ R.T - np.eye(3)).max())
-    if defect > ROTATION_DEFECT_MAX or np.linalg.det(R) < 0.0:
+    if defect > ORTHONORMALITY_ERROR_MAX or np.linalg.det(R) < 0.0:
         raise CalibrationFileError(
-            f"{file}: rotation between the eyes is off orthonormal by {defect:.1e} (limit {ROTATION_DEFECT_MAX:g})"
+            f"{file}: rotation between the eyes is off orthonormal by {defect:.1e} (limit {ORTHONORMALITY_ERROR_MAX:g})"
             " or mirrored; give the R of the stereo calibration"
         )
     _check_places(R, t, file)
@@ -133,9 +133,10 @@ def checked_rig(rig: RigCalibration, file: str) -> RigCalibration:
 
 def _check_places(R: Array, t: Array, file: str) -> None:
     turn_deg = float(np.rad2deg(geodesic_angle(np.eye(3), nearest_rotation(R))))
-    if turn_deg > TURN_MAX_DEG:
+    if turn_deg > EYE_ROTATION_MAX_DEG:
         raise CalibrationFileError(
-            f"{file}: the eyes are turned by {turn_deg:.1f} deg against each other (limit {TURN_MAX_DEG:g}); is it the "
+            f"{file}: the eyes are turned by {turn_deg:.1f} deg against each other (limit {EYE_ROTATION_MAX_DEG:g}); "
+            "is it the "
             "rotation from the left to the right eye?"
         )
     length = float(np.linalg.norm(t))
@@ -155,13 +156,13 @@ def _check_places(R: Array, t: Array, file: str) -> None:
 
 def check_eye(eye: EyeCalibration, size: tuple[int, int], subject: str) -> None:
     """Raises: CalibrationFileError: not a lens for pictures of this size (width, height) [px]."""
-    counts = (FISHEYE_COUNT,) if eye.model == "fisheye" else BROWN_COUNTS
+    counts = (FISHEYE_COEFFICIENT_COUNT,) if eye.lens_model == "fisheye" else BROWN_COEFFICIENT_COUNTS
     if len(eye.distortion) not in counts:
         raise CalibrationFileError(
-            f"{subject}: {len(eye.distortion)} distortion coefficients ({eye.model} has {counts})"
+            f"{subject}: {len(eye.distortion)} distortion coefficients ({eye.lens_model} has {counts})"
         )
     values = np.array([eye.fx_px, eye.fy_px, eye.cx_px, eye.cy_px, *eye.distortion])
-    if not np.isfinite(values).all() or np.abs(values[4:]).max(initial=0.0) > COEFFICIENT_MAX:
+    if not np.isfinite(values).all() or np.abs(values[4:]).max(initial=0.0) > DISTORTION_COEFFICIENT_MAX:
         raise CalibrationFileError(f"{subject}: {values.tolist()} holds a number that is not finite or too large")
     for name, focal in (("fx", eye.fx_px), ("fy", eye.fy_px)):
         low, high = FOCAL_MIN_FRAC * size[0], FOCAL_MAX_FRAC * size[0]
@@ -195,7 +196,7 @@ def _check_fold(eye: EyeCalibration, size: tuple[int, int], subject: str) -> Non
 
 def distorted_reach(eye: EyeCalibration) -> float:
     """Largest distorted radius [focal lengths] up to which the radial model grows; tangential terms left out."""
-    if eye.model == "fisheye":
+    if eye.lens_model == "fisheye":
         r = np.linspace(0.0, np.pi, RADIUS_STEPS)  # a fisheye may look behind itself
         powers = np.stack([r ** (2 * k) for k in range(5)])
         distorted = r * (np.array([1.0, *eye.distortion]) @ powers)

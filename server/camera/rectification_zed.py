@@ -7,7 +7,7 @@ import numpy as np
 
 from server.camera.rectification_rig import CalibrationFileError, EyeCalibration, RigCalibration, checked_rig
 
-SECTIONS = {  # one eye's size -> ending of the sections
+SECTION_SUFFIX_BY_SIZE = {  # one eye's size -> ending of the sections
     (2208, 1242): "2K",
     (1920, 1080): "FHD",
     (1920, 1200): "FHD1200",
@@ -15,7 +15,7 @@ SECTIONS = {  # one eye's size -> ending of the sections
     (960, 600): "SVGA",
     (672, 376): "VGA",
 }
-COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
+DISTORTION_COEFFICIENT_KEYS = ("k1", "k2", "p1", "p2", "k3")
 
 
 def is_zed(text: str) -> bool:
@@ -40,9 +40,11 @@ def parse_zed(text: str, file: str, size_px: tuple[int, int]) -> RigCalibration:
     except configparser.Error as error:
         raise CalibrationFileError(f"{file}: not the ini text of a ZED ({str(error).splitlines()[0]})") from error
     sections = {name.lower(): ini[name] for name in ini.sections()}
-    ending = SECTIONS.get(size_px)
+    ending = SECTION_SUFFIX_BY_SIZE.get(size_px)
     if ending is None or f"left_cam_{ending.lower()}" not in sections:
-        known = [f"{w} x {h}" for (w, h), end in SECTIONS.items() if f"left_cam_{end.lower()}" in sections]
+        known = [
+            f"{w} x {h}" for (w, h), end in SECTION_SUFFIX_BY_SIZE.items() if f"left_cam_{end.lower()}" in sections
+        ]
         raise CalibrationFileError(
             f"{file}: no calibration for images of {size_px[0]} x {size_px[1]} px an eye; it has "
             f"{', '.join(known) or 'none'}: set the camera to one of them"
@@ -98,6 +100,7 @@ def _read_eye_calibration(fields: _CaseInsensitiveFields, section: str) -> EyeCa
     fx, fy, cx, cy = (fields.number(section, key) for key in ("fx", "fy", "cx", "cy"))
     needed = {"k1", "k2"}
     lens = tuple(
-        fields.number(section, key) if key in needed or fields.has(section, key) else 0.0 for key in COEFFICIENTS
+        fields.number(section, key) if key in needed or fields.has(section, key) else 0.0
+        for key in DISTORTION_COEFFICIENT_KEYS
     )
     return EyeCalibration(fx, fy, cx, cy, lens)

@@ -30,8 +30,8 @@ from server.targets.taught import ObjectBox, TaughtView, teach_view
 from server.targets.tool_mask import blown_up
 from server.vision.contracts import Array, Image, PairObservation
 
-PRINT_SCALE = 1.5  # a marker's quiet zone, and the edge of its plate
-KEPT = 40  # pairs with a preview: 4 s at 10 a second, 74 MB at 720p
+MARKER_PRINT_SCALE = 1.5  # a marker's quiet zone, and the edge of its plate
+PAIR_BUFFER_SIZE = 40  # pairs with a preview: 4 s at 10 a second, 74 MB at 720p
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class KeptPair:
     left: Image
     right: Image
     masks_px: tuple[Sequence[Array], Sequence[Array]]
-    markers: PairObservation | None
+    marker_observation: PairObservation | None
 
 
 class TargetMeasurementWorker:
@@ -50,7 +50,7 @@ class TargetMeasurementWorker:
 
     def __init__(self, camera: StereoCamera, source: TargetPoseSource, settings: TargetSettings | None = None) -> None:
         self._camera, self._source, self._settings = camera, source, settings or TargetSettings()
-        self._kept: deque[KeptPair] = deque(maxlen=KEPT)
+        self._kept: deque[KeptPair] = deque(maxlen=PAIR_BUFFER_SIZE)
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="target")
         self._running: deque[Future[TargetAnswer]] = deque()
 
@@ -86,15 +86,17 @@ class TargetMeasurementWorker:
         self._thread.shutdown(cancel_futures=True)
 
     def _answer_teach_view(self, command: TeachViewCommand, kept: tuple[KeptPair, ...]) -> ViewTaught:
-        pair = next((held for held in reversed(kept) if held.sequence == command.sequence), None)
-        if pair is None or pair.markers is None:
-            reason = f"Image {command.sequence} is not kept any more; take the view in a newer image"
-            return ViewTaught(command.request, reason)
-        found = view_by_markers(pair, pair.markers, self._camera, command.box, self._settings)
-        return ViewTaught(command.request, found)
+        pair = next((held for held in reversed(kept) if held.sequence == command.pair_sequence), None)
+        if pair is None or pair.marker_observation is None:
+            reason = f"Image {command.pair_sequence} is not kept any more; take the view in a newer image"
+            return ViewTaught(command.request_id, reason)
+        found = view_by_markers(pair, pair.marker_observation, self._camera, command.object_box, self._settings)
+        return ViewTaught(command.request_id, found)
 
     def _answer_measure_target(self, command: MeasureTargetCommand, kept: tuple[KeptPair, ...]) -> TargetMeasured:
-        return TargetMeasured(command.request, self._measure_and_anchor(command, _pair_of(kept, command.sequence)))
+        return TargetMeasured(
+            command.request_id, self._measure_and_anchor(command, _pair_of(kept, command.pair_sequence))
+        )
 
     def _measure_and_anchor(self, command: MeasureTargetCommand, pair: KeptPair | str) -> AnchoredTarget | SurfacePatch:
         if isinstance(pair, str):
@@ -107,22 +109,22 @@ class TargetMeasurementWorker:
         if not patch.ok:
             return patch
         patch = with_roll(patch, command.roll_rad)
-        return anchor_target(command.request, patch, pair.left, pair.right, camera, settings, pair.masks_px)
+        return anchor_target(command.request_id, patch, pair.left, pair.right, camera, settings, pair.masks_px)
 
     def _answer_find_marks(self, command: FindMarksCommand, kept: tuple[KeptPair, ...]) -> MarksFound:
         """All marks of a pair, each anchored now: the pair will not be kept until one is chosen."""
-        pair = _pair_of(kept, command.sequence)
+        pair = _pair_of(kept, command.pair_sequence)
         if isinstance(pair, str):
-            return MarksFound(command.request, (), pair)
+            return MarksFound(command.request_id, (), pair)
         camera, settings = self._camera, self._settings
         found = find_round_marks(pair.left, pair.right, camera, command.diameters_m, settings, pair.masks_px)
         marks = []
-        for number, mark in enumerate(found.marks, command.request):
+        for number, mark in enumerate(found.marks, command.request_id):
             target = anchor_target(number, mark.patch, pair.left, pair.right, camera, settings, pair.masks_px)
             if isinstance(target, AnchoredTarget):  # one copy of the pair for all
                 target = replace(target, reference_left=pair.left, reference_right=pair.right)
             marks.append((mark, target))
-        return MarksFound(command.request, tuple(marks), found.reason)
+        return MarksFound(command.request_id, tuple(marks), found.reason)
 
 
 def _pair_of(kept: tuple[KeptPair, ...], sequence: int) -> KeptPair | str:
@@ -141,14 +143,14 @@ def view_by_markers(
     ooi = markers.ooi
     if ooi.T_cam_object is None or ooi.covariance is None:
         return f"the object's markers are not seen ({ooi.reason}); put them next to the object, into both eyes' view"
-    left = (*pair.masks_px[0], *_marker_print_polygons(view.corners_left_px for view in markers.views))
-    right = (*pair.masks_px[1], *_marker_print_polygons(view.corners_right_px for view in markers.views))
+    left = (*pair.masks_px[0], *_marker_print_polygons(view.corners_left_px for view in markers.marker_views))
+    right = (*pair.masks_px[1], *_marker_print_polygons(view.corners_right_px for view in markers.marker_views))
     return teach_view(pair.left, pair.right, camera, ooi.T_cam_object, ooi.covariance, box, (left, right), settings)
 
 
 def _marker_print_polygons(corners_px: Iterable[Array | None]) -> list[Array]:
     """Polygons (4, 2) [px] over the whole prints of markers."""
-    return [blown_up(corners, PRINT_SCALE) for corners in corners_px if corners is not None]
+    return [blown_up(corners, MARKER_PRINT_SCALE) for corners in corners_px if corners is not None]
 
 
 def _is_masked(polygons: Sequence[Array], pixel: tuple[float, float]) -> bool:

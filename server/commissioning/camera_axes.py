@@ -14,7 +14,7 @@ from machine.poses import inverse_pose, pose
 from machine.rotations import Array
 from recording.files import read_text, write_durably
 from server.camera.errors import CameraError
-from server.camera.own_structure import UNMASKED_MIN_FRAC, Masks, draw_mask, mask_line, uncovered_frac
+from server.camera.own_structure import UNMASKED_AREA_MIN_FRAC, Masks, draw_mask, mask_line, uncovered_frac
 from server.commissioning.contracts import Figure, StepResult, result_of_figures
 from server.commissioning.looking import camera_of, disparities_px, fresh_pairs, mean_pose
 from server.commissioning.moving import (
@@ -34,9 +34,9 @@ from server.vision.contracts import Image
 
 # Which way the camera really looks: seen displacements against expected ones, a wrong mounting in words. Pure.
 
-ANGLE_MAX_DEG = 25.0  # as far as calibration may correct the nominal mounting
+DIRECTION_ERROR_MAX_DEG = 25.0  # as far as calibration may correct the nominal mounting
 RATIO_MIN, RATIO_MAX = 0.8, 1.25  # of lengths: baseline, focal length
-DEPTH_OFF_MAX_FRAC = 0.03  # 3 sigma: legs of 80 mm to 0.5 mm, and 0.5 % of uncalibrated kinematics
+DEPTH_SCALE_ERROR_MAX_FRAC = 0.03  # 3 sigma: legs of 80 mm to 0.5 mm, and 0.5 % of uncalibrated kinematics
 _CLEARLY = 0.7  # the best wrong mounting must fit this well before it is named
 _AXES = ("right", "down", "forward")
 _Rows = tuple[tuple[int, int], ...]  # of a signed permutation: source axis and sign
@@ -54,21 +54,30 @@ _KNOWN: dict[_Rows, str] = {
 class CameraDisplacements:
     """Camera displacements of some moves in the nominal camera's axes (k, 3) [m]: by kinematics, and as seen."""
 
-    by: str
-    expected: Array
-    seen: Array
+    measured_by: str
+    expected_m: Array
+    seen_m: Array
 
 
 def axes_figures(seen: CameraDisplacements, legs: list[str]) -> list[Figure]:
     """Angle and length of every seen displacement against the expected one."""
     figures = []
-    for leg, wanted, got in zip(legs, seen.expected, seen.seen, strict=True):
+    for leg, wanted, got in zip(legs, seen.expected_m, seen.seen_m, strict=True):
         length, got_length = float(np.linalg.norm(wanted)), float(np.linalg.norm(got))
         cosine = float(wanted @ got) / max(length * got_length, 1e-12)
         angle = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
-        figures.append(Figure(f"{leg}, by {seen.by}: off the expected direction", angle, "deg", at_most=ANGLE_MAX_DEG))
+        figures.append(
+            Figure(
+                f"{leg}, by {seen.measured_by}: off the expected direction",
+                angle,
+                "deg",
+                at_most=DIRECTION_ERROR_MAX_DEG,
+            )
+        )
         ratio = got_length / max(length, 1e-12)
-        figures.append(Figure(f"{leg}, by {seen.by}: measured length", ratio, "of expected", RATIO_MIN, RATIO_MAX))
+        figures.append(
+            Figure(f"{leg}, by {seen.measured_by}: measured length", ratio, "of expected", RATIO_MIN, RATIO_MAX)
+        )
     return figures
 
 
@@ -78,13 +87,13 @@ def depth_figure(seen: CameraDisplacements) -> list[Figure]:
     Model:   depth is f b / disparity and sideways is free of f, so their ratio alone shows a focal length that is off
              alike in both eyes. None without a leg along depth and one across.
     """
-    ratios = np.linalg.norm(seen.seen, axis=1) / np.maximum(np.linalg.norm(seen.expected, axis=1), 1e-12)
-    along = np.abs(seen.expected[:, 2]) > np.linalg.norm(seen.expected[:, :2], axis=1)
+    ratios = np.linalg.norm(seen.seen_m, axis=1) / np.maximum(np.linalg.norm(seen.expected_m, axis=1), 1e-12)
+    along = np.abs(seen.expected_m[:, 2]) > np.linalg.norm(seen.expected_m[:, :2], axis=1)
     if along.all() or not along.any():
         return []
     value = float(np.mean(ratios[along]) / np.mean(ratios[~along]))
-    limits = 1.0 - DEPTH_OFF_MAX_FRAC, 1.0 + DEPTH_OFF_MAX_FRAC
-    return [Figure(f"depth against sideways, by {seen.by} (focal length)", value, "of expected", *limits)]
+    limits = 1.0 - DEPTH_SCALE_ERROR_MAX_FRAC, 1.0 + DEPTH_SCALE_ERROR_MAX_FRAC
+    return [Figure(f"depth against sideways, by {seen.measured_by} (focal length)", value, "of expected", *limits)]
 
 
 def wrong_mounting(seen: CameraDisplacements) -> str:
@@ -92,7 +101,7 @@ def wrong_mounting(seen: CameraDisplacements) -> str:
 
     Model:   the P among the 48 signed permutations that maximises sum (P expected) . seen over the product of lengths.
     """
-    best, fit = _best_permutation(seen.expected, seen.seen)
+    best, fit = _best_permutation(seen.expected_m, seen.seen_m)
     if fit < _CLEARLY or best == ((0, 1), (1, 1), (2, 1)):
         return ""
     exchanged = "; ".join(f"{_AXES[i]} shows as {_signed_axis_name(best, i)}" for i in range(3) if best[i] != (i, 1))
@@ -118,20 +127,20 @@ def _best_permutation(expected: Array, seen: Array) -> tuple[_Rows, float]:
     return rows, fit
 
 
-NAME = "camera axes"
-REMEDY = (
+CAMERA_AXES_STEP_NAME = "camera axes"
+CAMERA_AXES_REMEDY = (
     "correct the mounting, exchange the eyes, or correct T_tcp_cam_left in the machine file; where only depth is off, "
     "calibrate the camera (focal length); then run this step again"
 )
-LEG_M = (0.08, 0.05)
-PAIRS = 10
-LEG_PLAN = PlanSettings(speed_scale=0.5, shape_reference=False)
+TEST_LEG_LENGTHS_M = (0.08, 0.05)
+PAIRS_PER_LOOK = 10
+LEG_PLAN_SETTINGS = PlanSettings(speed_scale=0.5, shape_reference=False)
 _LEGS = (("camera right", (1.0, 0.0, 0.0)), ("camera down", (0.0, 1.0, 0.0)), ("camera back", (0.0, 0.0, -1.0)))
 
 
 # Masks over the machine itself: what stood still in both eyes' pictures while the tool moved, into the settings.
 
-EYES = ("left", "right")
+EYE_NAMES = ("left", "right")
 Still = tuple[Image | None, Image | None]
 
 
@@ -145,9 +154,9 @@ async def propose_masks(site: Site, seen: Sequence[Still], masks: Masks) -> str:
         return "no leg moved both images enough to detect the machine's own structure"
     shares = [100.0 * uncovered_frac(mask, polygons) for mask, polygons in zip(wanted, masks, strict=True)]
     found = f"{shares[0]:.0f} % of the left and {shares[1]:.0f} % of the right picture move with the camera unmasked"
-    if max(shares) < 100.0 * UNMASKED_MIN_FRAC:
+    if max(shares) < 100.0 * UNMASKED_AREA_MIN_FRAC:
         return found
-    lines = {f"mask_{eye}": mask_line(eye, mask) for eye, mask in zip(EYES, wanted, strict=True)}
+    lines = {f"mask_{eye}": mask_line(eye, mask) for eye, mask in zip(EYE_NAMES, wanted, strict=True)}
     by_hand = f"{found}; put into [camera] of the settings: {' '.join(lines.values())}"
     file = site.options.settings_file
     if file is None or not await site.operator.confirm(f"{found}: masks over it will be written into {file}"):
@@ -202,16 +211,16 @@ class CameraMove:
     """One move: the camera's displacement in its nominal axes by kinematics, by odometry and by the OOI's markers."""
 
     name: str
-    expected: Array
-    odometry: Array | None
-    markers: Array | None
+    expected_m: Array
+    odometry_m: Array | None
+    markers_m: Array | None
 
 
 async def camera_axes(site: Site) -> StepResult:
     """Move the tool a little along the camera's three nominal axes, and compare."""
     await require_leave(site, "the tool will now move by 80 mm to the side, up or down, and back, slowly")
     await arm_if_needed(site)
-    before = await fresh_pairs(site, PAIRS, "looking before the moves")
+    before = await fresh_pairs(site, PAIRS_PER_LOOK, "looking before the moves")
     legs, unmeasured, still = [], [], []
     for name, axis in _LEGS:
         try:
@@ -234,22 +243,29 @@ def judge_axes(legs: Sequence[CameraMove], unmeasured: Sequence[str], disparitie
         figures.append(Figure("disparity of the markers", float(np.median(disparities)), "px", at_least=1.0))
     else:
         missing.append("no marker was visible in both eyes, so whether they are exchanged is not checked")
-    for by, steps in (("odometry", [leg.odometry for leg in legs]), ("OOI markers", [leg.markers for leg in legs])):
+    for by, steps in (("odometry", [leg.odometry_m for leg in legs]), ("OOI markers", [leg.markers_m for leg in legs])):
         measured = [(leg, step) for leg, step in zip(legs, steps, strict=True) if step is not None]
         if not measured:
             notes.append(f"{by} measured nothing")
             continue
         seen = CameraDisplacements(
-            by, np.array([leg.expected for leg, _ in measured]), np.array([step for _, step in measured])
+            by, np.array([leg.expected_m for leg, _ in measured]), np.array([step for _, step in measured])
         )
         figures += axes_figures(seen, [leg.name for leg, _ in measured]) + depth_figure(seen)
         mounting = wrong_mounting(seen) if len(measured) == len(_LEGS) else ""
         mountings += [f"by {by}: {mounting}"] if mounting else []
     missing += [
-        f"{leg.name}: neither odometry nor markers measured it" for leg in legs if leg.odometry is leg.markers is None
+        f"{leg.name}: neither odometry nor markers measured it"
+        for leg in legs
+        if leg.odometry_m is leg.markers_m is None
     ]
     result = result_of_figures(
-        NAME, figures, "the camera sees the moves as the machine makes them", REMEDY, missing, notes
+        CAMERA_AXES_STEP_NAME,
+        figures,
+        "the camera sees the moves as the machine makes them",
+        CAMERA_AXES_REMEDY,
+        missing,
+        notes,
     )
     return replace(result, summary="; ".join([*mountings, result.summary])) if mountings else result
 
@@ -259,23 +275,25 @@ async def _observe_axis_move(site: Site, name: str, axis_cam: Array) -> tuple[Ca
     vision = camera_of(site)
     start = await wait_for_rest(site)
     trajectory = _camera_axis_trajectory(site, start, name, axis_cam)
-    seen_before = mean_pose([report.observation.ooi for report in await fresh_pairs(site, PAIRS, f"{name}: before")])
+    seen_before = mean_pose(
+        [report.observation.ooi for report in await fresh_pairs(site, PAIRS_PER_LOOK, f"{name}: before")]
+    )
     try:
         await vision.start_odometry(masks=True)
         played = await run_trajectory(site, trajectory, name)
         end = await wait_for_rest(site)
-        pairs = await fresh_pairs(site, PAIRS, f"{name}: after")
+        pairs = await fresh_pairs(site, PAIRS_PER_LOOK, f"{name}: after")
         track = await vision.stop_odometry()
         odometry_map = await vision.odometry_map()
     finally:
         vision.drop_odometry()
     seen_after = mean_pose([report.observation.ooi for report in pairs])
     await play_gently(site, start.q_ref, f"{name}: back")
-    if not played.ended.reached:
-        raise NotReadyError(f"{name}: motion ended early: {played.ended.reason}")
+    if not played.motion_end.reached:
+        raise NotReadyError(f"{name}: motion ended early: {played.motion_end.reason}")
     step = expected_step(site, start, end)
     leg = CameraMove(name, step, _odometry_step(track.Ts_vo_cam), marker_step(seen_before, seen_after))
-    return leg, (None, None) if odometry_map is None else odometry_map.still
+    return leg, (None, None) if odometry_map is None else odometry_map.still_masks
 
 
 def _camera_axis_trajectory(site: Site, start: MachineReading, name: str, axis_cam: Array) -> JointTrajectory:
@@ -283,21 +301,21 @@ def _camera_axis_trajectory(site: Site, start: MachineReading, name: str, axis_c
     T = tcp_pose(site.chain, start.q_ref)
     axis_base = T[:3, :3] @ site.machine.T_tcp_cam_left[:3, :3] @ axis_cam
     reason = ""
-    for length_m in LEG_M:
+    for length_m in TEST_LEG_LENGTHS_M:
         for sign in (1.0, -1.0) if axis_cam[2] == 0.0 else (1.0,):
             plan = plan_move(
-                site.machine, start.q_ref, pose(T[:3, :3], T[:3, 3] + sign * length_m * axis_base), LEG_PLAN
+                site.machine, start.q_ref, pose(T[:3, :3], T[:3, 3] + sign * length_m * axis_base), LEG_PLAN_SETTINGS
             )
             if plan.trajectory is not None:
                 return plan.trajectory
             reason = reason or plan.reason
-    raise NotReadyError(f"{name}: no move of {1e3 * LEG_M[-1]:.0f} mm is possible from here: {reason}")
+    raise NotReadyError(f"{name}: no move of {1e3 * TEST_LEG_LENGTHS_M[-1]:.0f} mm is possible from here: {reason}")
 
 
 def expected_step(site: Site, start: MachineReading, end: MachineReading) -> Array:
     """The camera's displacement by kinematics in the nominal camera's axes at the start (3,) [m]."""
-    T_base_start = tcp_pose(site.chain, start.q) @ site.machine.T_tcp_cam_left
-    T_base_end = tcp_pose(site.chain, end.q) @ site.machine.T_tcp_cam_left
+    T_base_start = tcp_pose(site.chain, start.q_rad) @ site.machine.T_tcp_cam_left
+    T_base_end = tcp_pose(site.chain, end.q_rad) @ site.machine.T_tcp_cam_left
     return (inverse_pose(T_base_start) @ T_base_end)[:3, 3]
 
 

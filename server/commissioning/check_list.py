@@ -7,7 +7,7 @@ from enum import Enum
 
 from protocol.limits import LimitTable, cfg_id, limits_of
 from recording.clock import mono_s
-from server.camera.client import FRESH_S
+from server.camera.client import REPORT_SILENCE_MAX_S
 from server.camera.errors import CameraError
 from server.commissioning.camera_axes import camera_axes
 from server.commissioning.contracts import (
@@ -33,13 +33,15 @@ from server.link.errors import LinkError
 PLC_WAIT_S = 4.0
 CAMERA_WAIT_S = 20.0  # the first pair may compile
 DRY_RUN_WAIT_S = 5.0
-ONE_CONTROLLER = "is a server running, here or elsewhere? one controller at a time: the PLC answers only to the first"
+ONE_CONTROLLER_REMEDY = (
+    "is a server running, here or elsewhere? one controller at a time: the PLC answers only to the first"
+)
 
 
 # Step: every encoder says what is read at the machine itself (scale, mark or inclinometer).
 
-NAME = "encoder zeros"
-REMEDY = "set the encoder's offset in the PLC so that it agrees with the mark, then run this step again"
+ENCODER_ZEROS_STEP_NAME = "encoder zeros"
+ENCODER_ZEROS_REMEDY = "set the encoder's offset in the PLC so that it agrees with the mark, then run this step again"
 
 
 async def encoder_zeros(site: Site) -> StepResult:
@@ -74,7 +76,7 @@ def compare_zeros(
     names: list[str], reading_now: MachineReading, seen_deg: list[float | None], tolerance_deg: float
 ) -> StepResult:
     """The result for what was read at the machine; None: not read."""
-    q_deg = [math.degrees(value) for value in reading_now.q]
+    q_deg = [math.degrees(value) for value in reading_now.q_rad]
     pairs = list(zip(names, q_deg, seen_deg, strict=True))
     figures = [
         Figure(f"{name}: encoder against the mark", abs(q - seen), "deg", at_most=tolerance_deg)
@@ -85,16 +87,18 @@ def compare_zeros(
     rows = tuple((name, f"{q:+.3f}", "" if seen is None else f"{seen:+.3f}") for name, q, seen in pairs)
     table = ReportTable("angles", ("joint", "encoder deg", "read at the machine deg"), rows)
     if not figures:
-        skip = skipped_result(NAME, "no angle was read at the machine", "read them, or give them in --answers")
-        return StepResult(NAME, Verdict.SKIPPED, skip.summary, remedy=skip.remedy, tables=(table,))
+        skip = skipped_result(
+            ENCODER_ZEROS_STEP_NAME, "no angle was read at the machine", "read them, or give them in --answers"
+        )
+        return StepResult(ENCODER_ZEROS_STEP_NAME, Verdict.SKIPPED, skip.summary, remedy=skip.remedy, tables=(table,))
     missing = [f"not read at the machine: {', '.join(unread)}"] if unread else []
     summary = f"all encoders within {tolerance_deg:g} deg of their marks"
-    return result_of_figures(NAME, figures, summary, REMEDY, missing, tables=(table,))
+    return result_of_figures(ENCODER_ZEROS_STEP_NAME, figures, summary, ENCODER_ZEROS_REMEDY, missing, tables=(table,))
 
 
 # Step: both ends hold the same limits, by their hash.
 
-LIMITS_NAME = "limits equal"
+LIMITS_EQUAL_STEP_NAME = "limits equal"
 _COLUMNS = (("Q_MIN", "q_min"), ("Q_MAX", "q_max"), ("QD_MAX", "qd_max"), ("QDD_MAX", "qdd_max"))
 
 
@@ -109,12 +113,14 @@ def compare_limits(table: LimitTable, plc_cfg_id: int) -> StepResult:
     ours = cfg_id(table)
     if plc_cfg_id == 0:
         return inconclusive_result(
-            LIMITS_NAME, "the PLC reported no cfg_id (0)", "let the PLC compute it at start-up (FB_HmSelfCheck)"
+            LIMITS_EQUAL_STEP_NAME,
+            "the PLC reported no cfg_id (0)",
+            "let the PLC compute it at start-up (FB_HmSelfCheck)",
         )
     if plc_cfg_id == ours:
-        return StepResult(LIMITS_NAME, Verdict.PASS, f"cfg_id {ours:#010x} on both ends")
+        return StepResult(LIMITS_EQUAL_STEP_NAME, Verdict.PASS, f"cfg_id {ours:#010x} on both ends")
     return StepResult(
-        LIMITS_NAME,
+        LIMITS_EQUAL_STEP_NAME,
         Verdict.FAIL,
         f"cfg_id of the PLC {plc_cfg_id:#010x}, ours {ours:#010x}: the limits differ, and the PLC refuses HELLO",
         remedy="compare the table with GVL_HmMachine; the machine file is the source: export again and load it",
@@ -151,20 +157,20 @@ class Step:
     number: int
     name: str
     run: Callable[[Site], Awaitable[StepResult]]
-    needs: tuple[StepRequirement, ...]
-    after: tuple[int, ...] = ()
+    requirements: tuple[StepRequirement, ...]
+    prerequisite_steps: tuple[int, ...] = ()
 
 
 _MOVES = (StepRequirement.PLC, StepRequirement.VALVES, StepRequirement.LEAVE)
-STEPS = (
+CHECK_LIST_STEPS = (
     Step(1, "link dry run", link_dry_run, (StepRequirement.PLC,)),
     Step(2, "limits equal", limits_equal, (StepRequirement.PLC,)),
     Step(3, "encoder zeros", encoder_zeros, (StepRequirement.PLC,)),
     Step(4, "joint ranges", joint_ranges, (StepRequirement.PLC,)),
-    Step(5, "joint signs", joint_signs, _MOVES, after=(1, 2, 4)),
-    Step(6, "camera axes", camera_axes, (*_MOVES, StepRequirement.CAMERA), after=(1, 2, 3, 4, 5)),
+    Step(5, "joint signs", joint_signs, _MOVES, prerequisite_steps=(1, 2, 4)),
+    Step(6, "camera axes", camera_axes, (*_MOVES, StepRequirement.CAMERA), prerequisite_steps=(1, 2, 3, 4, 5)),
     Step(7, "tool marker", tool_marker, (StepRequirement.CAMERA,)),
-    Step(8, "stop times", stop_times, _MOVES, after=(1, 2, 3, 4, 5)),
+    Step(8, "stop times", stop_times, _MOVES, prerequisite_steps=(1, 2, 3, 4, 5)),
 )
 
 
@@ -214,22 +220,24 @@ async def _leave_at_rest(site: Site) -> None:
 
 async def _step_refusal(site: Site, step: Step, results: dict[str, StepResult]) -> StepResult | None:
     """Why a step cannot begin, or None."""
-    failed = [s.name for s in STEPS if s.number in step.after and _has_failed(results.get(s.name))]
+    failed = [
+        s.name for s in CHECK_LIST_STEPS if s.number in step.prerequisite_steps and _has_failed(results.get(s.name))
+    ]
     if failed:
         return inconclusive_result(step.name, f"not started, because '{failed[0]}' failed", f"fix '{failed[0]}' first")
-    for need in step.needs:
+    for need in step.requirements:
         refusal = await _NEEDS[need](site, step.name)
         if refusal is not None:
             return refusal
-    if StepRequirement.LEAVE in step.needs:
-        return _need_proof(site, step.name, results.get(STEPS[0].name))
+    if StepRequirement.LEAVE in step.requirements:
+        return _need_proof(site, step.name, results.get(CHECK_LIST_STEPS[0].name))
     return None
 
 
 def _unproven_step_notes(step: Step, results: dict[str, StepResult]) -> list[str]:
     """What should have passed before, and was not even tried or stayed open."""
     notes = []
-    for before in (each for each in STEPS if each.number in step.after):
+    for before in (each for each in CHECK_LIST_STEPS if each.number in step.prerequisite_steps):
         result = results.get(before.name)
         if result is None or result.verdict is not Verdict.PASS:
             notes.append(f"'{before.name}' before it: {'not run' if result is None else result.verdict.value}")
@@ -247,7 +255,7 @@ async def _need_plc(site: Site, name: str) -> StepResult | None:
     health, plc = site.link.health, site.settings.plc
     problem = health.error or health.last_reject or "check cable, address, port and framing"
     why = f"no state from the PLC at {plc.host}:{plc.port}; {problem}"
-    return inconclusive_result(name, why, ONE_CONTROLLER)
+    return inconclusive_result(name, why, ONE_CONTROLLER_REMEDY)
 
 
 async def _need_valves(site: Site, name: str) -> StepResult | None:
@@ -285,7 +293,7 @@ async def _need_camera(site: Site, name: str) -> StepResult | None:
         return inconclusive_result(
             name, "no camera was started", "run the steps that look with a camera in the settings"
         )
-    if await wait_for(site, lambda: vision.age_s < FRESH_S, CAMERA_WAIT_S, "waiting for images"):
+    if await wait_for(site, lambda: vision.age_s < REPORT_SILENCE_MAX_S, CAMERA_WAIT_S, "waiting for images"):
         return None
     return inconclusive_result(
         name, f"no images: {vision.stream_text or 'camera is silent'}", "check the camera's settings"

@@ -12,29 +12,41 @@ from server.commissioning.moving import read_machine, wait_shown
 from server.commissioning.site import Site
 from server.link.contracts import PlcSample
 
-NAME = "joint ranges"
-REMEDY = "check wiring, zero and sign of the encoders named, and the ranges in the machine file"
-WATCH_S = 2.0
-QUIET_MAX_DEG = 0.05  # spread of a resting encoder: 36 counts of 18 bit
+JOINT_RANGES_STEP_NAME = "joint ranges"
+JOINT_RANGES_REMEDY = "check wiring, zero and sign of the encoders named, and the ranges in the machine file"
+REST_WATCH_DURATION_S = 2.0
+REST_SPREAD_MAX_DEG = 0.05  # spread of a resting encoder: 36 counts of 18 bit
 END_TOLERANCE_DEG = 1.0  # the mechanical end may lie this far inside the file's range
-FAULTS = FaultBit.SENSOR | FaultBit.JOINT_RANGE
+ENCODER_FAULT_BITS = FaultBit.SENSOR | FaultBit.JOINT_RANGE
 
 
 async def joint_ranges(site: Site) -> StepResult:
     """Watch the encoders at rest, and ask for the ends where the engineer wants that."""
     before = site.link.latest
-    await wait_shown(site, WATCH_S, "watching the encoders at rest")
+    await wait_shown(site, REST_WATCH_DURATION_S, "watching the encoders at rest")
     samples = site.link.samples_since(0)
     recent = [s for s in samples if before is None or s.t_mono_ns > before.t_mono_ns]
     if len(recent) < 10:
-        return inconclusive_result(NAME, f"{len(recent)} states in {WATCH_S:.0f} s", "fix the link first (step 1)")
+        return inconclusive_result(
+            JOINT_RANGES_STEP_NAME,
+            f"{len(recent)} states in {REST_WATCH_DURATION_S:.0f} s",
+            "fix the link first (step 1)",
+        )
     figures = range_figures(recent, site.machine.joints)
     if not site.options.ask_for_ends:
         note = "the mechanical end stops were not checked; --ends includes them"
-        return result_of_figures(NAME, figures, "all joints quiet and inside their ranges", REMEDY, notes=(note,))
+        return result_of_figures(
+            JOINT_RANGES_STEP_NAME,
+            figures,
+            "all joints quiet and inside their ranges",
+            JOINT_RANGES_REMEDY,
+            notes=(note,),
+        )
     ends, not_driven, table = await _measure_range_ends(site)
     summary = "all joints quiet, inside their ranges, and the ranges inside the mechanical ends"
-    return result_of_figures(NAME, [*figures, *ends], summary, REMEDY, not_driven, tables=(table,))
+    return result_of_figures(
+        JOINT_RANGES_STEP_NAME, [*figures, *ends], summary, JOINT_RANGES_REMEDY, not_driven, tables=(table,)
+    )
 
 
 def range_figures(samples: Sequence[PlcSample], joints: Sequence[Joint]) -> list[Figure]:
@@ -45,9 +57,9 @@ def range_figures(samples: Sequence[PlcSample], joints: Sequence[Joint]) -> list
         low, high = math.degrees(joint.q_min_rad), math.degrees(joint.q_max_rad)
         figures += [
             Figure(f"{joint.name}: angle", float(np.median(column)), "deg", low, high),
-            Figure(f"{joint.name}: spread at rest", float(np.ptp(column)), "deg", at_most=QUIET_MAX_DEG),
+            Figure(f"{joint.name}: spread at rest", float(np.ptp(column)), "deg", at_most=REST_SPREAD_MAX_DEG),
         ]
-    faults = int(samples[-1].fault_bits) & int(FAULTS)
+    faults = int(samples[-1].fault_bits) & int(ENCODER_FAULT_BITS)
     return [*figures, Figure("faults SENSOR or JOINT_RANGE", float(faults.bit_count()), "of 2", at_most=0.0)]
 
 
@@ -77,7 +89,7 @@ async def _angle_deg(answer: str, site: Site, index: int) -> float:
     try:
         return float(answer)
     except ValueError:
-        return math.degrees((await read_machine(site)).q[index])
+        return math.degrees((await read_machine(site)).q_rad[index])
 
 
 def end_figure(name: str, side: str, q_deg: float, limit_deg: float) -> Figure:

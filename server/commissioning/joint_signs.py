@@ -25,14 +25,14 @@ from server.commissioning.site import Site
 from server.link.contracts import PlcSample
 from server.link.errors import LinkError
 
-NAME = "joint signs"
-REMEDY = (
+JOINT_SIGNS_STEP_NAME = "joint signs"
+JOINT_SIGNS_REMEDY = (
     "stop here: reverse the valve's wires or gain where the valve opened the wrong way, the encoder's sign where the "
     "tool went the wrong way, then run this step again"
 )
 STEP_MIN_RAD, STEP_MAX_RAD = math.radians(2.0), math.radians(6.0)
-TIP_M = 0.03  # a wrist turns as much as moves the tip by this, so that it can be seen
-RUNAWAY_RAD = math.radians(1.0)  # the wrong way by this much: valves to neutral immediately
+TEST_TIP_TRAVEL_M = 0.03  # a wrist turns as much as moves the tip by this, so that it can be seen
+RUNAWAY_ANGLE_MAX_RAD = math.radians(1.0)  # the wrong way by this much: valves to neutral immediately
 FOLLOWED_MIN, FOLLOWED_MAX = 0.3, 1.5  # of the step; a dead band swallows a part
 PRESSURE_MAX_PA = 50e6
 _REMARK = "the direction of the tool was not entered"
@@ -44,8 +44,8 @@ _REMARK = "the direction of the tool was not entered"
 # left and right across it, up and down. A joint that only turns the tool is identified by its turn, looking the way
 # the tool looks.
 
-OPPOSITES = {"out": "in", "left": "right", "up": "down", "clockwise": "counter-clockwise"}
-_OPPOSITE = OPPOSITES | {value: key for key, value in OPPOSITES.items()}
+OPPOSITE_DIRECTION_WORDS = {"out": "in", "left": "right", "up": "down", "clockwise": "counter-clockwise"}
+_OPPOSITE = OPPOSITE_DIRECTION_WORDS | {value: key for key, value in OPPOSITE_DIRECTION_WORDS.items()}
 _SHORT = {"cw": "clockwise", "ccw": "counter-clockwise", "l": "left", "r": "right", "u": "up", "d": "down"}
 _VISIBLE_M = 0.008  # a smaller motion of the tip is not seen from the column
 _SIDE_SHARE = 0.5  # of the largest component: a person may name this one as well
@@ -55,7 +55,7 @@ _SIDE_SHARE = 0.5  # of the largest component: a person may name this one as wel
 class ExpectedDirection:
     """What a person should see: the words that are right, the largest first, and a sentence for the report."""
 
-    words: tuple[str, ...]
+    accepted_words: tuple[str, ...]
     text: str
 
 
@@ -104,18 +104,18 @@ def parse_direction(answer: str) -> str | None:
 
 def is_expected_direction(expected: ExpectedDirection, word: str) -> bool | None:
     """Whether a seen word fits: True, False (it is the opposite of one), or None: neither."""
-    if word in expected.words:
+    if word in expected.accepted_words:
         return True
-    return False if any(_OPPOSITE[right] == word for right in expected.words) else None
+    return False if any(_OPPOSITE[right] == word for right in expected.accepted_words) else None
 
 
 @dataclass(frozen=True, slots=True)
 class SignTestJog:
     """One joint's small motion, as the states show it."""
 
-    joint: str
+    joint_name: str
     step_rad: float
-    followed: float  # share of the step that the encoder made, signed
+    followed_frac: float  # share of the step that the encoder made, signed
     valve_frac: float  # mean valve command while the reference moved, positive: the way of the step
     pressures_ok: bool
     objection: str
@@ -140,12 +140,12 @@ async def joint_signs(site: Site) -> StepResult:
             not_jogged.append(f"{joint.name}: {error}")
             break
         figures += jog_figures(jog)
-        seen, seen_figure = seen_as(jog.joint, expected, answer)
+        seen, seen_figure = seen_as(jog.joint_name, expected, answer)
         figures += seen_figure
         not_jogged += [] if seen_figure else [f"{joint.name}: {seen}"]
         step = f"{math.degrees(jog.step_rad):+.1f}"
         rows.append(
-            (joint.name, step, expected.text, seen, f"{100 * jog.followed:.0f}", f"{100 * jog.valve_frac:+.1f}")
+            (joint.name, step, expected.text, seen, f"{100 * jog.followed_frac:.0f}", f"{100 * jog.valve_frac:+.1f}")
         )
         if jog.objection or not jog.reached or not all(figure.ok for figure in seen_figure):
             break  # a joint that goes the wrong way ends this step: the others wait for the remedy
@@ -153,7 +153,12 @@ async def joint_signs(site: Site) -> StepResult:
     table = ReportTable("jogs", headings, tuple(rows))
     return _with_skip(
         result_of_figures(
-            NAME, figures, "every joint moves in the commanded direction", REMEDY, not_jogged, tables=(table,)
+            JOINT_SIGNS_STEP_NAME,
+            figures,
+            "every joint moves in the commanded direction",
+            JOINT_SIGNS_REMEDY,
+            not_jogged,
+            tables=(table,),
         )
     )
 
@@ -177,17 +182,17 @@ async def _one_joint(site: Site, index: int) -> tuple[SignTestJog, ExpectedDirec
     await arm_if_needed(site)
     start = await wait_for_rest(site)
     joint = site.machine.joints[index]
-    step = jog_step(site, start.q, index)
-    expected = expected_motion(site.chain, start.q, index, step)
+    step = jog_step(site, start.q_rad, index)
+    expected = expected_motion(site.chain, start.q_rad, index, step)
     goal = start.q_ref.copy()
     goal[index] += step
     played = await play_gently(
-        site, goal, f"jogging {joint.name}", lambda sample: why_end_jog(sample, start.q, index, step)
+        site, goal, f"jogging {joint.name}", lambda sample: why_end_jog(sample, start.q_rad, index, step)
     )
-    jog = jog_of(joint.name, played, start.q, index, step)
+    jog = jog_of(joint.name, played, start.q_rad, index, step)
     if jog.objection or not jog.reached:
         return jog, expected, None
-    jog = replace(jog, followed=float((await wait_for_rest(site)).q[index] - start.q[index]) / step)
+    jog = replace(jog, followed_frac=float((await wait_for_rest(site)).q_rad[index] - start.q_rad[index]) / step)
     question = (
         f"{joint.name}: which way did the tool go, seen from behind the machine? "
         "[left, right, up, down, out, in, cw, ccw (looking the way the tool looks); empty: not seen]"
@@ -212,7 +217,7 @@ async def _ask_direction(site: Site, key: str, question: str) -> str | None:
 def jog_step(site: Site, q: Array, index: int) -> float:
     """A step that can be seen, to the side where there is room [rad]. Raises: NotReadyError: room on neither side."""
     lever_m = float(np.linalg.norm(tcp_jacobian(site.chain, q)[:3, index]))
-    size = min(max(STEP_MIN_RAD, TIP_M / max(lever_m, 1e-6)), STEP_MAX_RAD)
+    size = min(max(STEP_MIN_RAD, TEST_TIP_TRAVEL_M / max(lever_m, 1e-6)), STEP_MAX_RAD)
     for step in (size, -size):
         goal = q.copy()
         goal[index] += step
@@ -226,28 +231,28 @@ def why_end_jog(sample: PlcSample, q_start: Array, index: int, step: float) -> s
     """Why the jog must end now: the joint went the wrong way, or another joint moved as well; empty: all is well."""
     moved = np.array(sample.q_rad) - q_start
     backwards = -moved[index] * math.copysign(1.0, step)
-    if backwards > RUNAWAY_RAD:
+    if backwards > RUNAWAY_ANGLE_MAX_RAD:
         return f"went {math.degrees(backwards):.1f} deg the wrong way"
-    if abs(moved[index]) > abs(step) + 2.0 * RUNAWAY_RAD:
+    if abs(moved[index]) > abs(step) + 2.0 * RUNAWAY_ANGLE_MAX_RAD:
         return f"went {math.degrees(abs(moved[index])):.1f} deg, {math.degrees(abs(step)):.1f} deg were commanded"
     others = np.delete(np.abs(moved), index)
-    if len(others) and float(others.max()) > RUNAWAY_RAD:
+    if len(others) and float(others.max()) > RUNAWAY_ANGLE_MAX_RAD:
         return f"another joint moved by {math.degrees(float(others.max())):.1f} deg: crossed valves or encoders"
     return ""
 
 
 def jog_of(name: str, played: PlayedMotion, q_start: Array, index: int, step: float) -> SignTestJog:
     """What the states of one jog say."""
-    samples = played.samples
+    samples = played.plc_samples
     moving = [s for s in samples if abs(s.qd_ref_rad_s[index]) > 1e-3]
     valve = float(np.mean([s.valve_frac[index] for s in moving])) * math.copysign(1.0, step) if moving else math.nan
     moved = samples[-1].q_rad[index] - q_start[index] if samples else math.nan
-    reason = played.objection or ("" if played.ended.reached else played.ended.reason)
+    reason = played.objection or ("" if played.motion_end.reached else played.motion_end.reason)
     faults = FaultBit(samples[-1].fault_bits) if samples else FaultBit(0)
     if reason and faults:
         reason = f"{reason}; faults {faults!s}"
     return SignTestJog(
-        name, step, moved / step, valve, pressures_plausible(samples, index), reason, played.ended.reached
+        name, step, moved / step, valve, pressures_plausible(samples, index), reason, played.motion_end.reached
     )
 
 
@@ -259,12 +264,18 @@ def pressures_plausible(samples: Sequence[PlcSample], index: int) -> bool:
 
 def jog_figures(jog: SignTestJog) -> list[Figure]:
     """Encoder, valve and pressures of one jog against what they should be."""
-    ended = f"{jog.joint}: jog ended early ({jog.objection})" if jog.objection else f"{jog.joint}: jog ended early"
+    ended = (
+        f"{jog.joint_name}: jog ended early ({jog.objection})"
+        if jog.objection
+        else f"{jog.joint_name}: jog ended early"
+    )
     return [
         Figure(ended, 0.0 if jog.reached and not jog.objection else 1.0, "times", at_most=0.0),
-        Figure(f"{jog.joint}: encoder followed", jog.followed, "of the step", FOLLOWED_MIN, FOLLOWED_MAX),
-        Figure(f"{jog.joint}: valve opened the step's way", jog.valve_frac, "of full", at_least=1e-6),
-        Figure(f"{jog.joint}: chamber pressures outside 0 .. 500 bar", float(not jog.pressures_ok), "times", None, 0.0),
+        Figure(f"{jog.joint_name}: encoder followed", jog.followed_frac, "of the step", FOLLOWED_MIN, FOLLOWED_MAX),
+        Figure(f"{jog.joint_name}: valve opened the step's way", jog.valve_frac, "of full", at_least=1e-6),
+        Figure(
+            f"{jog.joint_name}: chamber pressures outside 0 .. 500 bar", float(not jog.pressures_ok), "times", None, 0.0
+        ),
     ]
 
 
@@ -274,6 +285,6 @@ def seen_as(name: str, expected: ExpectedDirection, word: str | None) -> tuple[s
         return _REMARK, []
     fits = is_expected_direction(expected, word)
     if fits is None:
-        return f"'{word}' was seen, {' or '.join(expected.words)} was expected: watch again", []
+        return f"'{word}' was seen, {' or '.join(expected.accepted_words)} was expected: watch again", []
     figure = Figure(f"{name}: tool seen to go the wrong way ({word})", float(not fits), "times", at_most=0.0)
     return word, [figure]

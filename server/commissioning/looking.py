@@ -45,7 +45,7 @@ def disparities_px(reports: Sequence[FrameReport]) -> list[float]:
     return [
         float(np.median(view.corners_left_px[:, 0] - view.corners_right_px[:, 0]))
         for report in reports
-        for view in report.observation.views
+        for view in report.observation.marker_views
         if view.corners_left_px is not None and view.corners_right_px is not None
     ]
 

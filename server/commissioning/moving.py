@@ -16,7 +16,7 @@ from server.motion.contracts import JointTrajectory, PathPlan
 from server.motion.point_to_point import plan_joint_move
 from server.motion.settings import PlanSettings
 
-GENTLE = PlanSettings(speed_scale=0.3, duration_min_s=3.0, shape_reference=False)
+GENTLE_PLAN_SETTINGS = PlanSettings(speed_scale=0.3, duration_min_s=3.0, shape_reference=False)
 REST_TIMEOUT_S = 15.0
 _REST_WINDOW_S = 0.5
 _REST_SPEED_RAD_S = 5e-4  # 2 mm/s at 4 m
@@ -40,7 +40,7 @@ class NotReadyError(Exception):
 class MachineReading:
     """Where the machine is: encoders (a mean over 0.1 s) and reference, (n,) [rad]."""
 
-    q: Array
+    q_rad: Array
     q_ref: Array
 
 
@@ -48,8 +48,8 @@ class MachineReading:
 class PlayedMotion:
     """One motion: its end, the states from its start on, and what the guard objected to (empty: nothing)."""
 
-    ended: MotionEnded
-    samples: list[PlcSample]
+    motion_end: MotionEnded
+    plc_samples: list[PlcSample]
     objection: str
 
 
@@ -98,7 +98,7 @@ def at_rest(samples: list[PlcSample]) -> bool:
 
 def gentle_plan(site: Site, q_ref: Array, q_goal: Array, duration_s: float = 3.0) -> PathPlan:
     """A slow, plain joint move of the reference; a status and no trajectory where it may not be driven."""
-    return plan_joint_move(site.machine, q_ref, q_goal, replace(GENTLE, duration_min_s=duration_s))
+    return plan_joint_move(site.machine, q_ref, q_goal, replace(GENTLE_PLAN_SETTINGS, duration_min_s=duration_s))
 
 
 async def run_trajectory(

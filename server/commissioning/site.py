@@ -34,10 +34,10 @@ class Site:
     vision: VisionClient | None
     operator: Operator
     options: CommissioningOptions
-    leave: bool | None = None  # to move; None: not asked yet
+    move_permission: bool | None = None  # to move; None: not asked yet
 
     async def may_move(self) -> bool:
         """Whether the engineer has given leave to move; asked the first time only."""
-        if self.leave is None:
-            self.leave = await self.operator.may_move(self.machine.name)
-        return self.leave
+        if self.move_permission is None:
+            self.move_permission = await self.operator.may_move(self.machine.name)
+        return self.move_permission

@@ -10,7 +10,7 @@ from machine.description import Machine
 from machine.kinematics import tcp_poses
 from server.link.contracts import PlcSample
 
-STILL_RAD_S = 0.003  # encoders: the boom has stopped swinging
+STANDSTILL_SPEED_MAX_RAD_S = 0.003  # encoders: the boom has stopped swinging
 _MOVING = ("RUN", "STOPPING")
 _TAKEN_AWAY = ("FAULT", "LOCAL", "BOOT")
 
@@ -68,7 +68,9 @@ def _first_state_index(samples: Sequence[PlcSample], since: int, wanted: Callabl
 
 def _standstill_index(samples: Sequence[PlcSample], since: int) -> int | None:
     """Index of the first state after which no joint moves any more."""
-    moving = [i for i in range(since, len(samples)) if max(abs(v) for v in samples[i].qd_rad_s) > STILL_RAD_S]
+    moving = [
+        i for i in range(since, len(samples)) if max(abs(v) for v in samples[i].qd_rad_s) > STANDSTILL_SPEED_MAX_RAD_S
+    ]
     last = moving[-1] if moving else since
     return last + 1 if last + 1 < len(samples) else None
 

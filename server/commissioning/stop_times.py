@@ -32,14 +32,16 @@ from server.motion.contracts import JointTrajectory, PathPlan
 from server.motion.point_to_point import plan_joint_move, plan_move
 from server.motion.settings import PlanSettings
 
-NAME = "stop times"
-REMEDY = "compare qdd_max in the machine file with what the machine can do; check the valve gains and the PLC task"
+STOP_TIMES_STEP_NAME = "stop times"
+STOP_TIMES_REMEDY = (
+    "compare qdd_max in the machine file with what the machine can do; check the valve gains and the PLC task"
+)
 TRAVEL_MAX_MM = 80.0
-SPEEDS = (0.5, 1.0)
-KINDS = (StopKind.STOP, StopKind.QUICK_STOP, StopKind.SILENCE)
-LENGTHS_M = (0.30, 0.22, 0.16)
+TESTED_SPEED_SCALES = (0.5, 1.0)
+TESTED_STOP_KINDS = (StopKind.STOP, StopKind.QUICK_STOP, StopKind.SILENCE)
+TEST_LINE_LENGTHS_M = (0.30, 0.22, 0.16)
 JOINT_SPANS_RAD = (0.30, 0.20, 0.12)
-FAST = PlanSettings(limit_share=0.98)  # as fast as any motion that this machine will be sent
+FAST_PLAN_SETTINGS = PlanSettings(limit_share=0.98)  # as fast as any motion that this machine will be sent
 _HEADINGS = ("move", "speed %", "stop", "TCP mm/s", "begins ms", "ramp ms", "bound ms", "still ms", "TCP mm")
 # away from what the tool looks at first, then across it
 _DIRECTIONS_TCP = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0))
@@ -49,16 +51,16 @@ _DIRECTIONS_TCP = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0
 class StopCase:
     """One move that is stopped: which joint turns (None: the tool goes straight), how fast, and what stops it."""
 
-    joint: int | None
-    speed: float
-    kind: StopKind
+    joint_index: int | None
+    speed_scale: float
+    stop_kind: StopKind
 
 
 def stop_cases(joints: int, each_joint: bool) -> Iterator[StopCase]:
     """The cases in order: the tool's straight move, then joint by joint where `each_joint` is set."""
     for joint in (None, *(range(joints) if each_joint else ())):
-        for speed in SPEEDS:
-            for kind in KINDS:
+        for speed in TESTED_SPEED_SCALES:
+            for kind in TESTED_STOP_KINDS:
                 yield StopCase(joint, speed, kind)
 
 
@@ -80,7 +82,7 @@ async def stop_times(site: Site) -> StepResult:
         except (NotReadyError, LinkError, ValueError) as error:  # what was measured so far is kept
             not_measured.append(f"{name}: {error}")
         else:
-            figures += [*rest_figures(name, case.kind, stop), *tcp_travel_figures(name, stop)]
+            figures += [*rest_figures(name, case.stop_kind, stop), *tcp_travel_figures(name, stop)]
             rows.append(_stop_table_row(site, case, stop))
         try:
             await _take_home(site, home)
@@ -89,13 +91,13 @@ async def stop_times(site: Site) -> StepResult:
             break
     table = ReportTable(f"stops; ramp at most bound + {RAMP_SLACK_MS:.0f} ms", _HEADINGS, tuple(rows))
     summary = f"every ramp within |qd|/qdd_max, every travel below {TRAVEL_MAX_MM:.0f} mm, nothing resumed"
-    return result_of_figures(NAME, figures, summary, REMEDY, not_measured, tables=(table,))
+    return result_of_figures(STOP_TIMES_STEP_NAME, figures, summary, STOP_TIMES_REMEDY, not_measured, tables=(table,))
 
 
 async def _measure_stop(site: Site, case: StopCase, name: str) -> StopFigures:
     trajectory = await _stop_test_trajectory(site, case)
-    stopped = await run_and_stop(site, trajectory, case.kind, name)
-    return stop_figures(stopped.samples, stopped.t_trigger_plc_ns, site.machine)
+    stopped = await run_and_stop(site, trajectory, case.stop_kind, name)
+    return stop_figures(stopped.plc_samples, stopped.t_trigger_plc_ns, site.machine)
 
 
 async def _take_home(site: Site, home: Array) -> None:
@@ -103,17 +105,17 @@ async def _take_home(site: Site, home: Array) -> None:
     await wait_for_rest(site)
     if float(np.abs((await read_machine(site)).q_ref - home).max()) > 1e-6:
         played = await play_gently(site, home, "slowly back")
-        if not played.ended.reached:
-            raise NotReadyError(f"the way back ended early: {played.ended.reason}")
+        if not played.motion_end.reached:
+            raise NotReadyError(f"the way back ended early: {played.motion_end.reason}")
     await wait_for_rest(site)
 
 
 async def _stop_test_trajectory(site: Site, case: StopCase) -> JointTrajectory:
     q_ref = (await read_machine(site)).q_ref
-    settings = replace(FAST, speed_scale=case.speed)
+    settings = replace(FAST_PLAN_SETTINGS, speed_scale=case.speed_scale)
     plans = (
-        _single_joint_moves(site, q_ref, case.joint, settings)
-        if case.joint is not None
+        _single_joint_moves(site, q_ref, case.joint_index, settings)
+        if case.joint_index is not None
         else _tool_plans(site, q_ref, settings)
     )
     reason = ""
@@ -127,7 +129,7 @@ async def _stop_test_trajectory(site: Site, case: StopCase) -> JointTrajectory:
 def _tool_plans(site: Site, q_ref: Array, settings: PlanSettings) -> Iterator[PathPlan]:
     """Straight moves of the tool, the longest and safest direction first."""
     T = tcp_pose(site.chain, q_ref)
-    for length_m in LENGTHS_M:
+    for length_m in TEST_LINE_LENGTHS_M:
         for direction in _DIRECTIONS_TCP:
             point = T[:3, 3] + length_m * (T[:3, :3] @ np.array(direction))
             yield plan_move(site.machine, q_ref, pose(T[:3, :3], point), settings)
@@ -150,12 +152,12 @@ def tcp_travel_figures(name: str, stop: StopFigures) -> list[Figure]:
 
 
 def _case_name(site: Site, case: StopCase) -> str:
-    what = "tool" if case.joint is None else site.machine.joints[case.joint].name
-    return f"{what} at {100 * case.speed:.0f} %, {case.kind.value}"
+    what = "tool" if case.joint_index is None else site.machine.joints[case.joint_index].name
+    return f"{what} at {100 * case.speed_scale:.0f} %, {case.stop_kind.value}"
 
 
 def _stop_table_row(site: Site, case: StopCase, stop: StopFigures) -> tuple[str, ...]:
-    what = "tool" if case.joint is None else site.machine.joints[case.joint].name
+    what = "tool" if case.joint_index is None else site.machine.joints[case.joint_index].name
     numbers = (
         stop.tcp_speed_mm_s,
         stop.reaction_ms,
@@ -164,4 +166,4 @@ def _stop_table_row(site: Site, case: StopCase, stop: StopFigures) -> tuple[str,
         stop.machine_still_ms,
         stop.tcp_travel_mm,
     )
-    return (what, f"{100 * case.speed:.0f}", case.kind.value, *(f"{number:.0f}" for number in numbers))
+    return (what, f"{100 * case.speed_scale:.0f}", case.stop_kind.value, *(f"{number:.0f}" for number in numbers))

@@ -4,7 +4,7 @@ import asyncio
 from dataclasses import dataclass
 from enum import Enum
 
-from protocol.timeouts import COMMAND_LOST, COMMAND_PERIOD, SESSION_VOID, STATE_PERIOD
+from protocol.timeouts import COMMAND_LOST_TIMEOUT, COMMAND_PERIOD, SESSION_TIMEOUT, STATE_PERIOD
 from recording.clock import mono_ns
 from server.commissioning.contracts import Figure
 from server.commissioning.moving import Guard, NotReadyError, run_trajectory, wait_for, wait_shown
@@ -13,14 +13,18 @@ from server.commissioning.stop_figures import StopFigures
 from server.link.contracts import PlcSample
 from server.motion.contracts import JointTrajectory
 
-SILENCE_S = 1.8
+LINK_SILENCE_DURATION_S = 1.8
 _AFTER_STOP_S = 2.5  # a boom of this size has stopped swinging visibly
-_STATE_MS = STATE_PERIOD.ns / 1e6
-SILENT_REACTION_MAX_MS = COMMAND_LOST.ns / 1e6 + 2.0 * _STATE_MS  # 260 ms, and the ramp is seen at the next state
-ASKED_REACTION_MAX_MS = 100.0  # one command period, the way there, one state; on a PC that is busy
+_STATE_MS = STATE_PERIOD.duration_ns / 1e6
+SILENCE_REACTION_MAX_MS = (
+    COMMAND_LOST_TIMEOUT.duration_ns / 1e6 + 2.0 * _STATE_MS
+)  # 260 ms, and the ramp is seen at the next state
+STOP_REACTION_MAX_MS = 100.0  # one command period, the way there, one state; on a PC that is busy
 RAMP_SLACK_MS = 2.0 * _STATE_MS  # begin and end are each seen at the next state
-VOID_MIN_MS = (SESSION_VOID.ns - COMMAND_PERIOD.ns) / 1e6 - _STATE_MS  # counts from the last command, before we asked
-VOID_MAX_MS = SESSION_VOID.ns / 1e6 + 5.0 * _STATE_MS
+SESSION_VOID_TIME_MIN_MS = (
+    SESSION_TIMEOUT.duration_ns - COMMAND_PERIOD.duration_ns
+) / 1e6 - _STATE_MS  # counts from the last command, before we asked
+SESSION_VOID_TIME_MAX_MS = SESSION_TIMEOUT.duration_ns / 1e6 + 5.0 * _STATE_MS
 
 
 class StopKind(Enum):
@@ -33,7 +37,7 @@ class StopKind(Enum):
     @property
     def reaction_max_ms(self) -> float:
         """Longest time from asking to the ramp's begin."""
-        return SILENT_REACTION_MAX_MS if self is StopKind.SILENCE else ASKED_REACTION_MAX_MS
+        return SILENCE_REACTION_MAX_MS if self is StopKind.SILENCE else STOP_REACTION_MAX_MS
 
 
 class EndedByItselfError(NotReadyError):
@@ -44,7 +48,7 @@ class EndedByItselfError(NotReadyError):
 class StopRun:
     """The states from the motion's start to standstill, when the stop was requested, and a guard's objection."""
 
-    samples: list[PlcSample]
+    plc_samples: list[PlcSample]
     t_trigger_plc_ns: int
     objection: str
 
@@ -61,14 +65,16 @@ async def run_and_stop(
     try:
         played = await run_trajectory(site, trajectory, text, guard)
         try:
-            async with asyncio.timeout(SILENCE_S):
+            async with asyncio.timeout(LINK_SILENCE_DURATION_S):
                 t_trigger_ns = await trigger
         except TimeoutError:
-            raise EndedByItselfError(played.objection or played.ended.reason or "it had reached its end") from None
+            raise EndedByItselfError(played.objection or played.motion_end.reason or "it had reached its end") from None
     finally:
         trigger.cancel()
     await wait_shown(
-        site, SILENCE_S if kind is StopKind.SILENCE else _AFTER_STOP_S, f"{text}: watching it come to rest"
+        site,
+        LINK_SILENCE_DURATION_S if kind is StopKind.SILENCE else _AFTER_STOP_S,
+        f"{text}: watching it come to rest",
     )
     return StopRun(site.link.samples_since(t_start_ns), t_trigger_ns, played.objection)
 
@@ -83,7 +89,7 @@ async def _trigger_stop(site: Site, t_play_s: float, kind: StopKind, text: str) 
     await wait_for(site, there, t_play_s + 3.0, text)
     offset_ns, t_asked_ns = site.link.plc_to_pc_offset_ns or 0, mono_ns()
     if kind is StopKind.SILENCE:
-        await site.link.go_silent(SILENCE_S)
+        await site.link.go_silent(LINK_SILENCE_DURATION_S)
     elif kind is StopKind.QUICK_STOP:
         await site.link.quick_stop("commissioning: stop times")
     else:
@@ -105,5 +111,9 @@ def rest_figures(name: str, kind: StopKind, stop: StopFigures) -> list[Figure]:
         Figure(f"{name}: ended by a fault or the lever", float(stop.faulted), "times", at_most=0.0),
     ]
     if kind is StopKind.SILENCE:
-        figures.append(Figure(f"{name}: session void after", stop.void_ms, "ms", VOID_MIN_MS, VOID_MAX_MS))
+        figures.append(
+            Figure(
+                f"{name}: session void after", stop.void_ms, "ms", SESSION_VOID_TIME_MIN_MS, SESSION_VOID_TIME_MAX_MS
+            )
+        )
     return figures

@@ -13,26 +13,26 @@ from server.commissioning.contracts import Figure, StepResult, Verdict, result_o
 from server.commissioning.looking import corners_by_stereo, disparities_px, fresh_pairs, mean_pose, mean_side_m
 from server.commissioning.site import Site
 
-NAME = "tool marker"
-REMEDY = (
+TOOL_MARKER_STEP_NAME = "tool marker"
+TOOL_MARKER_REMEDY = (
     "check the marker's id and printed size, T_tcp_tool and T_tcp_cam_left in the machine file, the camera's "
     "calibration, and that marker and camera sit firmly"
 )
-LOOKS = 6
-PAIRS_A_LOOK = 8
-SEEN_MIN_FRAC = 0.8
-SIDE_MAX_PCT = 3.0  # printed size, baseline and focal length together
-REPEAT_MAX_MM = 0.5
-REPEAT_MAX_DEG = 0.5
-PLACE_MAX_MM = 80.0  # a mounting measured by tape
-TURN_MAX_DEG = 20.0
+N_LOOKS = 6
+PAIRS_PER_LOOK = 8
+MARKER_SEEN_MIN_FRAC = 0.8
+MARKER_SIDE_ERROR_MAX_PCT = 3.0  # printed size, baseline and focal length together
+REPEATABILITY_MAX_MM = 0.5
+REPEATABILITY_MAX_DEG = 0.5
+MARKER_POSITION_ERROR_MAX_MM = 80.0  # a mounting measured by tape
+MARKER_ROTATION_ERROR_MAX_DEG = 20.0
 
 
 async def tool_marker(site: Site) -> StepResult:
     """Look several times without moving."""
     looks = [
-        await fresh_pairs(site, PAIRS_A_LOOK, f"look {number} of {LOOKS} at the tool marker")
-        for number in range(1, LOOKS + 1)
+        await fresh_pairs(site, PAIRS_PER_LOOK, f"look {number} of {N_LOOKS} at the tool marker")
+        for number in range(1, N_LOOKS + 1)
     ]
     return judge_marker(looks, site.machine)
 
@@ -41,17 +41,22 @@ def judge_marker(looks: Sequence[Sequence[FrameReport]], machine: Machine) -> St
     """The result for several looks of some pairs each."""
     ids = tuple(marker.marker_id for marker in machine.markers_on("tool"))
     reports = [report for look in looks for report in look]
-    seen = sum(any(view.marker_id in ids for view in report.observation.views) for report in reports)
-    found = sorted({view.marker_id for report in reports for view in report.observation.views})
+    seen = sum(any(view.marker_id in ids for view in report.observation.marker_views) for report in reports)
+    found = sorted({view.marker_id for report in reports for view in report.observation.marker_views})
     first = Figure(
-        f"marker {_marker_ids_text(ids)} seen", seen / max(len(reports), 1), "of the pairs", at_least=SEEN_MIN_FRAC
+        f"marker {_marker_ids_text(ids)} seen",
+        seen / max(len(reports), 1),
+        "of the pairs",
+        at_least=MARKER_SEEN_MIN_FRAC,
     )
     notes = [f"markers in view: {_marker_ids_text(found) or 'none'}"]
     poses = [pose for look in looks if (pose := mean_pose([report.observation.tool for report in look])) is not None]
     if not first.ok or len(poses) < 2:
         why = next((r.observation.tool.reason for r in reports if r.observation.tool.reason), "not in view")
         figures = (first, *disparity_figures(reports))
-        return StepResult(NAME, Verdict.FAIL, f"{first.as_line}; {why}", figures, REMEDY, tuple(notes))
+        return StepResult(
+            TOOL_MARKER_STEP_NAME, Verdict.FAIL, f"{first.as_line}; {why}", figures, TOOL_MARKER_REMEDY, tuple(notes)
+        )
     figures = [
         first,
         *disparity_figures(reports),
@@ -60,7 +65,11 @@ def judge_marker(looks: Sequence[Sequence[FrameReport]], machine: Machine) -> St
         *place_figures(poses, machine),
     ]
     return result_of_figures(
-        NAME, figures, f"marker {_marker_ids_text(ids)} seen at its expected place, repeatably", REMEDY, notes=notes
+        TOOL_MARKER_STEP_NAME,
+        figures,
+        f"marker {_marker_ids_text(ids)} seen at its expected place, repeatably",
+        TOOL_MARKER_REMEDY,
+        notes=notes,
     )
 
 
@@ -79,7 +88,7 @@ def size_figures(reports: Sequence[FrameReport], machine: Machine) -> list[Figur
     sides = {marker.marker_id: marker.side_m for marker in machine.markers_on("tool")}
     ratios, depths = [], []
     for report in reports:
-        for view in report.observation.views:
+        for view in report.observation.marker_views:
             if view.marker_id in sides and view.corners_left_px is not None and view.corners_right_px is not None:
                 corners = corners_by_stereo(machine.camera, view.corners_left_px, view.corners_right_px)
                 ratios.append(mean_side_m(corners) / sides[view.marker_id])
@@ -90,7 +99,7 @@ def size_figures(reports: Sequence[FrameReport], machine: Machine) -> list[Figur
     return [
         Figure("distance by stereo", depth_mm, "mm"),
         Figure("distance by the printed size", depth_mm / ratio, "mm"),
-        Figure("side by stereo off the printed one", 100.0 * abs(ratio - 1.0), "%", at_most=SIDE_MAX_PCT),
+        Figure("side by stereo off the printed one", 100.0 * abs(ratio - 1.0), "%", at_most=MARKER_SIDE_ERROR_MAX_PCT),
     ]
 
 
@@ -100,8 +109,8 @@ def repeat_figures(poses: Sequence[Array]) -> list[Figure]:
     turns = [math.degrees(geodesic_angle(poses[0][:3, :3], pose[:3, :3])) for pose in poses[1:]]
     spread_mm = 1e3 * float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
     return [
-        Figure("looks differ in place by", spread_mm, "mm", at_most=REPEAT_MAX_MM),
-        Figure("looks differ in turn by", max(turns), "deg", at_most=REPEAT_MAX_DEG),
+        Figure("looks differ in place by", spread_mm, "mm", at_most=REPEATABILITY_MAX_MM),
+        Figure("looks differ in turn by", max(turns), "deg", at_most=REPEATABILITY_MAX_DEG),
     ]
 
 
@@ -112,6 +121,6 @@ def place_figures(poses: Sequence[Array], machine: Machine) -> list[Figure]:
     off_mm = 1e3 * float(np.linalg.norm(T_seen[:3, 3] - T_nominal[:3, 3]))
     turn_deg = math.degrees(geodesic_angle(T_nominal[:3, :3], T_seen[:3, :3]))
     return [
-        Figure("marker off its nominal place", off_mm, "mm", at_most=PLACE_MAX_MM),
-        Figure("marker off its nominal turn", turn_deg, "deg", at_most=TURN_MAX_DEG),
+        Figure("marker off its nominal place", off_mm, "mm", at_most=MARKER_POSITION_ERROR_MAX_MM),
+        Figure("marker off its nominal turn", turn_deg, "deg", at_most=MARKER_ROTATION_ERROR_MAX_DEG),
     ]

@@ -29,12 +29,12 @@ class CompensationError(SettingsError):
     """A diagnosis that must not be used, or effects that cannot be compensated."""
 
 
-FOUND_SHARE = 0.35  # of a class's spread that is left once a number was diagnosed
+DIAGNOSED_SIGMA_LEFT_FRAC = 0.35  # of a class's spread that is left once a number was diagnosed
 
 
 # Where the tool really is for given encoders, and which nominal pose has it where it should be. Pure functions.
 
-ROUNDS_MAX = 12
+ITERATIONS_MAX = 12
 CLOSE_M, CLOSE_RAD = 1e-6, 1e-7
 
 
@@ -43,7 +43,7 @@ class DiagnosedArm:
     """The arm with its effects: geometry and masses of the file, parameters of the effects."""
 
     arm: Arm
-    sets: ParameterSets
+    effect_parameters: ParameterSets
 
     def tcp_poses(self, qs: Array, sides: Array | None = None) -> Array:
         """Ts_base_tcp (m, 4, 4) at rest with encoders at qs (m, n) [rad].
@@ -52,7 +52,9 @@ class DiagnosedArm:
         Args:  sides: +1 after a way up, when what the encoder turns lies half a width behind (m, n) or (n,), 0 unknown.
         """
         behind = None if sides is None else -np.asarray(sides, dtype=float)
-        return tcp_poses(self.arm, self.sets, angles_at_rest(self.sets, np.atleast_2d(qs), behind))
+        return tcp_poses(
+            self.arm, self.effect_parameters, angles_at_rest(self.effect_parameters, np.atleast_2d(qs), behind)
+        )
 
 
 def diagnosed_arm(machine: Machine, entries: tuple[EffectEntry, ...]) -> DiagnosedArm:
@@ -69,7 +71,7 @@ def nominal_goal(diagnosed: DiagnosedArm, chain: Chain, q_now: Array, T_goal: Ar
     Raises: CompensationError: out of reach, or no convergence.
     """
     q, T_nominal = q_now, tcp_pose(chain, q_now)
-    for _ in range(ROUNDS_MAX):
+    for _ in range(ITERATIONS_MAX):
         T_there = diagnosed.tcp_poses(q[None], sides)[0]
         away = T_goal[:3, 3] - T_there[:3, 3]
         turn = rotvec_from_rotation(T_goal[:3, :3] @ T_there[:3, :3].T)
@@ -77,15 +79,15 @@ def nominal_goal(diagnosed: DiagnosedArm, chain: Chain, q_now: Array, T_goal: Ar
             return T_nominal
         T_nominal = pose(rotation_from_rotvec(turn) @ T_nominal[:3, :3], T_nominal[:3, 3] + away)
         found = inverse_nearest(chain, T_nominal, q)
-        if found.q is None:
+        if found.q_rad is None:
             raise CompensationError(f"compensated goal: {found.reason}")
-        q = found.q
+        q = found.q_rad
     raise CompensationError("compensated goal: the diagnosed machine cannot reach it; check the size of its effects")
 
 
 def mount_of(diagnosed: DiagnosedArm, machine: Machine) -> Array:
     """T_tcp_cam_left (4, 4) of the diagnosed machine."""
-    return camera_mount(diagnosed.sets, machine.T_tcp_cam_left)
+    return camera_mount(diagnosed.effect_parameters, machine.T_tcp_cam_left)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,36 +95,36 @@ class Compensation:
     """A diagnosed machine. `sorted`: its effects, compensated and not."""
 
     machine: Machine
-    diagnosed: DiagnosedArm
-    sorted: EffectsByUse
+    diagnosed_arm: DiagnosedArm
+    effects_by_use: EffectsByUse
 
     def tcp_poses(self, qs: Array, sides: Array) -> Array:
         """True Ts_base_tcp (m, 4, 4) for encoders (m, n), as diagnosed; `sides` in the play, -1 to 1."""
-        return self.diagnosed.tcp_poses(qs, sides)
+        return self.diagnosed_arm.tcp_poses(qs, sides)
 
     def nominal_goal(self, chain: Chain, q_now: Array, T_goal: Array, sides: Array) -> Array:
         """What to plan for so that the tool ends at T_goal; `sides` (n,): where the joints then rest in their play."""
-        return nominal_goal(self.diagnosed, chain, q_now, T_goal, sides)
+        return nominal_goal(self.diagnosed_arm, chain, q_now, T_goal, sides)
 
     @property
     def T_tcp_cam(self) -> Array:
         """The camera's diagnosed mount (4, 4)."""
-        return mount_of(self.diagnosed, self.machine)
+        return mount_of(self.diagnosed_arm, self.machine)
 
     @property
     def knows_mount(self) -> bool:
         """Whether the camera's rotation was diagnosed."""
-        return any(effect.name == "hand_eye_rotation" for effect in self.sorted.used)
+        return any(effect.name == "hand_eye_rotation" for effect in self.effects_by_use.compensated)
 
     def first_stall(self, guessed: Array) -> Array:
         """Stall (n,) [rad] before any was seen: the diagnosed dead band over the gain, the guess elsewhere."""
-        dead = self.diagnosed.sets.joint[0][:, [DEADBAND, DEADBAND_LOST]].sum(axis=1)
+        dead = self.diagnosed_arm.effect_parameters.joint_parameters[0][:, [DEADBAND, DEADBAND_LOST]].sum(axis=1)
         kp = np.array([joint.kp_frac_per_rad for joint in self.machine.joints])
         return np.where(dead > 0.0, dead / kp, guessed)
 
     def believed_machine(self) -> Machine:
         """The machine with diagnosed lengths and zeros in its table, for the joint estimate to start from."""
-        P = self.diagnosed.sets.joint[0]
+        P = self.diagnosed_arm.effect_parameters.joint_parameters[0]
         joints = [
             replace(
                 joint,
@@ -136,7 +138,7 @@ class Compensation:
 
     def believed_errors(self) -> ErrorPrior:
         """What the joint estimate believes of sag and play: the diagnosed sizes, where there are any."""
-        P, plain = self.diagnosed.sets.joint[0], ErrorPrior()
+        P, plain = self.diagnosed_arm.effect_parameters.joint_parameters[0], ErrorPrior()
         sag, play = P[:, SAG], P[:, BACKLASH]
         mean_sag, sigma_sag = _prior_with_diagnosed_sizes(plain.mean_compliance, plain.sigma_compliance, sag)
         mean_play, sigma_play = _prior_with_diagnosed_sizes(plain.mean_play_rad, plain.sigma_play_rad, play)
@@ -150,7 +152,7 @@ class Compensation:
 
     def joint_prior(self) -> JointPrior:
         """The prior of the joint estimate around the diagnosed machine."""
-        return JointPrior(errors=self.believed_errors())
+        return JointPrior(kinematic_errors=self.believed_errors())
 
 
 def _prior_with_diagnosed_sizes(
@@ -164,11 +166,11 @@ def _prior_with_diagnosed_sizes(
     m, s = (np.concatenate([values, np.zeros(n)])[:n] for values in (mean, sigma))
     known = found != 0.0
     new_mean = np.where(known, found, m)
-    new_sigma = np.where(known, FOUND_SHARE * np.where(s > 0.0, s, np.abs(found)), s)
+    new_sigma = np.where(known, DIAGNOSED_SIGMA_LEFT_FRAC * np.where(s > 0.0, s, np.abs(found)), s)
     return tuple(float(x) for x in new_mean), tuple(float(x) for x in new_sigma)
 
 
 def compensation_of(machine: Machine, entries: tuple[EffectEntry, ...]) -> Compensation:
     """The compensation of a machine with these effects."""
     sorted_effects = sort_effects(entries)
-    return Compensation(machine, diagnosed_arm(machine, sorted_effects.used), sorted_effects)
+    return Compensation(machine, diagnosed_arm(machine, sorted_effects.compensated), sorted_effects)

@@ -5,14 +5,17 @@ from dataclasses import dataclass
 from machine.effects.entries import EffectEntry
 from server.calibration.kinematic_errors import usual_play
 
-STEP = "kinematics"
-STEP_ONLY = "kinematics, until a calibration learns its own map"  # the learnt map has no number for it
+KINEMATICS_USE_TEXT = "kinematics"
+KINEMATICS_ONLY_USE_TEXT = "kinematics, until a calibration learns its own map"  # the learnt map has no number for it
 #: What the diagnosed machine changes, by effect.
 # fmt: off
-COMPENSATED = {
-    "gravity_sag": STEP, "link_length_error": STEP, "encoder_bias": STEP, "base_compliance": STEP_ONLY,
-    "base_tilt": STEP_ONLY, "joint_axis_tilt": STEP_ONLY, "encoder_scale": STEP_ONLY,
-    "encoder_eccentricity": STEP_ONLY, "payload_error": STEP_ONLY, "backlash": "side of approach",
+COMPENSATION_TEXT_BY_EFFECT = {
+    "gravity_sag": KINEMATICS_USE_TEXT, "link_length_error": KINEMATICS_USE_TEXT, "encoder_bias": KINEMATICS_USE_TEXT,
+    "base_compliance": KINEMATICS_ONLY_USE_TEXT,
+    "base_tilt": KINEMATICS_ONLY_USE_TEXT, "joint_axis_tilt": KINEMATICS_ONLY_USE_TEXT,
+    "encoder_scale": KINEMATICS_ONLY_USE_TEXT,
+    "encoder_eccentricity": KINEMATICS_ONLY_USE_TEXT, "payload_error": KINEMATICS_ONLY_USE_TEXT, "backlash": "side of "
+    "approach",
     "hand_eye_rotation": "camera mount", "hand_eye_translation": "camera mount", "valve_deadband": "first stall",
     "transport_delay": "reported, not needed",  # a whole trajectory is played by the PLC's clock: it only starts later
 }
@@ -23,13 +26,13 @@ COMPENSATED = {
 class EffectsByUse:
     """Effects that are compensated, and those that are not."""
 
-    used: tuple[EffectEntry, ...]
-    left: tuple[EffectEntry, ...]
+    compensated: tuple[EffectEntry, ...]
+    uncompensated: tuple[EffectEntry, ...]
 
     def lines(self) -> tuple[str, ...]:
         """One line an effect, for the state and the log."""
-        lines = [f"{_effect_label(effect)}: {COMPENSATED[effect.name]}" for effect in self.used]
-        return tuple(lines + [f"{_effect_label(effect)}: not compensated" for effect in self.left])
+        lines = [f"{_effect_label(effect)}: {COMPENSATION_TEXT_BY_EFFECT[effect.name]}" for effect in self.compensated]
+        return tuple(lines + [f"{_effect_label(effect)}: not compensated" for effect in self.uncompensated])
 
 
 def _effect_label(one: EffectEntry) -> str:
@@ -46,4 +49,4 @@ def _is_compensable(one: EffectEntry) -> bool:
     """A known width does not help where the joint's side in its play is not followed."""
     if one.name == "backlash" and one.joint is not None:
         return bool(usual_play(one.joint)[one.joint - 1] > 0.0)
-    return one.name in COMPENSATED
+    return one.name in COMPENSATION_TEXT_BY_EFFECT

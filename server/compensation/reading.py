@@ -13,8 +13,15 @@ from server.compensation.compensation import Compensation, CompensationError, co
 from server.settings import ServerSettings
 
 VERDICT_LINE = re.compile(r"^# longreach diagnose: verdict (\w+)", re.MULTILINE)  # as `--machine-out` writes it
-USABLE = ("effects", "none", "partly")  # of a budget the confirmed effects stand by themselves
-GEOMETRY = ("a_m", "d_m", "alpha_rad", "theta_offset_rad", "mass_kg", "com_m")  # what diagnosed sizes count from
+USABLE_VERDICTS = ("effects", "none", "partly")  # of a budget the confirmed effects stand by themselves
+COMPARED_JOINT_FIELDS = (
+    "a_m",
+    "d_m",
+    "alpha_rad",
+    "theta_offset_rad",
+    "mass_kg",
+    "com_m",
+)  # what diagnosed sizes count from
 
 FRAMES, MOUNT = ("T_flange_tcp", "gravity_base_m_s2"), "T_tcp_cam_left"
 
@@ -69,7 +76,7 @@ def _require_same(machine: Machine, diagnosed: Machine, machine_file: Path) -> N
             f"'{machine.serial}'; give the file that was diagnosed on this machine"
         )
     for mine, other in zip(machine.joints, diagnosed.joints, strict=True):
-        for name in GEOMETRY:
+        for name in COMPARED_JOINT_FIELDS:
             here, there = getattr(mine, name), getattr(other, name)
             if not np.allclose(here, there, rtol=0.0, atol=1e-9):
                 raise CompensationError(
@@ -87,7 +94,7 @@ def _require_same(machine: Machine, diagnosed: Machine, machine_file: Path) -> N
 
 
 def _require_usable(verdict: str, path: Path) -> None:
-    if verdict not in USABLE:
+    if verdict not in USABLE_VERDICTS:
         raise CompensationError(
             f"[compensation] {path}: the diagnosis is '{verdict}' and must not be compensated; "
             "do the experiment that it proposes, and diagnose both recordings together"

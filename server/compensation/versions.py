@@ -20,10 +20,10 @@ from machine.errors import MachineError, MachineFileError
 from machine.file_tables import with_room_for_effects, with_tables
 from recording.files import write_durably
 from server.compensation.compensation import Compensation, CompensationError, compensation_of
-from server.compensation.effects import COMPENSATED, sort_effects
+from server.compensation.effects import COMPENSATION_TEXT_BY_EFFECT, sort_effects
 
 FORMAT_VERSION = 1
-IN_USE = "in-use.json"
+IN_USE_FILE_NAME = "in-use.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +129,14 @@ class MachineVersions:
         if version_id:
             self.require_this_machine(version_id)
         self._folder.mkdir(parents=True, exist_ok=True)
-        write_durably(self._folder / IN_USE, json.dumps({"version_id": version_id}))
+        write_durably(self._folder / IN_USE_FILE_NAME, json.dumps({"version_id": version_id}))
         self.problem = ""
 
     @property
     def in_use(self) -> MachineVersion | None:
         """The version in use; None without one, and where it is not of this machine: `problem` says so."""
         try:
-            version_id = json.loads((self._folder / IN_USE).read_text(encoding="utf-8"))["version_id"]
+            version_id = json.loads((self._folder / IN_USE_FILE_NAME).read_text(encoding="utf-8"))["version_id"]
             return self.require_this_machine(version_id) if version_id else None
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -163,7 +163,7 @@ class MachineVersions:
     def compensation(self) -> Compensation | None:
         """What the version in use changes; None where nothing of it is switched on that the server can use."""
         version = self.in_use
-        if version is None or not sort_effects(version.entries_in_use).used:
+        if version is None or not sort_effects(version.entries_in_use).compensated:
             return None
         return compensation_of(self._machine, version.entries_in_use)
 
@@ -218,7 +218,7 @@ def _effect_from_budget_line(line: dict[str, Any], used: dict[str, Any]) -> Foun
         entry = make_entry(effect, line.get("joint"), values)
     except MachineFileError as error:
         raise CompensationError(f"the answer's effect cannot be used: {error}") from error
-    does = COMPENSATED[entry.name] if sort_effects((entry,)).used else ""
+    does = COMPENSATION_TEXT_BY_EFFECT[entry.name] if sort_effects((entry,)).compensated else ""
     mm, probability = float(line.get("tool_mm") or 0.0), float(line.get("probability") or 0.0)
     return FoundEffect(entry, str(line.get("stage", "")), mm, probability, does, True)
 

@@ -21,15 +21,15 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from machine.urdf import urdf_text
 from recording.clock import mono_ns
 from recording.foxglove import (
-    STRING_NAME,
     STRING_SCHEMA,
+    STRING_SCHEMA_NAME,
     description_json,
     image_message,
     joint_states_message,
     log_message,
     transforms_message,
 )
-from recording.writer import IMAGE_TOPIC, JOINT_TOPIC, LOG_TOPIC, ROBOT_TOPIC, TRANSFORM_TOPIC
+from recording.writer import IMAGE_TOPIC, JOINT_TOPIC, LOG_TOPIC, ROBOT_DESCRIPTION_TOPIC, TRANSFORM_TOPIC
 from server.errors import SettingsError
 from server.faces.shell import give_way, import_extra, require_own_computer, running_face, set_aside
 from server.jobs.engine import Job, JobEvent
@@ -38,10 +38,10 @@ from server.recorder_rows import frame_poses
 from server.settings import FoxgloveSettings
 
 ERROR_TOPIC = "/tool_error"
-PERIOD_S = 0.1
-REPEAT_S = 2.0  # description and last error: a viewer that comes later has them within this time
+STREAM_PERIOD_S = 0.1
+STATIC_REPEAT_PERIOD_S = 2.0  # description and last error: a viewer that comes later has them within this time
 RELEASE_S, STOP_S = 0.2, 3.0  # its stop accepts nothing more from its beginning, and waits for idle connections
-BACKLOG = 64  # messages of one viewer: some seconds, at most 10 MB of images
+VIEWER_BACKLOG_MESSAGES_MAX = 64  # messages of one viewer: some seconds, at most 10 MB of images
 
 
 class FoxgloveFace:
@@ -72,7 +72,11 @@ class FoxgloveFace:
         """Listen. Raises: SettingsError: the port is taken."""
         try:
             self._server = self._library.start_server(
-                name="longreach", host=self._host, port=self._port, context=self._context, message_backlog_size=BACKLOG
+                name="longreach",
+                host=self._host,
+                port=self._port,
+                context=self._context,
+                message_backlog_size=VIEWER_BACKLOG_MESSAGES_MAX,
             )
         except Exception as error:  # the library's own; it has no class for a port that is taken
             raise SettingsError(f"[foxglove] {self._host}:{self._port}: {error}; choose another port") from error
@@ -94,7 +98,7 @@ class FoxgloveFace:
         while True:
             await give_way("foxglove", self.stop, self.listen)
             self.publish(mono_ns(), time.time_ns())
-            await asyncio.sleep(PERIOD_S)
+            await asyncio.sleep(STREAM_PERIOD_S)
 
     def publish(self, now_ns: int, utc_ns: int) -> None:
         """What has come since the last call. Returns immediately, however slow a viewer is."""
@@ -110,9 +114,9 @@ class FoxgloveFace:
             self._image_ns = preview[1]
             t_ns = preview[1] + offset_ns
             self._message(IMAGE_TOPIC, image_message(preview[0], t_ns), t_ns)
-        if now_ns - self._repeat_ns >= REPEAT_S * 1e9:
+        if now_ns - self._repeat_ns >= STATIC_REPEAT_PERIOD_S * 1e9:
             self._repeat_ns = now_ns
-            self._log_json(ROBOT_TOPIC, description_json(self._urdf), utc_ns)
+            self._log_json(ROBOT_DESCRIPTION_TOPIC, description_json(self._urdf), utc_ns)
             look = cell.knowledge.last_look
             if look is not None and look.error is not None:
                 values = {name: value for name, value in asdict(look.error).items() if math.isfinite(value)}
@@ -135,7 +139,11 @@ class FoxgloveFace:
     def _log_json(self, topic: str, text: str, t_utc_ns: int) -> None:
         channel = self._channels.get(topic)
         if channel is None:
-            name, data = (STRING_NAME, STRING_SCHEMA) if topic == ROBOT_TOPIC else ("tool_error", b'{"type": "object"}')
+            name, data = (
+                (STRING_SCHEMA_NAME, STRING_SCHEMA)
+                if topic == ROBOT_DESCRIPTION_TOPIC
+                else ("tool_error", b'{"type": "object"}')
+            )
             channel = self._create_channel(topic, name, "jsonschema", data, "json")
         channel.log(text.encode(), log_time=t_utc_ns)
 

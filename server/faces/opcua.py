@@ -15,7 +15,7 @@ import numpy as np
 from protocol.codes import FaultBit
 from recording.clock import mono_ns
 from server.errors import SettingsError
-from server.faces.shell import CONNECTIONS_MAX, import_extra, require_own_computer, running_face
+from server.faces.shell import FACE_CONNECTIONS_MAX, import_extra, require_own_computer, running_face
 from server.jobs.cell import Cell
 from server.jobs.service import JobService
 from server.settings import OpcUaSettings
@@ -24,7 +24,7 @@ from server.version import __version__
 # What is shown over OPC UA, by browse path: the names of OPC 40010-1, our values. Pure but for reading the cell.
 
 Value = str | bool | int | float
-STALE_S = 0.25  # an older PLC state is shown with the status BadNoCommunication
+PLC_STATE_AGE_MAX_S = 0.25  # an older PLC state is shown with the status BadNoCommunication
 SYSTEM, DEVICE, CONTROLLER, SAFETY = "MotionDeviceSystem", "MotionDevice_1", "Controller_1", "SafetyState_1"
 
 
@@ -42,10 +42,10 @@ class OperationalMode(IntEnum):
 class OpcUaValue:
     """One variable. `fresh` False: the PLC has not reported it for too long. `unit` is UNECE's code, or empty."""
 
-    path: tuple[str, ...]
+    browse_path: tuple[str, ...]
     value: Value
-    unit: str = ""
-    fresh: bool = True
+    unece_unit_code: str = ""
+    is_fresh: bool = True
 
 
 def opcua_values(service: JobService, now_ns: int | None = None) -> list[OpcUaValue]:
@@ -53,7 +53,7 @@ def opcua_values(service: JobService, now_ns: int | None = None) -> list[OpcUaVa
     cell = service.cell
     latest = cell.link.latest
     now_ns = mono_ns() if now_ns is None else now_ns
-    fresh = latest is not None and (now_ns - latest.t_mono_ns) * 1e-9 <= STALE_S
+    fresh = latest is not None and (now_ns - latest.t_mono_ns) * 1e-9 <= PLC_STATE_AGE_MAX_S
     return [
         *_identity_values(cell),
         *_axis_values(cell, fresh),
@@ -116,11 +116,15 @@ def _rounded_degrees(radians: float) -> float:
     return round(float(np.rad2deg(radians)), 4)
 
 
-NAMESPACE = "urn:longreach:robotics"  # the names are those of http://opcfoundation.org/UA/Robotics/, the nodes our own
-CONNECTIONS = "asyncua.server.binary_server_asyncio"
-PERIOD_S = 0.2
-STOP_S = 3.0
-SPACE = "asyncua.server.standard_address_space.standard_address_space"  # 9 MB of source, seconds to import
+OPCUA_NAMESPACE_URI = (
+    "urn:longreach:robotics"  # the names are those of http://opcfoundation.org/UA/Robotics/, the nodes our own
+)
+ASYNCUA_CONNECTION_LOGGER_NAME = "asyncua.server.binary_server_asyncio"
+OPCUA_UPDATE_PERIOD_S = 0.2
+OPCUA_STOP_TIMEOUT_S = 3.0
+ASYNCUA_ADDRESS_SPACE_MODULE = (
+    "asyncua.server.standard_address_space.standard_address_space"  # 9 MB of source, seconds to import
+)
 
 
 class OpcUaFace:
@@ -137,11 +141,13 @@ class OpcUaFace:
         """Listen. Raises: SettingsError: the port is taken."""
         server = self._server = self._library.Server()
         await server.init()
-        server.iserver.max_connections = CONNECTIONS_MAX  # each takes a descriptor, and one must be left for a STOP
+        server.iserver.max_connections = (
+            FACE_CONNECTIONS_MAX  # each takes a descriptor, and one must be left for a STOP
+        )
         server.set_endpoint(self._endpoint)
         server.set_server_name("longreach")
         server.set_security_policy([self._ua.SecurityPolicyType.NoSecurity])
-        index = await server.register_namespace(NAMESPACE)
+        index = await server.register_namespace(OPCUA_NAMESPACE_URI)
         for variable in opcua_values(self._service):
             await self._add(index, variable)
         try:
@@ -153,27 +159,27 @@ class OpcUaFace:
         """Write values until cancelled."""
         while True:
             for variable in opcua_values(self._service):
-                await self._nodes[variable.path].write_value(self._data_value(variable))
-            await asyncio.sleep(PERIOD_S)
+                await self._nodes[variable.browse_path].write_value(self._data_value(variable))
+            await asyncio.sleep(OPCUA_UPDATE_PERIOD_S)
 
     async def stop(self) -> None:
         """Stop listening."""
         if self._server is not None:
-            async with asyncio.timeout(STOP_S):
+            async with asyncio.timeout(OPCUA_STOP_TIMEOUT_S):
                 await self._server.stop()
 
     async def _add(self, index: int, one: OpcUaValue) -> None:
         parent = self._server.nodes.objects
-        for depth in range(1, len(one.path)):
-            known = self._nodes.get(one.path[:depth])
+        for depth in range(1, len(one.browse_path)):
+            known = self._nodes.get(one.browse_path[:depth])
             if known is None:
-                known = await parent.add_object(index, one.path[depth - 1])
-                self._nodes[one.path[:depth]] = known
+                known = await parent.add_object(index, one.browse_path[depth - 1])
+                self._nodes[one.browse_path[:depth]] = known
             parent = known
-        node = await parent.add_variable(index, one.path[-1], one.value, varianttype=self._variant_type(one))
-        if one.unit:
-            await node.add_property(index, "EngineeringUnits", one.unit)
-        self._nodes[one.path] = node
+        node = await parent.add_variable(index, one.browse_path[-1], one.value, varianttype=self._variant_type(one))
+        if one.unece_unit_code:
+            await node.add_property(index, "EngineeringUnits", one.unece_unit_code)
+        self._nodes[one.browse_path] = node
 
     def _variant_type(self, one: OpcUaValue) -> Any:
         kinds = self._ua.VariantType
@@ -182,7 +188,7 @@ class OpcUaFace:
 
     def _data_value(self, one: OpcUaValue) -> Any:
         """With the status that says whether it is to be believed."""
-        status = self._ua.StatusCodes.Good if one.fresh else self._ua.StatusCodes.BadNoCommunication
+        status = self._ua.StatusCodes.Good if one.is_fresh else self._ua.StatusCodes.BadNoCommunication
         variant = self._ua.Variant(one.value, self._variant_type(one))
         now = datetime.now(UTC)
         return self._ua.DataValue(variant, self._ua.StatusCode(status), SourceTimestamp=now, ServerTimestamp=now)
@@ -204,9 +210,11 @@ def load_library() -> Any:
     Raises: SettingsError: it is not installed.
     """
     library = import_extra("opcua", "asyncua", "asyncua")
-    logging.getLogger(CONNECTIONS).setLevel(logging.ERROR)  # a warning for each refused connection would flood the log
+    logging.getLogger(ASYNCUA_CONNECTION_LOGGER_NAME).setLevel(
+        logging.ERROR
+    )  # a warning for each refused connection would flood the log
     with suppress(ImportError):  # a version that keeps it elsewhere is only slower to start
-        importlib.import_module(SPACE)
+        importlib.import_module(ASYNCUA_ADDRESS_SPACE_MODULE)
     return library
 
 

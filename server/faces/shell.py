@@ -14,9 +14,9 @@ from server.errors import SettingsError
 from server.settings import FoxgloveSettings, OpcUaSettings
 
 log = logging.getLogger(__name__)
-SPARE = 128  # descriptors that no face may take: two turns in which HTTP accepts
-PAUSE_S = 30.0
-CONNECTIONS_MAX = 32  # of a face that can be limited by number
+SPARE_DESCRIPTORS_MIN = 128  # descriptors that no face may take: two turns in which HTTP accepts
+FACE_RESTART_DELAY_S = 30.0
+FACE_CONNECTIONS_MAX = 32  # of a face that can be limited by number
 
 
 def require_own_computer(table: str, settings: FoxgloveSettings | OpcUaSettings, subject: str) -> None:
@@ -47,13 +47,15 @@ def descriptors_are_short() -> bool:
         return False
     except OSError:  # listing takes one itself
         return True
-    return limit != resource.RLIM_INFINITY and used > limit - min(SPARE, limit // 4)
+    return limit != resource.RLIM_INFINITY and used > limit - min(SPARE_DESCRIPTORS_MIN, limit // 4)
 
 
 def set_aside() -> list[int]:
     """Descriptors that are held so that connections of a face cannot have them. Raises: OSError: none is left."""
     limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    count = SPARE // 2 if limit == resource.RLIM_INFINITY else min(SPARE // 2, limit // 4)
+    count = (
+        SPARE_DESCRIPTORS_MIN // 2 if limit == resource.RLIM_INFINITY else min(SPARE_DESCRIPTORS_MIN // 2, limit // 4)
+    )
     return [os.open(os.devnull, os.O_RDONLY) for _ in range(count)]
 
 
@@ -61,10 +63,12 @@ async def give_way(name: str, stop: Callable[[], None], start: Callable[[], None
     """Close a face, with all its connections, for a while where it takes the descriptors that a STOP needs."""
     if not descriptors_are_short():
         return
-    log.error("%s: closed for %.0f s: its connections use up the descriptors; raise 'ulimit -n'", name, PAUSE_S)
+    log.error(
+        "%s: closed for %.0f s: its connections use up the descriptors; raise 'ulimit -n'", name, FACE_RESTART_DELAY_S
+    )
     await asyncio.to_thread(stop)
     while True:
-        await asyncio.sleep(PAUSE_S)
+        await asyncio.sleep(FACE_RESTART_DELAY_S)
         if descriptors_are_short():
             continue
         try:

@@ -22,7 +22,7 @@ from server.jobs.records import CalibrationRecord
 
 log = logging.getLogger(__name__)
 
-FILE_NAME = "calibration.json"
+CALIBRATION_FILE_NAME = "calibration.json"
 
 
 def machine_id_of(machine_text: str, compensated: tuple[EffectEntry, ...] = ()) -> str:
@@ -39,12 +39,12 @@ class CalibrationStore:
 
     def save_if_changed(self, knowledge: Knowledge) -> None:
         """Write the calibration if it changed; a full disk is logged and noted, it does not end a job."""
-        life = knowledge.life
+        life = knowledge.kept_calibration
         if self.path is None or life is None or life is self._kept:
             return
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            write_durably(self.path, calibration_text(SavedCalibration(life, tuple(knowledge.runs))))
+            write_durably(self.path, calibration_text(SavedCalibration(life, tuple(knowledge.odometry_runs))))
             self._kept, knowledge.calibration_note = life, ""
         except (OSError, ValueError) as error:  # a value that is not a finite number cannot be written either
             why = error.strerror if isinstance(error, OSError) else error
@@ -80,14 +80,19 @@ class CalibrationStore:
         one = saved.calibration
         if one.machine_id != machine_id:
             raise CalibrationFileError("it was made with another machine, camera or compensation file; calibrate again")
-        if one.made.q.shape != (n_joints,) or any(run.joints.qs.shape[1] != n_joints for run in saved.runs):
-            raise CalibrationFileError(f"it has {one.made.q.size} joints, the machine {n_joints}; calibrate again")
-        found = one.valid_at(t_unix_s, one.made.q, one.made.T_base_tcp)
+        if one.made_at.q.shape != (n_joints,) or any(
+            run.joint_track.qs.shape[1] != n_joints for run in saved.odometry_runs
+        ):
+            raise CalibrationFileError(f"it has {one.made_at.q.size} joints, the machine {n_joints}; calibrate again")
+        found = one.valid_at(t_unix_s, one.made_at.q, one.made_at.T_base_tcp)
         if not found.ok:
             raise CalibrationFileError(found.reason)
-        knowledge.life = self._kept = one
-        knowledge.mount, knowledge.calibration = _rotation_estimate(one), _calibration_record(one)
-        knowledge.runs[:] = saved.runs
+        knowledge.kept_calibration = self._kept = one
+        knowledge.mount_rotation_estimate, knowledge.calibration_record = (
+            _rotation_estimate(one),
+            _calibration_record(one),
+        )
+        knowledge.odometry_runs[:] = saved.odometry_runs
 
 
 def _rotation_estimate(one: LocalCalibration) -> CameraRotationEstimate:

@@ -23,5 +23,5 @@ class Cell:
     vision: VisionClient
     recorder: Recorder
     knowledge: Knowledge = field(default_factory=Knowledge)
-    starting: str = ""  # what the server still prepares, and so no job may begin; empty when it is done
+    startup_note: str = ""  # what the server still prepares, and so no job may begin; empty when it is done
     not_commissioned: str = "no commissioning report was read"  # why it may not jog where it is REAL; empty: it may

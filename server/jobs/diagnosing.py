@@ -12,14 +12,14 @@ from typing import Any
 from uuid import uuid4
 
 from recording.clock import mono_s
-from recording.spawn import ONE_THREAD
+from recording.spawn import SINGLE_THREAD_ENVIRONMENT
 from server.errors import BusyError, ServerError
 
-NICE = "10"
-TIMEOUT_S = 3600.0
-KEPT = 50
-COMMAND = (sys.executable, "-P", "-m", "longreach.cli", "diagnose")
-UNDER_WAY = ("waiting", "running")
+DIAGNOSIS_NICENESS = "10"
+DIAGNOSIS_TIMEOUT_S = 3600.0
+DIAGNOSES_KEPT_MAX = 50
+DIAGNOSE_COMMAND = (sys.executable, "-P", "-m", "longreach.cli", "diagnose")
+UNFINISHED_STATES = ("waiting", "running")
 
 
 @dataclass(slots=True)
@@ -59,10 +59,10 @@ class DiagnosisBusyError(BusyError):
 class Diagnoses:
     """Belongs to the event loop. One at a time: the processors are the machine's."""
 
-    def __init__(self, folder: Path, command: tuple[str, ...] = COMMAND) -> None:
+    def __init__(self, folder: Path, command: tuple[str, ...] = DIAGNOSE_COMMAND) -> None:
         self._folder, self._command = folder / "diagnoses", command
         self._turn = asyncio.Lock()
-        self.all: deque[Diagnosis] = deque(maxlen=KEPT)
+        self.all: deque[Diagnosis] = deque(maxlen=DIAGNOSES_KEPT_MAX)
 
     def find_diagnosis(self, diagnosis_id: str) -> Diagnosis | None:
         """The one of that id."""
@@ -70,7 +70,7 @@ class Diagnoses:
 
     def start(self, *recordings: Path) -> Diagnosis:
         """Begin. Raises: DiagnosisBusyError naming the diagnosis that runs, or waits to."""
-        running = next((diagnosis for diagnosis in self.all if diagnosis.state in UNDER_WAY), None)
+        running = next((diagnosis for diagnosis in self.all if diagnosis.state in UNFINISHED_STATES), None)
         if running is not None:
             raise DiagnosisBusyError(
                 f"diagnosis {running.diagnosis_id} of {running.recording} runs since {running.elapsed_s:.0f} s; wait "
@@ -81,15 +81,15 @@ class Diagnoses:
 
     def queue_diagnosis(self, recordings: tuple[Path, ...], job_id: str) -> Diagnosis:
         """Begin as soon as no other one runs: what an identification's job asks for."""
-        busy = any(diagnosis.state in UNDER_WAY for diagnosis in self.all)
+        busy = any(diagnosis.state in UNFINISHED_STATES for diagnosis in self.all)
         return self._start_diagnosis(Diagnosis(uuid4().hex[:12], recordings, job_id, "waiting" if busy else "running"))
 
     async def stop(self, one: Diagnosis) -> None:
         """End it, if it runs or waits."""
-        if one.state in UNDER_WAY and one.task is not None:
+        if one.state in UNFINISHED_STATES and one.task is not None:
             one.task.cancel()
             await asyncio.wait({one.task})
-            if one.state in UNDER_WAY:  # before its first step
+            if one.state in UNFINISHED_STATES:  # before its first step
                 one.state, one.reason, one.ended_s = "stopped", "stopped", mono_s()
 
     async def close(self) -> None:
@@ -130,17 +130,17 @@ class Diagnoses:
     async def _run(self, one: Diagnosis) -> None:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            async with asyncio.timeout(TIMEOUT_S):
+            async with asyncio.timeout(DIAGNOSIS_TIMEOUT_S):
                 code = await self._run_diagnosis_process(one)
             one.state, one.reason = ("done", "") if code == 0 else ("failed", one.last_line or f"exit code {code}")
         except (OSError, TimeoutError) as error:
-            one.state, one.reason = "failed", str(error) or f"not done within {TIMEOUT_S:.0f} s"
+            one.state, one.reason = "failed", str(error) or f"not done within {DIAGNOSIS_TIMEOUT_S:.0f} s"
 
     async def _run_diagnosis_process(self, one: Diagnosis) -> int:
         outputs = ("--json", str(self._result_path(one, "json")), "--html", str(self._result_path(one, "html")))
         process = await asyncio.create_subprocess_exec(
-            *("nice", "-n", NICE, *self._command, *(str(path) for path in one.recordings), *outputs),
-            env={**os.environ, **ONE_THREAD},
+            *("nice", "-n", DIAGNOSIS_NICENESS, *self._command, *(str(path) for path in one.recordings), *outputs),
+            env={**os.environ, **SINGLE_THREAD_ENVIRONMENT},
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.DEVNULL,
             stderr=asyncio.subprocess.PIPE,

@@ -23,7 +23,7 @@ from server.listeners import Listeners
 
 log = logging.getLogger(__name__)
 
-STOP_BOUND_S = (
+STOP_TIMEOUT_S = (
     3.0  # longest wait for the ramp when a job ends early: |qd|/qdd_stop is below 0.5 s, the rest is the link
 )
 
@@ -200,7 +200,7 @@ class JobEngine:
         if reason is not None and not job.has_ended:  # one that did not move has reported its end already
             self._report_event(job, "stopping", 0.0, 1.0, "", reason)
         if task is not None:
-            await asyncio.wait({task}, timeout=STOP_BOUND_S)
+            await asyncio.wait({task}, timeout=STOP_TIMEOUT_S)
 
     async def hold_until(self, t_mono_ns: int | None) -> None:
         """Let motion go on until then only [monotonic ns], whatever this process does; None: it need not be held."""
@@ -269,7 +269,7 @@ class JobEngine:
         if not self._performer.may_be_moving:
             return
         stop = asyncio.ensure_future(self._performer.stop_motion(reason))
-        until_s = mono_s() + STOP_BOUND_S
+        until_s = mono_s() + STOP_TIMEOUT_S
         while not stop.done() and (left_s := until_s - mono_s()) > 0.0:
             with contextlib.suppress(asyncio.CancelledError):  # another stop: that is what is being done
                 await asyncio.wait({stop}, timeout=left_s)

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 CHALLENGE_NS = 40_000_000  # 25 a second
-SILENCE_NS = 250_000_000  # the PLC's own watchdog is as long
-LATE_NS = 30_000_000  # the server's own stop comes first while the server is in time
-KEPT = 16  # challenges that may still be answered: 0.64 s of them, far more than may be late
+HOLD_SILENCE_MAX_NS = 250_000_000  # the PLC's own watchdog is as long
+STOP_LATENESS_MARGIN_NS = 30_000_000  # the server's own stop comes first while the server is in time
+OPEN_CHALLENGES_MAX = 16  # challenges that may still be answered: 0.64 s of them, far more than may be late
 NONCE_MASK = 0xFFFF_FFFF
 
 
@@ -46,20 +46,20 @@ class HoldToRun:
     @property
     def dead_ns(self) -> int:
         """When the motion stops without this rule: a little after this rule stops it, which knows better why."""
-        return self._alive_ns + SILENCE_NS + LATE_NS
+        return self._alive_ns + HOLD_SILENCE_MAX_NS + STOP_LATENESS_MARGIN_NS
 
     @property
     def next_ns(self) -> int:
         """When `poll` has something to do next."""
-        return min(self._next_ns, self._alive_ns + SILENCE_NS + 1)
+        return min(self._next_ns, self._alive_ns + HOLD_SILENCE_MAX_NS + 1)
 
     def poll(self, t_ns: int) -> Challenge | None:
         """The next challenge if it is due; ends the hold when nothing good was heard for too long."""
         if self._ended:
             return None
-        if t_ns - self._alive_ns > SILENCE_NS:
+        if t_ns - self._alive_ns > HOLD_SILENCE_MAX_NS:
             silent_ms = (t_ns - self._alive_ns) // 1_000_000
-            self._ended = f"the page was silent for {silent_ms} ms (limit {SILENCE_NS // 1_000_000} ms)"
+            self._ended = f"the page was silent for {silent_ms} ms (limit {HOLD_SILENCE_MAX_NS // 1_000_000} ms)"
             return None
         if t_ns < self._next_ns:
             return None
@@ -67,7 +67,7 @@ class HoldToRun:
         self._seq += 1
         challenge = Challenge(self._seq, self._nonce() & NONCE_MASK)
         self._asked[challenge.seq] = (challenge.nonce, t_ns)
-        self._asked.pop(challenge.seq - KEPT, None)
+        self._asked.pop(challenge.seq - OPEN_CHALLENGES_MAX, None)
         return challenge
 
     def answer(self, seq: int, reply: int, bond: str) -> bool:

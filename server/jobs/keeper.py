@@ -33,20 +33,20 @@ from server.store.idempotency import StoredAnswer, forget_answer, save_answer
 
 # A command as the store keeps it: who sent it, with which key, and what they were answered.
 
-INSIDE = Caller("server", "engineer", "")
+SERVER_CALLER = Caller("server", "engineer", "")
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
     """One request to start a job. `answer` makes the answer that a retry with the same key is given."""
 
-    caller: Caller = INSIDE
+    caller: Caller = SERVER_CALLER
     request_id: str = ""
-    key: str = ""
-    answer: Callable[[Job], StoredAnswer] | None = None
+    idempotency_key: str = ""
+    make_answer: Callable[[Job], StoredAnswer] | None = None
 
 
-INSIDE_COMMAND = Command()  # of the server itself
+SERVER_COMMAND = Command()  # of the server itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +54,10 @@ class JobStartRows:
     """What one transaction writes before a job begins."""
 
     job: Job
-    body: str
-    audit: AuditEntry
-    key: str
-    answered: StoredAnswer | None
+    request_body: str
+    audit_entry: AuditEntry
+    idempotency_key: str
+    stored_answer: StoredAnswer | None
 
 
 def job_start_rows(job: Job, body: str, plan_hash: str, lease: Lease | None, command: Command) -> JobStartRows:
@@ -71,24 +71,24 @@ def job_start_rows(job: Job, body: str, plan_hash: str, lease: Lease | None, com
         lease_owner=lease.owner if lease else "",
         fencing=job.fencing,
         request_id=command.request_id,
-        idempotency_key=command.key,
+        idempotency_key=command.idempotency_key,
         plan_hash=plan_hash,
         job_id=job.job_id,
     )
-    answered = command.answer(job) if command.answer is not None and command.key else None
-    return JobStartRows(job, body, entry, command.key, answered)
+    answered = command.make_answer(job) if command.make_answer is not None and command.idempotency_key else None
+    return JobStartRows(job, body, entry, command.idempotency_key, answered)
 
 
 log = logging.getLogger(__name__)
-PROBE_S = 2.0
-SPARE = 64  # places of the queue that jobs and control have for themselves
+STORE_PROBE_PERIOD_S = 2.0
+RESERVED_QUEUE_PLACES = 64  # places of the queue that jobs and control have for themselves
 
 
 # Jobs on disk: a row before anything moves, its end when it ends, and an honest end after a crash.
 
-SHOWN = 200  # jobs that the engine remembers
-KEPT = 10_000
-INTERRUPTED = (
+LISTED_JOBS_MAX = 200  # jobs that the engine remembers
+JOBS_KEPT_MAX = 10_000
+INTERRUPTED_JOB_REASON = (
     "the server ended while this job ran (killed, crashed or without power); "
     "the PLC's watchdog ramped the machine down; arm and look again"
 )
@@ -116,13 +116,13 @@ def end_interrupted(db: sqlite3.Connection) -> list[str]:
     found = [row[0] for row in db.execute("SELECT job_id FROM jobs WHERE state IN (?, ?)", open_states)]
     db.execute(
         "UPDATE jobs SET state = ?, code = 'interrupted', reason = ? WHERE state IN (?, ?)",
-        (JobState.INTERRUPTED.value, INTERRUPTED, *open_states),
+        (JobState.INTERRUPTED.value, INTERRUPTED_JOB_REASON, *open_states),
     )
-    db.execute("DELETE FROM jobs WHERE number <= (SELECT max(number) FROM jobs) - ?", (KEPT,))
+    db.execute("DELETE FROM jobs WHERE number <= (SELECT max(number) FROM jobs) - ?", (JOBS_KEPT_MAX,))
     return found
 
 
-def read_jobs(db: sqlite3.Connection, limit: int = SHOWN) -> list[Job]:
+def read_jobs(db: sqlite3.Connection, limit: int = LISTED_JOBS_MAX) -> list[Job]:
     """The last jobs, oldest first."""
     rows = db.execute("SELECT * FROM jobs ORDER BY number DESC LIMIT ?", (limit,)).fetchall()
     return [_job_from_row(row) for row in reversed(rows)]
@@ -191,17 +191,17 @@ class Keeper:
         self.check()
 
         def rows(db: sqlite3.Connection) -> None:
-            add_job(db, began.job, began.body)
+            add_job(db, began.job, began.request_body)
             save_fencing(db, began.job.fencing)
-            add_audit(db, began.audit)
-            if began.answered is not None:
-                save_answer(db, began.audit.who, began.key, began.answered)
+            add_audit(db, began.audit_entry)
+            if began.stored_answer is not None:
+                save_answer(db, began.audit_entry.who, began.idempotency_key, began.stored_answer)
 
         try:
             await self.database.write_async(rows)
         except StoreError:
-            who, key = began.audit.who, began.key
-            if began.answered is not None:  # a disk that was late may write it all the same: the job was refused
+            who, key = began.audit_entry.who, began.idempotency_key
+            if began.stored_answer is not None:  # a disk that was late may write it all the same: the job was refused
                 self.queue_write(lambda db: forget_answer(db, who, key))
             raise
 
@@ -231,7 +231,7 @@ class Keeper:
     def queue_write(self, work: Work[Any]) -> None:
         """Queue a write whose failure is only logged."""
         try:
-            self.database.submit(work, SPARE).add_done_callback(_log_write_error)
+            self.database.submit(work, RESERVED_QUEUE_PLACES).add_done_callback(_log_write_error)
         except StoreError as error:
             log.error("not written: %s", error)
 
@@ -257,7 +257,7 @@ class Keeper:
     async def watch(self) -> None:
         """Until cancelled: find out whether the disk can be written (again), and save what waits for it."""
         while True:
-            await asyncio.sleep(PROBE_S)
+            await asyncio.sleep(STORE_PROBE_PERIOD_S)
             self._save_ends()
             try:
                 if not self._restored:
@@ -278,7 +278,7 @@ class FindingLog:
 
     def __init__(self, cell: Cell, keeper: Keeper) -> None:
         self._cell, self._keeper = cell, keeper
-        self._known: LocalCalibration | None = cell.knowledge.life
+        self._known: LocalCalibration | None = cell.knowledge.kept_calibration
 
     def on_job_event(self, job: Job, event: JobEvent) -> None:
         """Keep the previewed plan and the calibration that the ended job left."""
@@ -286,7 +286,7 @@ class FindingLog:
             return
         if isinstance(job.result, PreviewedPlan):
             self._plan(job.job_id, job.result)
-        life = self._cell.knowledge.life
+        life = self._cell.knowledge.kept_calibration
         if life is not None and life is not self._known:
             self._known = life
             self._store_calibration(job.job_id)
@@ -309,7 +309,7 @@ class FindingLog:
         self._keeper.queue_write(lambda db: add_plan(db, plan_hash, job_id, made_unix_s, expires_unix_s, view))
 
     def _store_calibration(self, job_id: str) -> None:
-        record = self._cell.knowledge.calibration
+        record = self._cell.knowledge.calibration_record
         if record is None:
             return
         made, view = time.time(), json.dumps(asdict(record))

@@ -54,22 +54,26 @@ class Knowledge:
     """Mutable on purpose: the one place where jobs leave what later jobs build on."""
 
     last_look: LookTaken | None = None
-    mount: CameraRotationEstimate | None = None
-    calibration: CalibrationRecord | None = None
-    previewed: PreviewedPlan | None = None
+    mount_rotation_estimate: CameraRotationEstimate | None = None
+    calibration_record: CalibrationRecord | None = None
+    previewed_plan: PreviewedPlan | None = None
     q_start: Array | None = None
     T_base_ooi: Array | None = None
     stall_rad: Array | None = None
     moves: list[MoveRecord] = field(default_factory=list)
-    compared: list[ComparedMove] = field(default_factory=list)
-    runs: list[OdometryRun] = field(default_factory=list)
-    looks: list[LookAt] = field(default_factory=list)
-    joint: JointEstimate | None = None
-    lens: tuple[Array, Array] | None = None  # camera and prints as the last estimate found them: mean, covariance
-    side: Array | None = None  # where each joint rested in its play (n,), -1 to 1, by the last reading of the encoders
-    life: LocalCalibration | None = None  # the calibration as a thing that is kept, shown and expires
+    compared_moves: list[ComparedMove] = field(default_factory=list)
+    odometry_runs: list[OdometryRun] = field(default_factory=list)
+    look_observations: list[LookAt] = field(default_factory=list)
+    joint_estimate: JointEstimate | None = None
+    lens_estimate: tuple[Array, Array] | None = (
+        None  # camera and prints as the last estimate found them: mean, covariance
+    )
+    backlash_sides: Array | None = (
+        None  # where each joint rested in its play (n,), -1 to 1, by the last reading of the encoders
+    )
+    kept_calibration: LocalCalibration | None = None  # the calibration as a thing that is kept, shown and expires
     target: AnchoredTarget | TaughtObject | None = None  # the object of interest, where it is not known by markers
-    marks: tuple[AnchoredTarget, ...] = ()  # holes and rings that were found last, any of which may be the target
+    found_marks: tuple[AnchoredTarget, ...] = ()  # holes and rings that were found last, any of which may be the target
     calibration_note: str = ""  # why a kept calibration was not taken up, or is not kept
     unix_minus_mono_s: float = 0.0  # 0 in virtual time
 
@@ -84,22 +88,24 @@ class Knowledge:
 
     def forget_sight(self) -> None:
         """Nothing seen, and nothing planned from it, is acted upon any more; the wall's place is kept as a limit."""
-        self.last_look = self.previewed = None
+        self.last_look = self.previewed_plan = None
 
     def use_target(self, target: AnchoredTarget | TaughtObject | None) -> None:
         """Another object of interest: what was seen of the former one is not used any more."""
         self.target = target
         self.forget_sight()
-        self.looks.clear()  # they saw another object
-        self.joint = None
+        self.look_observations.clear()  # they saw another object
+        self.joint_estimate = None
         self.moves.clear()
 
     def forget_calibration(self) -> None:
         """Nothing learnt about this machine's mount and map is used any more."""
-        self.mount = self.calibration = self.joint = self.life = self.lens = None
+        self.mount_rotation_estimate = self.calibration_record = self.joint_estimate = self.kept_calibration = (
+            self.lens_estimate
+        ) = None
         self.calibration_note = ""
-        self.runs.clear()
-        self.looks.clear()
+        self.odometry_runs.clear()
+        self.look_observations.clear()
 
 
 def plan_hash(plan: PathPlan) -> str:

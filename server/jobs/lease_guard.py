@@ -8,7 +8,7 @@ from server.jobs.engine import JobEngine
 from server.link.errors import LinkError
 
 log = logging.getLogger(__name__)
-PERIOD_S = 0.1
+LEASE_CHECK_PERIOD_S = 0.1
 
 
 async def guard_lease(engine: JobEngine) -> None:
@@ -21,7 +21,7 @@ async def guard_lease(engine: JobEngine) -> None:
             expel_unadmitted(engine)
             await enforce_lease(engine)
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(PERIOD_S):
+                async with asyncio.timeout(LEASE_CHECK_PERIOD_S):
                     await changed.wait()
     finally:
         unsubscribe()

@@ -46,15 +46,15 @@ from server.link.samples import stood_still
 from server.motion.contracts import JointTrajectory
 from server.vision.contracts import OdometryStatus, PairObservation
 
-READING_S = 0.1
-SILENT_S = 1.0  # a job gives up then; motion is stopped by link process and PLC, both after 250 ms
+READING_WINDOW_S = 0.1
+PLC_SILENCE_MAX_S = 1.0  # a job gives up then; motion is stopped by link process and PLC, both after 250 ms
 REST_WINDOW_S = 0.4
 REST_SPEED_RAD_S = 2e-4  # 0.8 mm/s at 4 m
 REST_LAG_RAD_S = 1e-4
 SWITCH_PAIRS, SWITCH_POLL_S = 2, 0.02
-WATCHED_MAX = 180 * 60  # pairs: as long as encoders are kept to join them with, at 60 a second
+WATCHED_PAIRS_MAX = 180 * 60  # pairs: as long as encoders are kept to join them with, at 60 a second
 PAIRS_SEEN_S, TIMING_MAX_S = 0.05, 6.0  # at the slowest camera of use, one pair a second, it is six pairs
-ARMING_RAD = 1e-4  # four counts of an 18-bit encoder: 0.4 mm at 4 m
+ARMING_SHIFT_MAX_RAD = 1e-4  # four counts of an 18-bit encoder: 0.4 mm at 4 m
 
 
 class Performer:
@@ -87,7 +87,7 @@ class Performer:
             case StartOdometry():
                 return await self._start_odometry()
             case TimePairs():
-                return await self._time_pairs(request.pairs)
+                return await self._time_pairs(request.n_pairs)
             case StopOdometry():
                 return await self._stop_odometry()
             case StartWatching():
@@ -106,7 +106,7 @@ class Performer:
 
     async def _use_target(self, request: UseTarget) -> None:
         """Returns when pairs come that see the new target: one may still be processed for the former one."""
-        since_ns, until_s = mono_ns(), mono_s() + SILENT_S
+        since_ns, until_s = mono_ns(), mono_s() + PLC_SILENCE_MAX_S
         self._cell.vision.use_target(request.target)
         while len(self._cell.vision.reports_since(since_ns)) < SWITCH_PAIRS and mono_s() < until_s:  # noqa: ASYNC110 no event
             await asyncio.sleep(SWITCH_POLL_S)
@@ -142,16 +142,17 @@ class Performer:
         now = mono_ns()
         samples = self._cell.link.samples_since(now - int(window_s * 1e9))
         latest = self._cell.link.latest
-        if latest is None or now - latest.t_mono_ns > SILENT_S * 1e9:
+        if latest is None or now - latest.t_mono_ns > PLC_SILENCE_MAX_S * 1e9:
             age = "missing" if latest is None else f"{(now - latest.t_mono_ns) / 1e6:.0f} ms old"
             raise JobFailedError(
-                f"PLC state is {age} (limit {SILENT_S * 1e3:.0f} ms); check cable, PLC program and the plc settings",
+                f"PLC state is {age} (limit {PLC_SILENCE_MAX_S * 1e3:.0f} ms); check cable, PLC program and the plc "
+                "settings",
                 "plc_silent",
             )
         return samples or [latest]
 
     def _reading(self) -> MachineReading:
-        samples = self._fresh_samples(READING_S)
+        samples = self._fresh_samples(READING_WINDOW_S)
         return MachineReading(
             q_rad=np.mean([sample.q_rad for sample in samples], axis=0),
             q_ref_rad=np.array(samples[-1].q_ref_rad),
@@ -168,13 +169,13 @@ class Performer:
                 "dry_run",
             )
         if self._cell.link.health.phase is not LinkPhase.ARMED:
-            self._fresh_samples(READING_S)
+            self._fresh_samples(READING_WINDOW_S)
             await self._cell.link.arm()
 
     async def _move(self, request: Move) -> None:
         self.may_be_moving = True
         trajectory = self._from_reference(request.trajectory)
-        self._cell.recorder.begin_marks(request.marks)
+        self._cell.recorder.begin_marks(request.segment_marks)
         try:
             ended = await self._cell.link.run(trajectory)
         finally:
@@ -209,7 +210,7 @@ class Performer:
         if latest is None:
             return trajectory
         away = np.array(latest.q_ref_rad) - trajectory.q[0]
-        return replace(trajectory, q=trajectory.q + away) if np.abs(away).max() <= ARMING_RAD else trajectory
+        return replace(trajectory, q=trajectory.q + away) if np.abs(away).max() <= ARMING_SHIFT_MAX_RAD else trajectory
 
     async def _settle(self) -> MachineReading:
         timeout_s = self._cell.settings.position.settle_timeout_s
@@ -228,7 +229,7 @@ class Performer:
     async def _look(self, request: TakeLook) -> object:
         await self._cell.vision.set_pose_source(request.source)
         look = self._cell.settings.look
-        taken = await self._cell.vision.look(request.pairs, look.timeout_s, look.spread_max_mm)
+        taken = await self._cell.vision.look(request.n_pairs, look.timeout_s, look.spread_max_mm)
         self._cell.recorder.record(taken)
         return taken
 
@@ -261,7 +262,7 @@ class Performer:
         await self._cell.vision.set_pose_source(request.source)
         self._watching_by = request.source
         self._watching_from_ns = mono_ns()
-        self._watched = deque(maxlen=WATCHED_MAX)
+        self._watched = deque(maxlen=WATCHED_PAIRS_MAX)
 
     def _watch(self, report: FrameReport) -> None:
         if self._watched is not None and report.fit_for_look and report.pose_source == self._watching_by:

@@ -19,7 +19,7 @@ from server.vision.contracts import ObjectPose, PairObservation, PoseStatus
 
 # Looks on the way: what a plan asks for while the machine moves, and what it gets: pairs that showed both objects.
 
-USABLE = (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS)
+USABLE_POSE_STATUSES = (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,12 @@ def sighted_of(pairs: Iterable[tuple[float, PairObservation]]) -> SeenPairs:
     t, vectors, turns = [], [], []
     for t_s, pair in pairs:
         tool, ooi = pair.tool.T_cam_object, pair.ooi.T_cam_object
-        if pair.tool.status in USABLE and pair.ooi.status in USABLE and tool is not None and ooi is not None:
+        if (
+            pair.tool.status in USABLE_POSE_STATUSES
+            and pair.ooi.status in USABLE_POSE_STATUSES
+            and tool is not None
+            and ooi is not None
+        ):
             t.append(t_s)
             vectors.append(ooi[:3, 3] - tool[:3, 3])
             turns.append(ooi[:3, :3])
@@ -73,7 +78,7 @@ class NextPair:
     `time_offset_s`: add to the camera's time to get the encoders'.
     """
 
-    after: int
+    after_number: int
     silence_max_s: float
     time_offset_s: float
 
@@ -92,8 +97,8 @@ class PairSeen:
     ooi: ObjectPose | None
     q_rad: Array | None
     t_play_s: float
-    ended: bool
-    tail: Literal["none", "pending", "taken", "refused"] = "none"
+    motion_ended: bool
+    tail_status: Literal["none", "pending", "taken", "refused"] = "none"
     tail_text: str = ""
 
 
@@ -102,7 +107,7 @@ class Correct:
     """Replace the running trajectory from knot `first` on. Reply: None immediately; later pairs report the result."""
 
     trajectory: JointTrajectory
-    first: int
+    first_knot: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +156,7 @@ class Move:
 
     trajectory: JointTrajectory
     purpose: str
-    marks: tuple[SegmentMark, ...] = ()
+    segment_marks: tuple[SegmentMark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +168,7 @@ class Settle:
 class TakeLook:
     """Robust mean over pairs at standstill. Reply: Look (a failed look is a reply, not an error)."""
 
-    pairs: int
+    n_pairs: int
     source: Literal["stereo", "mono"] = "stereo"
 
 
@@ -176,7 +181,7 @@ class StartOdometry:
 class TimePairs:
     """Watch some pairs of the odometry that is on. Reply: PairTiming."""
 
-    pairs: int = 8
+    n_pairs: int = 8
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Generator
 from pathlib import Path
 
-from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
+from recording.clock import SUSPENDED_REASON, SuspendWatch, mono_ns, mono_s
 from server.access.lease import Lease
 from server.compensation.compensation import CompensationError
 from server.compensation.reading import compensation_from
@@ -20,7 +20,7 @@ from server.jobs.context import PlanContext
 from server.jobs.diagnosing import Diagnoses
 from server.jobs.engine import Job, JobEngine, JobEvent
 from server.jobs.identification import Identification
-from server.jobs.keeper import INSIDE_COMMAND, Command, FindingLog, Keeper, job_start_rows
+from server.jobs.keeper import SERVER_COMMAND, Command, FindingLog, Keeper, job_start_rows
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
 from server.jobs.plans.identifying import drive_identification, plan_identification
@@ -55,7 +55,7 @@ from server.jobs.requests import Plan, Progress, Request
 from server.link.errors import LinkError
 
 log = logging.getLogger(__name__)
-RESUME_SEEN_S = 0.1
+RESUME_CHECK_PERIOD_S = 0.1
 
 JobBody = (
     LookRequest
@@ -113,7 +113,7 @@ class JobService:
         cell, known = self.cell, self._by_settings
         version = None if known is not None else self.versions.in_use
         known = known or self.versions.compensation()
-        machine_id = machine_id_of(cell.machine_text, () if known is None else known.sorted.used)
+        machine_id = machine_id_of(cell.machine_text, () if known is None else known.effects_by_use.compensated)
         version_id = "" if version is None else version.version_id
         return PlanContext(
             cell.machine,
@@ -158,14 +158,14 @@ class JobService:
         problem = self.cell.recorder.why_not_recording
         return self.engine.not_noted or (problem if isinstance(problem, str) else "")
 
-    async def start(self, body: JobBody, lease: Lease | None = None, command: Command = INSIDE_COMMAND) -> Job:
+    async def start(self, body: JobBody, lease: Lease | None = None, command: Command = SERVER_COMMAND) -> Job:
         """Check what can be checked now, write the job down, then start it under `engine.leases.check`'s lease.
 
         Raises: BusyError, PlanRefusedError, JobFailedError, StoreError when it may not start; nothing moves then.
         """
         self._note_resume()
-        if self.cell.starting:
-            raise JobFailedError(self.cell.starting, "starting")
+        if self.cell.startup_note:
+            raise JobFailedError(self.cell.startup_note, "starting")
         plan = self._plan(body)
         owner = body.owner or (lease.owner if lease else "server")
         plan_hash = getattr(body, "plan_hash", "")
@@ -179,12 +179,12 @@ class JobService:
     async def watch_suspend(self) -> None:
         """Until cancelled: after a resume the running job is stopped."""
         while True:
-            await asyncio.sleep(RESUME_SEEN_S)
+            await asyncio.sleep(RESUME_CHECK_PERIOD_S)
             self._note_resume()
             if self._resumed:
                 self._resumed = False
                 try:
-                    await self.engine.stop(SUSPENDED)
+                    await self.engine.stop(SUSPENDED_REASON)
                 except LinkError as error:
                     log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
 
@@ -195,16 +195,16 @@ class JobService:
         leaves no picture of before in a buffer.
         """
         if self._suspend.was_suspended():
-            log.warning(SUSPENDED)
+            log.warning(SUSPENDED_REASON)
             self._resumed, self._resumed_mono_s = True, mono_s()
             self.cell.knowledge.forget_sight()
             self.identification.forget_plan()
-            self.engine.leases.revoke(SUSPENDED)
+            self.engine.leases.revoke(SUSPENDED_REASON)
 
     def _suspension_text(self, job: Job) -> str:
         """That the PC was suspended while the job ran, whether the silent PLC was noticed before or after it."""
         self._note_resume()
-        return SUSPENDED if self._resumed_mono_s >= job.started_mono_s else ""
+        return SUSPENDED_REASON if self._resumed_mono_s >= job.started_mono_s else ""
 
     def _plan(self, body: JobBody) -> Plan:
         ctx = self.context
@@ -218,7 +218,7 @@ class JobService:
             case PreviewRequest():
                 return _preview_motion(ctx, self._last_look())
             case ExecuteRequest():
-                previewed = check_executable(ctx.knowledge.previewed, body.plan_hash, mono_ns())
+                previewed = check_executable(ctx.knowledge.previewed_plan, body.plan_hash, mono_ns())
                 return execute(ctx, previewed, 1 + sum(move.kind == "move" for move in ctx.knowledge.moves))
             case PositionRequest():
                 return position(ctx.with_method(body.method), body.recalibrate)

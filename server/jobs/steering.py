@@ -20,13 +20,13 @@ from server.link.errors import LinkRefusedError
 from server.motion.contracts import JointTrajectory
 
 ENCODER_GAP_S = 0.05  # an exposure further than this from any encoder sample cannot be joined with them
-ENCODERS_LATE_S = 0.1  # how long a pair may wait for encoders that are still on their way
+ENCODER_WAIT_MAX_S = 0.1  # how long a pair may wait for encoders that are still on their way
 ENCODERS_POLL_S = 0.005
-HISTORY_S = 1.0
-ENDING_S = 0.1  # a stopped motion reports its end immediately
+ENCODER_HISTORY_S = 1.0
+MOTION_END_TIMEOUT_S = 0.1  # a stopped motion reports its end immediately
 LATENCY_PAIRS = 300  # pairs over which the smallest latency is known: 5 s at 60 a second, 20 s at 15
-FIRST_PAIR_S = 0.25  # from asking for the motion to the first pair that is judged: one step of the plan
-GRACE_S = 0.03  # the link's own stop comes after the plan's, which says why
+FIRST_PAIR_TIMEOUT_S = 0.25  # from asking for the motion to the first pair that is judged: one step of the plan
+STEER_TIMEOUT_GRACE_S = 0.03  # the link's own stop comes after the plan's, which says why
 
 
 class Steering:
@@ -46,7 +46,7 @@ class Steering:
         """Hand the trajectory to the link; its refusal is reported by `end` or shows as an ended motion."""
         self._subscribe_to_vision_reports()
         self._tail = None
-        await self._let_go_on(FIRST_PAIR_S)
+        await self._let_go_on(FIRST_PAIR_TIMEOUT_S)
         self._motion = asyncio.create_task(self._cell.link.run(trajectory), name="steered-motion")
         await asyncio.sleep(0.0)
 
@@ -57,17 +57,17 @@ class Steering:
         """
         self._subscribe_to_vision_reports()
         seen = await self._wait_for_pair(request)
-        if not seen.fault and not seen.ended:
-            await self._let_go_on(request.silence_max_s + GRACE_S)
+        if not seen.fault and not seen.motion_ended:
+            await self._let_go_on(request.silence_max_s + STEER_TIMEOUT_GRACE_S)
         return seen
 
     async def _wait_for_pair(self, request: NextPair) -> PairSeen:
         deadline_s = max(self._t_arrival_s, mono_s() - request.silence_max_s) + request.silence_max_s
-        while self._number <= request.after:
+        while self._number <= request.after_number:
             left_s = deadline_s - mono_s()
             if left_s <= 0.0:
                 silent = f"no pair for {1e3 * request.silence_max_s:.0f} ms; check the camera, its cable and its rate"
-                return self._make_pair_seen(request.after, silent, None, request)
+                return self._make_pair_seen(request.after_number, silent, None, request)
             try:
                 async with asyncio.timeout(left_s):
                     await self._arrived.wait()
@@ -78,7 +78,7 @@ class Steering:
 
     async def _encoders_come(self, request: NextPair) -> None:
         """Encoders come by another process: a pair that arrives before them must not end a motion."""
-        until_s = mono_s() + min(ENCODERS_LATE_S, request.silence_max_s)
+        until_s = mono_s() + min(ENCODER_WAIT_MAX_S, request.silence_max_s)
         while self._encoders_due(request) and mono_s() < until_s:  # noqa: ASYNC110 samples are no event
             await asyncio.sleep(ENCODERS_POLL_S)
 
@@ -92,7 +92,9 @@ class Steering:
 
     def correct(self, request: Correct) -> None:
         """Send a new tail, the rest of the running trajectory. While one is on its way, another is refused."""
-        self._tail = asyncio.create_task(self._cell.link.correct(request.trajectory, request.first), name="new-tail")
+        self._tail = asyncio.create_task(
+            self._cell.link.correct(request.trajectory, request.first_knot), name="new-tail"
+        )
 
     async def wait_for_end(self) -> None:
         """Wait for the motion's end. Raises: JobFailedError: it ended early. LinkError: it was refused."""
@@ -109,7 +111,7 @@ class Steering:
     async def forget_motion(self) -> None:
         """The machine was stopped: the motion ends by that, and whatever is left of it is of no interest."""
         if self._motion is not None:
-            await asyncio.wait({self._motion}, timeout=ENDING_S)
+            await asyncio.wait({self._motion}, timeout=MOTION_END_TIMEOUT_S)
         for task in (self._motion, self._tail):
             if task is not None:
                 task.cancel()
@@ -145,8 +147,8 @@ class Steering:
             ooi=report.observation.ooi if report else None,
             q_rad=q,
             t_play_s=self._t_play_s(),
-            ended=self._motion is None or self._motion.done(),
-            tail=tail,
+            motion_ended=self._motion is None or self._motion.done(),
+            tail_status=tail,
             tail_text=tail_text,
         )
 
@@ -187,7 +189,7 @@ class Steering:
     def _joints_at(self, t_s: float) -> Array | None:
         """Encoders at a moment of the PC's clock, linear between samples."""
         link = self._cell.link
-        samples = link.samples_since(mono_ns() - int(HISTORY_S * 1e9))
+        samples = link.samples_since(mono_ns() - int(ENCODER_HISTORY_S * 1e9))
         if len(samples) < 2 or link.plc_to_pc_offset_ns is None:
             return None
         times = np.array([sample.t_plc_ns + link.plc_to_pc_offset_ns for sample in samples]) * 1e-9

@@ -15,7 +15,7 @@ from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import Knowledge
-from server.jobs.performer import SILENT_S
+from server.jobs.performer import PLC_SILENCE_MAX_S
 from server.jobs.plans.reach import ReachPreview, reach_preview
 from server.jobs.plans.unmoved import moved_since_look
 from server.jobs.requests import MachineReading
@@ -24,7 +24,7 @@ from server.targets.contracts import AnchoredTarget, SurfacePatch, TargetSetting
 from server.targets.taught import ObjectBox, TaughtObject, TaughtView, teach_object
 from server.targets.taught_files import SUFFIX, TaughtFileError, load_taught, save_taught
 
-NOT_PREVIEWED = ReachPreview("unknown", "")
+UNKNOWN_REACH = ReachPreview("unknown", "")
 Preview = Callable[[int, AnchoredTarget], ReachPreview]
 
 
@@ -34,7 +34,7 @@ def reach_in_image(cell: Cell, ctx: PlanContext, image: int, target: AnchoredTar
     if report is None:
         return ReachPreview("unknown", f"reach is not known: image {image} is not kept; choose in a newer one")
     latest = cell.link.latest
-    if latest is None or mono_ns() - latest.t_mono_ns > SILENT_S * 1e9:
+    if latest is None or mono_ns() - latest.t_mono_ns > PLC_SILENCE_MAX_S * 1e9:
         return ReachPreview("unknown", "reach is not known: the PLC is silent; check its connection")
     then = cell.link.samples_since(report.t_receive_mono_ns)
     moved = moved_since_look(cell.machine, latest.q_rad, np.array((then or [latest])[0].q_rad))
@@ -53,7 +53,7 @@ class TargetChoice:
         self._vision, self._knowledge, self._engine = vision, knowledge, engine
         self._preview = preview
         self.candidate: AnchoredTarget | SurfacePatch | None = None
-        self.reach = NOT_PREVIEWED  # of the candidate
+        self.reach = UNKNOWN_REACH  # of the candidate
         self.image = 0  # sequence number of the candidate's image
 
     @property
@@ -80,7 +80,7 @@ class TargetChoice:
         Raises: CameraError: no answer from the vision process.
         """
         found = await self._vision.measure_target(image, pixel, float(np.deg2rad(roll_deg)))
-        reach = NOT_PREVIEWED
+        reach = UNKNOWN_REACH
         if isinstance(found, AnchoredTarget) and self._preview is not None:
             reach = await asyncio.to_thread(self._preview, image, found)
         self.candidate, self.image, self.reach = found, image, reach
@@ -92,7 +92,9 @@ class TargetChoice:
         Raises: CameraError: no answer from the vision process.
         """
         found = await self._vision.find_marks(image, tuple(1e-3 * diameter for diameter in diameters_mm))
-        self._knowledge.marks = tuple(target for _, target in found.marks if isinstance(target, AnchoredTarget))
+        self._knowledge.found_marks = tuple(
+            target for _, target in found.marks_with_targets if isinstance(target, AnchoredTarget)
+        )
         return found
 
     def accept(self, target_id: int) -> AnchoredTarget:
@@ -101,7 +103,7 @@ class TargetChoice:
         Raises: BusyError: a job is running. JobFailedError: no candidate or mark has that number any more.
         """
         self._require_idle()
-        known = (self.candidate, *self._knowledge.marks)
+        known = (self.candidate, *self._knowledge.found_marks)
         targets = (target for target in known if isinstance(target, AnchoredTarget))
         found = next((target for target in targets if target.target_id == target_id), None)
         if found is None:
@@ -132,7 +134,7 @@ class TargetChoice:
 
 # Teaching objects: views are collected, made into an object, kept as files, and chosen as the object of interest.
 
-VIEWS_MAX = 12  # 4 MB each; more sides than an object on a wall has
+TAUGHT_VIEWS_MAX = 12  # 4 MB each; more sides than an object on a wall has
 
 
 class Teaching:
@@ -164,9 +166,9 @@ class Teaching:
             _has_equal_values(self.box.centre_m, box.centre_m) and _has_equal_values(self.box.size_m, box.size_m)
         ):
             self.forget_views()
-        if len(self.views) >= VIEWS_MAX:
+        if len(self.views) >= TAUGHT_VIEWS_MAX:
             raise JobFailedError(
-                f"{len(self.views)} views are kept (limit {VIEWS_MAX}); teach the object", "too_many_views"
+                f"{len(self.views)} views are kept (limit {TAUGHT_VIEWS_MAX}); teach the object", "too_many_views"
             )
         found = await self._vision.teach_view(image, box)
         if isinstance(found, str):

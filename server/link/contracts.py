@@ -118,7 +118,7 @@ class CorrectRequest:
     """Replace the running trajectory from knot `first` on; gate-checked. Answered by one TailReport."""
 
     traj_id: int
-    first: int
+    first_knot: int
     knots: tuple[tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]
 
 

@@ -30,8 +30,8 @@ from protocol.errors import LocalProtocolError
 from protocol.limits import LimitTable
 from protocol.messages import State
 from protocol.plc_states import ARMED_STATES
-from protocol.timeouts import SESSION_VOID, STOP_ON_EXIT
-from recording.clock import SUSPENDED, SuspendWatch, mono_ns
+from protocol.timeouts import EXIT_STOP_TIMEOUT, SESSION_TIMEOUT
+from recording.clock import SUSPENDED_REASON, SuspendWatch, mono_ns
 from server.link.contracts import (
     ArmRequest,
     BindFailed,
@@ -59,7 +59,9 @@ from server.link.udp_end import Address, Resolver, UdpEnd
 _HEALTH_NS = 100_000_000
 _RESOLVE_NS = 1_000_000_000
 _REJECTS_KEPT = 10
-_OTHER_PC_NS = 2 * SESSION_VOID.ns  # by then a session that ended is void, and a PC that wants one has asked again
+_OTHER_PC_NS = (
+    2 * SESSION_TIMEOUT.duration_ns
+)  # by then a session that ended is void, and a PC that wants one has asked again
 _HOLD_LOST = "hold-to-run: no hold confirmation reached the link in time; press it again"
 _SIGHT_LOST = "closed loop: no stereo pair was evaluated in time; the server or this computer is overloaded"
 _AGE_SHOWN_NS = 3_600_000_000_000  # "never" is shown as an hour
@@ -107,7 +109,7 @@ class LinkProcess:
                 wait_s = max(0, deadline_ns - mono_ns()) / 1e9
                 ready = selector.select(wait_s)
                 if self._suspend.was_suspended():  # before any request or datagram from before the suspend
-                    self.stop_and_end(SUSPENDED)
+                    self.stop_and_end(SUSPENDED_REASON)
                 for key, _ in ready:
                     if self._leaving:
                         self._forget_pipe(selector)
@@ -115,7 +117,7 @@ class LinkProcess:
                         key.data()
                 now_ns = mono_ns()
                 if self._leaving and give_up_ns is None:
-                    give_up_ns = now_ns + STOP_ON_EXIT.ns
+                    give_up_ns = now_ns + EXIT_STOP_TIMEOUT.duration_ns
                     self._ask_for_nothing_but_a_stop(self._leaving)
                 if now_ns >= deadline_ns:
                     self._tick(now_ns, deadline_ns)
@@ -245,14 +247,14 @@ class LinkProcess:
     def _correct_trajectory(self, request: CorrectRequest) -> None:
         try:
             knots = knots_from(request.knots)
-            refusals = self._link.request_tail(request.traj_id, request.first, knots, mono_ns())
+            refusals = self._link.request_tail(request.traj_id, request.first_knot, knots, mono_ns())
         except LocalProtocolError as error:
             self._outbox.report(TailReport(request.traj_id, False, str(error)))
             return
         if refusals:
             self._outbox.report(TailReport(request.traj_id, False, refusals_text(refusals)))
             return
-        self._last_knot = request.first + len(knots) - 1
+        self._last_knot = request.first_knot + len(knots) - 1
 
     # --- events -----------------------------------------------------------------------------------------------------
 
@@ -315,7 +317,7 @@ class LinkProcess:
             self._next_health_ns = now_ns + _HEALTH_NS
             self._figures = self._lateness.figures()
         self._phase = self._link.phase(now_ns)
-        self._outbox.report(HealthReport(self._health(now_ns), self._link.clock.offset_ns))
+        self._outbox.report(HealthReport(self._health(now_ns), self._link.clock_offset.offset_ns))
 
     def _why_unread(self, now_ns: int) -> str:
         """Why the PLC's datagrams are of no use, where no other ones come; a damaged one between good ones is loss."""
@@ -335,7 +337,7 @@ class LinkProcess:
             lateness_p50_us=figures.p50_us,
             lateness_p99_us=figures.p99_us,
             lateness_max_us=figures.max_us,
-            round_trip_ms=self._link.clock.delay_ns / 1e6,
+            round_trip_ms=self._link.clock_offset.delay_ns / 1e6,
             last_reject=self._rejects[-1] if self._rejects else "",
             session=self._link.session if self._link.linked else 0,
             warning=self._warning,
@@ -346,7 +348,7 @@ class LinkProcess:
             cfg_id=state.cfg_id if state is not None else 0,
             other_pc=self._other_pc if now_ns - self._other_pc_ns < _OTHER_PC_NS else "",
             recent_rejects=tuple(self._rejects),
-            round_trip_min_ms=self._link.clock.delay_min_ns / 1e6,
+            round_trip_min_ms=self._link.clock_offset.delay_min_ns / 1e6,
         )
 
 

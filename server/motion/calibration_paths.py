@@ -20,7 +20,7 @@ from server.motion.settings import DEFAULT_PLAN_SETTINGS, MotionInputError, Plan
 from server.motion.wall_clearance import wall_refusal
 
 #: Corners in TCP axes [m]: x up, y left, z back from the wall. 1.0 m in six legs of 14 to 20 cm, no two parallel.
-FOLDED_M = (
+FOLDED_PATH_CORNERS_M = (
     (0.13, 0.04, 0.00),
     (0.11, -0.11, 0.10),
     (-0.07, -0.09, 0.02),
@@ -80,7 +80,7 @@ DEFAULT_PATH_SETTINGS = CalibrationPathSettings()
 
 def folded_corners() -> Array:
     """Corners of the folded path as offsets in TCP axes (6, 3) [m]; the last is the start again."""
-    return np.array(FOLDED_M)
+    return np.array(FOLDED_PATH_CORNERS_M)
 
 
 def paper_corners(path: CalibrationPathSettings = DEFAULT_PATH_SETTINGS) -> Array:

@@ -11,7 +11,7 @@ from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus, evalu
 from server.motion.refusal import Refusal, refused_plan
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
 
-SAMPLE_S = 0.05
+SAMPLE_PERIOD_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ def slowed_trajectory(trajectory: JointTrajectory, longer: float, knot_s: float)
 
 def _acceleration_max(machine: Machine, trajectory: JointTrajectory) -> float:
     """Largest acceleration of the TCP along it [m/s^2]."""
-    t_s, motion = sample_trajectory(trajectory, SAMPLE_S)
+    t_s, motion = sample_trajectory(trajectory, SAMPLE_PERIOD_S)
     if len(t_s) < 3:
         return 0.0
     places = tcp_poses(chain_of(machine), motion.q)[:, :3, 3]

@@ -13,19 +13,19 @@ from server.motion.settings import DEFAULT_PLAN_SETTINGS
 from server.motion.timing import limit_excess
 from server.motion.wall_clearance import wall_refusal
 
-KNOT_S = 0.05
-ROUNDS = 12
+KNOT_PERIOD_S = 0.05
+ITERATIONS_MAX = 12
 DURATION_MAX_S = 60.0
-JOIN_AHEAD_S = 0.3  # the link asks for 0.2 s ahead of the playback; the rest is planning and a late command
-SINGULAR_EVERY = 5  # samples of 0.02 s
-SPEED_SHARE = 0.9  # of the speed limit: the reference is what is planned, the tool may lead it a little
+JOIN_LEAD_TIME_S = 0.3  # the link asks for 0.2 s ahead of the playback; the rest is planning and a late command
+SINGULARITY_CHECK_STEP = 5  # samples of 0.02 s
+TCP_SPEED_FRAC = 0.9  # of the speed limit: the reference is what is planned, the tool may lead it a little
 
 
 @dataclass(frozen=True, slots=True)
 class TailStart:
     """Where a new tail begins: knot `first` is its first one; the motion at the knot before it, at `t_s`."""
 
-    first: int
+    first_knot: int
     t_s: float
     q: Array
     qd: Array
@@ -34,7 +34,7 @@ class TailStart:
 
 def join_after(trajectory: JointTrajectory, t_play_s: float) -> TailStart | None:
     """The first knot that may still be replaced, None where the end is too near."""
-    first = int(np.searchsorted(trajectory.t_s, t_play_s + JOIN_AHEAD_S))
+    first = int(np.searchsorted(trajectory.t_s, t_play_s + JOIN_LEAD_TIME_S))
     if first < 1 or first >= len(trajectory.t_s):
         return None
     k = first - 1
@@ -64,16 +64,16 @@ def path_to_rest(
     Returns: knots *after* the start, times on the running trajectory's clock; or why not: too fast, range, singular,
              wall.
     """
-    tcp_share = SPEED_SHARE * speed_max_m_s / machine.tcp_speed_max_m_s
-    duration_s = max(duration_min_s, 4.0 * KNOT_S)
+    tcp_share = TCP_SPEED_FRAC * speed_max_m_s / machine.tcp_speed_max_m_s
+    duration_s = max(duration_min_s, 4.0 * KNOT_PERIOD_S)
     worst = "speed of the TCP"
-    for _ in range(ROUNDS):
-        n = int(np.ceil(duration_s / KNOT_S - 1e-9))
-        whole = _quintic_to_rest(start, q_goal, KNOT_S * np.arange(n + 1, dtype=np.float64))
+    for _ in range(ITERATIONS_MAX):
+        n = int(np.ceil(duration_s / KNOT_PERIOD_S - 1e-9))
+        whole = _quintic_to_rest(start, q_goal, KNOT_PERIOD_S * np.arange(n + 1, dtype=np.float64))
         found = limit_excess(machine, chain, whole, DEFAULT_PLAN_SETTINGS, tcp_share)
-        if found.factor <= 1.0:
+        if found.time_factor <= 1.0:
             return _checked_tail(machine, chain, whole, start, wall)
-        worst, duration_s = found.worst, KNOT_S * n * min(1.02 * found.factor, 2.0)
+        worst, duration_s = found.limiting_quantity, KNOT_PERIOD_S * n * min(1.02 * found.time_factor, 2.0)
         if duration_s > DURATION_MAX_S:
             break
     text = f"{worst} asks for more than {DURATION_MAX_S:.0f} s; move closer with an ordinary move first"
@@ -87,7 +87,7 @@ def _checked_tail(
     beyond = range_refusal(machine, motion.q, DEFAULT_PLAN_SETTINGS.joint_margin_rad)
     if beyond is not None:
         return beyond
-    _, near = singular_refusal(machine, chain, motion.q[::-SINGULAR_EVERY], DEFAULT_PLAN_SETTINGS)
+    _, near = singular_refusal(machine, chain, motion.q[::-SINGULARITY_CHECK_STEP], DEFAULT_PLAN_SETTINGS)
     if near is not None:
         return near
     _, hit = wall_refusal(tcp_poses(chain, motion.q), machine.T_tcp_tool, wall)

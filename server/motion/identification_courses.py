@@ -18,16 +18,16 @@ from server.motion.timing import limit_excess
 Kind = Literal["repeat", "multisine", "steps", "sweep", "staircase", "workcycle", "hold"]
 Shape = Callable[[np.random.Generator, float, int], Array]
 
-KNOT_S = 0.1
-REST_S = 1.5  # at both ends of a course: what moves is over before the next begins
-FADE_S = 1.5
-REPEATS = 4
+KNOT_PERIOD_S = 0.1
+REST_DURATION_S = 1.5  # at both ends of a course: what moves is over before the next begins
+FADE_DURATION_S = 1.5
+COURSE_REPEATS = 4
 SPAN_RAD, SPAN_M = 0.18, 0.35  # most that a joint turns to either side, and most that the TCP goes by it
-SAMPLE_S = 0.05
-SIZE_MIN_FRAC = 0.03  # of the intended size: less than that shows nothing any more
-ROUNDS = 20
-SPARE = 1.01  # beyond what a limit requires: the next round then passes
-TCP_SHARE = 0.55  # of the TCP's speed for each joint alone; the joints are not at their fastest at the same time
+SAMPLE_PERIOD_S = 0.05
+COURSE_SIZE_MIN_FRAC = 0.03  # of the intended size: less than that shows nothing any more
+ITERATIONS_MAX = 20
+LIMIT_MARGIN_FACTOR = 1.01  # beyond what a limit requires: the next round then passes
+TCP_SPEED_FRAC = 0.55  # of the TCP's speed for each joint alone; the joints are not at their fastest at the same time
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +47,9 @@ class MotionPart:
 
     name: str
     kind: Kind
-    seconds: float
-    shape: Shape
-    shows: tuple[str, ...]
+    duration_s: float
+    course_generator: Shape
+    effects_shown: tuple[str, ...]
     repeats: int = 1
 
 
@@ -69,7 +69,7 @@ def course_trajectory(course: Course, size_frac: float = 1.0) -> JointTrajectory
     """
     times = course.knot_s * np.arange(len(course.q))
     spline = CubicSpline(times, course.q, bc_type="clamped")
-    count = max(2, int(np.ceil(times[-1] / SAMPLE_S - 1e-9)) + 1)
+    count = max(2, int(np.ceil(times[-1] / SAMPLE_PERIOD_S - 1e-9)) + 1)
     t = np.linspace(0.0, times[-1], count)
     q, qd, qdd = (np.asarray(spline(t, order), dtype=float) for order in range(3))
     start = course.q[0]
@@ -86,18 +86,18 @@ def fitted_course(machine: Machine, chain: Chain, course: Course, settings: Plan
     Returns: its trajectory; or TOO_FAST where less than SIZE_MIN_FRAC of it would be left.
     """
     size_frac, worst = 1.0, ""
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS_MAX):
         trajectory = course_trajectory(course, size_frac)
         found = limit_excess(machine, chain, trajectory, settings, settings.limit_share)
-        if found.factor <= 1.0:
+        if found.time_factor <= 1.0:
             return trajectory
-        worst = found.worst
-        size_frac /= SPARE * found.factor
-        if size_frac < SIZE_MIN_FRAC:
+        worst = found.limiting_quantity
+        size_frac /= LIMIT_MARGIN_FACTOR * found.time_factor
+        if size_frac < COURSE_SIZE_MIN_FRAC:
             break
     return Refusal(
         PlanStatus.TOO_FAST,
-        f"{worst} leaves less than {100 * SIZE_MIN_FRAC:.0f} % of the size; begin with the arm folded",
+        f"{worst} leaves less than {100 * COURSE_SIZE_MIN_FRAC:.0f} % of the size; begin with the arm folded",
     )
 
 
@@ -164,7 +164,9 @@ def hold_still_course(rng: np.random.Generator, seconds: float, n: int) -> Array
 
 
 PARTS: tuple[MotionPart, ...] = (
-    MotionPart("repeats", "repeat", 8.0, multisine_course, ("how much the machine repeats to: the noise",), REPEATS),
+    MotionPart(
+        "repeats", "repeat", 8.0, multisine_course, ("how much the machine repeats to: the noise",), COURSE_REPEATS
+    ),
     MotionPart("slow passes", "sweep", 32.0, slow_passes_course, ("dead band", "hysteresis", "friction", "flow gain")),
     MotionPart("multisine", "multisine", 22.0, multisine_course, ("delay", "lag", "controller", "camera's clock")),
     MotionPart(
@@ -188,17 +190,17 @@ def part_course(machine: Machine, chain: Chain, part: MotionPart, q_home: Array,
     Returns: knots every 0.1 s: rest, motion, rest; a part that is repeated comes so many times.
     """
     rng = np.random.default_rng([len(part.name), sum(part.name.encode())])  # the same plan for the same machine
-    unit = part.shape(rng, part.seconds, chain.n)
+    unit = part.course_generator(rng, part.duration_s, chain.n)
     largest = np.abs(unit).max(axis=0)
     size = np.where(largest > 0.0, _allowed_amplitudes(machine, chain, unit, q_home, settings), 0.0)
-    still = np.zeros((round(REST_S / KNOT_S), chain.n))
+    still = np.zeros((round(REST_DURATION_S / KNOT_PERIOD_S), chain.n))
     once = np.concatenate([still, unit * size, still])
-    return Course(q_home + np.concatenate([once, *([once[1:]] * (part.repeats - 1))]), KNOT_S)
+    return Course(q_home + np.concatenate([once, *([once[1:]] * (part.repeats - 1))]), KNOT_PERIOD_S)
 
 
 def part_marks(part: MotionPart) -> tuple[SegmentMark, ...]:
     """The segments of a part."""
-    each_s = 2.0 * REST_S + part.seconds - KNOT_S
+    each_s = 2.0 * REST_DURATION_S + part.duration_s - KNOT_PERIOD_S
     if part.repeats == 1:
         return (SegmentMark(part.name, part.kind, 0.0, each_s),)
     return tuple(
@@ -209,11 +211,11 @@ def part_marks(part: MotionPart) -> tuple[SegmentMark, ...]:
 
 def _allowed_amplitudes(machine: Machine, chain: Chain, unit: Array, q_home: Array, settings: PlanSettings) -> Array:
     lever = tcp_lever_arms(chain, q_home)
-    rate = np.abs(np.gradient(unit, KNOT_S, axis=0)).max(axis=0)
-    bend = np.abs(np.gradient(np.gradient(unit, KNOT_S, axis=0), KNOT_S, axis=0)).max(axis=0)
+    rate = np.abs(np.gradient(unit, KNOT_PERIOD_S, axis=0)).max(axis=0)
+    bend = np.abs(np.gradient(np.gradient(unit, KNOT_PERIOD_S, axis=0), KNOT_PERIOD_S, axis=0)).max(axis=0)
     v_max = np.array([joint.qd_max_rad_s for joint in machine.joints]) * settings.limit_share
     a_max = np.array([joint.qdd_max_rad_s2 for joint in machine.joints]) * settings.limit_share
-    v_max = np.minimum(v_max, TCP_SHARE * machine.tcp_speed_max_m_s * settings.limit_share / lever)
+    v_max = np.minimum(v_max, TCP_SPEED_FRAC * machine.tcp_speed_max_m_s * settings.limit_share / lever)
     room = np.minimum(chain.q_max - q_home, q_home - chain.q_min) - settings.joint_margin_rad
     span = np.minimum(np.minimum(SPAN_RAD, SPAN_M / lever), np.maximum(room, 0.0))
     with np.errstate(divide="ignore"):
@@ -221,7 +223,7 @@ def _allowed_amplitudes(machine: Machine, chain: Chain, unit: Array, q_home: Arr
 
 
 def _knot_times(seconds: float) -> Array:
-    return KNOT_S * np.arange(round(seconds / KNOT_S), dtype=np.float64)
+    return KNOT_PERIOD_S * np.arange(round(seconds / KNOT_PERIOD_S), dtype=np.float64)
 
 
 def _quintic_smoothstep(s: Array) -> Array:
@@ -230,4 +232,4 @@ def _quintic_smoothstep(s: Array) -> Array:
 
 
 def _fade_window(t: Array, seconds: float) -> Array:
-    return _quintic_smoothstep(np.minimum(t, seconds - KNOT_S - t) / FADE_S)[:, None]
+    return _quintic_smoothstep(np.minimum(t, seconds - KNOT_PERIOD_S - t) / FADE_DURATION_S)[:, None]

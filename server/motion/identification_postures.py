@@ -23,16 +23,16 @@ from machine.rotations import rotation_from_rotvec
 from server.motion.contracts import Array, Wall
 from server.motion.wall_clearance import clearances
 
-POOL = 12000
-SPREAD_RAD = 0.6  # from the present posture
+POSTURE_POOL_SIZE = 12000
+POSTURE_SPREAD_RAD = 0.6  # from the present posture
 EDGE_PX, DEPTH_MIN_M, FACING_MIN = 50.0, 0.35, 0.35
-SIDE_MIN_PX = 22.0  # of a marker in the picture: smaller ones are not read for sure
+MARKER_SIDE_MIN_PX = 22.0  # of a marker in the picture: smaller ones are not read for sure
 CORNER_SIGMA_PX = 0.3
-CANDIDATES = 400
-PRIORS = {"encoder_bias": 5e-3, "link_length_error": 4e-3, "gravity_sag": 1.5e-6}
+CANDIDATES_MAX = 400
+EFFECT_PRIOR_SIGMAS = {"encoder_bias": 5e-3, "link_length_error": 4e-3, "gravity_sag": 1.5e-6}
 MOUNT_RAD, MOUNT_M, OBJECT_RAD, OBJECT_M = 0.03, 0.01, 0.2, 0.2
-LOOK_S = 4.0  # to come to rest, look, and set off again
-STEP = 1e-3  # of a prior's standard deviation: where the derivative is taken
+LOOK_DURATION_S = 4.0  # to come to rest, look, and set off again
+DERIVATIVE_STEP_SIGMAS = 1e-3  # of a prior's standard deviation: where the derivative is taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Postures:
     """
 
     q: Array
-    known: tuple[tuple[str, int | None, float], ...]
+    parameter_sigma_ratios: tuple[tuple[str, int | None, float], ...]
     in_view: int
 
 
@@ -67,7 +67,7 @@ def choose_postures(
         pool = pool[clearances(tool, machine.T_tcp_tool, wall) >= wall.clearance_min_m + 0.03]
     if not len(pool):
         return Postures(np.zeros((0, chain.n)), (), 0)
-    pool = pool[:CANDIDATES]
+    pool = pool[:CANDIDATES_MAX]
     names, J = _whitened_jacobians(machine, pool, seen)
     places = tcp_poses(arm_of(machine), pack_effects((), chain.n), pool)[:, :3, 3] / (0.8 * machine.tcp_speed_max_m_s)
     chosen = _select_postures_greedily(J, places, min(count, len(pool)))
@@ -80,8 +80,8 @@ def _candidate_postures(chain: Chain, q_now: Array, margin_rad: float) -> Array:
     """Half of them near, half all over; the present one first."""
     rng = np.random.default_rng(57)
     low, high = chain.q_min + margin_rad, chain.q_max - margin_rad
-    share = np.where(np.arange(POOL) % 2 == 0, 1.0, 0.5)[:, None]
-    drawn = q_now + share * rng.uniform(-SPREAD_RAD, SPREAD_RAD, (POOL, chain.n))
+    share = np.where(np.arange(POSTURE_POOL_SIZE) % 2 == 0, 1.0, 0.5)[:, None]
+    drawn = q_now + share * rng.uniform(-POSTURE_SPREAD_RAD, POSTURE_SPREAD_RAD, (POSTURE_POOL_SIZE, chain.n))
     return np.concatenate([q_now[None], drawn[((drawn > low) & (drawn < high)).all(axis=1)]])
 
 
@@ -94,7 +94,7 @@ def _object_poses(machine: Machine, qs: Array, seen: SeenObject, entries: tuple[
 def _projected_corners(machine: Machine, Ts_cam_ooi: Array, seen: SeenObject, n: int) -> Array:
     """Both eyes' corners (m, 2, markers, 4, 2) [px]."""
     found = seen_corners(pack_effects((), n), machine.camera, seen.markers, Ts_cam_ooi)
-    return np.stack([found.left, found.right], axis=1)
+    return np.stack([found.left_px, found.right_px], axis=1)
 
 
 def _in_view(machine: Machine, qs: Array, seen: SeenObject) -> NDArray[np.bool_]:
@@ -113,7 +113,7 @@ def _readable_markers(machine: Machine, Ts_cam_ooi: Array, px: Array) -> NDArray
     at = Ts_cam_ooi[:, :3, 3]
     facing = -(Ts_cam_ooi[:, :3, 2] * at).sum(axis=1) / np.linalg.norm(at, axis=1)
     near = (at[:, 2] > DEPTH_MIN_M) & (facing > FACING_MIN)
-    return np.asarray(inside & (sides > SIDE_MIN_PX) & near[:, None])
+    return np.asarray(inside & (sides > MARKER_SIDE_MIN_PX) & near[:, None])
 
 
 def _whitened_jacobians(machine: Machine, qs: Array, seen: SeenObject) -> tuple[list[tuple[str, int | None]], Array]:
@@ -124,7 +124,7 @@ def _whitened_jacobians(machine: Machine, qs: Array, seen: SeenObject) -> tuple[
     read = _readable_markers(machine, Ts, base)
     names, columns = [], []
     for name, joint, moved in _perturbed_object_poses(machine, qs, seen, Ts):
-        change = (_projected_corners(machine, moved, seen, n) - base) / (STEP * CORNER_SIGMA_PX)
+        change = (_projected_corners(machine, moved, seen, n) - base) / (DERIVATIVE_STEP_SIGMAS * CORNER_SIGMA_PX)
         change = np.where(read[:, None, :, None, None], np.nan_to_num(change), 0.0)
         names.append((name, joint))
         columns.append(change.reshape(len(qs), -1))
@@ -154,7 +154,7 @@ def _perturbed_object_poses(
 
 def _small_pose_step(k: int, size: float) -> Array:
     step = np.zeros(6)
-    step[k] = STEP * size
+    step[k] = DERIVATIVE_STEP_SIGMAS * size
     return pose(rotation_from_rotvec(step[:3]), step[3:])
 
 
@@ -171,7 +171,9 @@ def _effects_to_perturb(machine: Machine, qs: Array) -> list[EffectEntry]:
 
 
 def _perturbed_effect(name: str, joint: int, option: str = "") -> EffectEntry:
-    return EffectEntry(name, joint, ((effect_of(name).size.name, STEP * PRIORS[name]),), option)
+    return EffectEntry(
+        name, joint, ((effect_of(name).size.name, DERIVATIVE_STEP_SIGMAS * EFFECT_PRIOR_SIGMAS[name]),), option
+    )
 
 
 def _select_postures_greedily(J: Array, places_s: Array, count: int) -> list[int]:
@@ -183,7 +185,9 @@ def _select_postures_greedily(J: Array, places_s: Array, count: int) -> list[int
     chosen: list[int] = []
     away_s = np.linalg.norm(places_s - places_s[0], axis=1)
     for _ in range(count):
-        gains = np.linalg.slogdet(np.eye(J.shape[1]) + J @ covariance @ J.transpose(0, 2, 1))[1] / (LOOK_S + away_s)
+        gains = np.linalg.slogdet(np.eye(J.shape[1]) + J @ covariance @ J.transpose(0, 2, 1))[1] / (
+            LOOK_DURATION_S + away_s
+        )
         gains[chosen] = -np.inf
         best = int(np.argmax(gains))
         away_s = np.minimum(away_s, np.linalg.norm(places_s - places_s[best], axis=1))

@@ -22,7 +22,7 @@ JogAxis = Literal[
 ]
 # fmt: on
 TOOL_AXES: tuple[JogAxis, ...] = ("x", "y", "z", "rx", "ry", "rz")
-PRESS_S = 30.0  # of even speed in one press: a button that is stuck does not move the machine for ever
+PRESS_DURATION_MAX_S = 30.0  # of even speed in one press: a button that is stuck does not move the machine for ever
 RESOLUTION_M, RESOLUTION_RAD = 1e-3, 5e-4  # where the path is cut at what limits it; a shorter path is refused
 
 
@@ -113,13 +113,13 @@ def _displaced_tcp_pose(axis: JogAxis, amount: float) -> Array:
 def _travel_and_resolution(chain: Chain, q: Array, axis: JogAxis, speed: JogSpeed) -> tuple[float, float]:
     """Length of one press at even speed, and the resolution of its end, [rad] or [m]."""
     if axis in ("x", "y", "z"):
-        return speed.tcp_m_s * PRESS_S, RESOLUTION_M
+        return speed.tcp_m_s * PRESS_DURATION_MAX_S, RESOLUTION_M
     if axis.startswith("r"):
-        return speed.turn_rad_s * PRESS_S, RESOLUTION_RAD
+        return speed.turn_rad_s * PRESS_DURATION_MAX_S, RESOLUTION_RAD
     lever_m = float(
         np.linalg.norm(tcp_jacobian(chain, q)[:3, _joint_index(axis)])
     )  # constant while this joint moves alone
-    return min(speed.turn_rad_s, speed.tcp_m_s / max(lever_m, 1e-9)) * PRESS_S, RESOLUTION_RAD
+    return min(speed.turn_rad_s, speed.tcp_m_s / max(lever_m, 1e-9)) * PRESS_DURATION_MAX_S, RESOLUTION_RAD
 
 
 def _limit_to_jog_speed(machine: Machine, speed: JogSpeed, settings: PlanSettings) -> tuple[Machine, PlanSettings]:

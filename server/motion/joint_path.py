@@ -21,7 +21,7 @@ from server.motion.settings import PlanSettings
 class JointPath:
     """Samples q (m, joints) [rad] at s (m,), the TCP poses there, and the interpolating quintic spline through them."""
 
-    s: Array
+    path_parameter: Array
     qs: Array
     Ts_base_tcp: Array
     spline: BSpline
@@ -86,9 +86,9 @@ def joint_path_along(
     qs = [q_start]
     for k, T in enumerate(Ts[1:], start=1):
         result = inverse_nearest(chain, T, qs[-1])
-        if result.q is None or np.abs(result.q - qs[-1]).max() > settings.jump_max_rad:
+        if result.q_rad is None or np.abs(result.q_rad - qs[-1]).max() > settings.jump_max_rad:
             return _branch_end(machine, chain, T, qs[-1], result, k / (len(Ts) - 1))
-        qs.append(result.q)
+        qs.append(result.q_rad)
     return _of_samples(chain, np.array(qs))
 
 
@@ -97,14 +97,14 @@ def _branch_end(machine: Machine, chain: Chain, T: Array, q: Array, result: Inve
     where = f"at {100 * share:.0f} % of the path: "
     branches = inverse_all(chain, T, q)
     if branches:
-        nearest = min(branches, key=lambda branch: float(np.abs(branch.q - q).max()))
-        beyond = range_refusal(machine, np.array([q, nearest.q]), 0.0)
+        nearest = min(branches, key=lambda branch: float(np.abs(branch.q_rad - q).max()))
+        beyond = range_refusal(machine, np.array([q, nearest.q_rad]), 0.0)
         if beyond is not None:
             return Refusal(beyond.status, where + beyond.reason)
-    if result.q is None:
+    if result.q_rad is None:
         known = {each.name: each for each in PlanStatus}
         return Refusal(known.get(result.status.name, PlanStatus.OUT_OF_REACH), where + result.reason)
-    jump = np.abs(result.q - q)
+    jump = np.abs(result.q_rad - q)
     text = (
         f"joint '{machine.joints[int(jump.argmax())].name}' would jump by {np.rad2deg(jump.max()):.1f} deg, "
         "the path passes a singularity; approach from another posture"

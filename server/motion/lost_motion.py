@@ -21,19 +21,19 @@ from server.motion.refusal import refused_plan, require_joints
 from server.motion.settings import PlanSettings
 from server.motion.wall_clearance import wall_refusal
 
-FIRST_GUESS_FRAC = 0.015  # half width of a servo valve's dead band in fraction of full command, until it is seen
-STALL_MAX_RAD = 0.06  # more is not a dead band but a joint that does not follow
-LOOSE_RAD = float(np.deg2rad(0.3))  # a motion this long breaks stiction, so its rest shows the stall
-STUCK_SHARE = 0.6  # of the last motion: a joint that stays short by more did not make that motion
-TRAVEL_RAD = 1e-6
-TIP_SHARE_M = 5e-4  # residual of one joint that is not worth a trim, by its effect at the TCP
-TURN_LEVER_M = 0.1  # and what its turn does to the tool: 0.5 mm at 0.1 m are 0.3 deg
-RESIDUAL_MIN_RAD = 6e-5  # two counts of an 18-bit encoder
+INITIAL_DEAD_BAND_FRAC = 0.015  # half width of a servo valve's dead band in fraction of full command, until it is seen
+DEAD_BAND_MAX_RAD = 0.06  # more is not a dead band but a joint that does not follow
+STICTION_BREAK_MIN_RAD = float(np.deg2rad(0.3))  # a motion this long breaks stiction, so its rest shows the stall
+STUCK_SHORTFALL_FRAC = 0.6  # of the last motion: a joint that stays short by more did not make that motion
+TRAVEL_MIN_RAD = 1e-6
+TCP_RESIDUAL_MIN_M = 5e-4  # residual of one joint that is not worth a trim, by its effect at the TCP
+ROTATION_LEVER_M = 0.1  # and what its turn does to the tool: 0.5 mm at 0.1 m are 0.3 deg
+JOINT_RESIDUAL_MIN_RAD = 6e-5  # two counts of an 18-bit encoder
 
 
 def first_stall(machine: Machine) -> Array:
     """Stall of each joint before any was seen (n,) [rad]."""
-    return np.array([FIRST_GUESS_FRAC / joint.kp_frac_per_rad for joint in machine.joints])
+    return np.array([INITIAL_DEAD_BAND_FRAC / joint.kp_frac_per_rad for joint in machine.joints])
 
 
 def onto_reference(trajectory: JointTrajectory, q_ref_now: Array, stall_rad: Array) -> JointTrajectory:
@@ -50,7 +50,7 @@ def onto_reference(trajectory: JointTrajectory, q_ref_now: Array, stall_rad: Arr
     offset = q_ref_now - trajectory.q[0]
     for first, last in pairwise(bounds):
         travel = trajectory.q[last] - trajectory.q[first]
-        wanted = np.where(np.abs(travel) > TRAVEL_RAD, np.sign(travel) * stall_rad, offset)
+        wanted = np.where(np.abs(travel) > TRAVEL_MIN_RAD, np.sign(travel) * stall_rad, offset)
         span_s = trajectory.t_s[last] - trajectory.t_s[first]
         u = (trajectory.t_s[first : last + 1] - trajectory.t_s[first]) / span_s
         s, sd, sdd = _quintic_time_law(u)
@@ -80,9 +80,9 @@ def updated_stall(
     Returns: stall (n,) [rad]; stuck (n,) of bool.
     """
     seen = direction * (q_ref - q_rest)
-    stuck = (direction != 0.0) & (seen - stall_rad > STUCK_SHARE * play_rad)
+    stuck = (direction != 0.0) & (seen - stall_rad > STUCK_SHORTFALL_FRAC * play_rad)
     learnt = (direction != 0.0) & ~stuck
-    return np.where(learnt, np.clip(seen, 0.0, STALL_MAX_RAD), stall_rad), stuck
+    return np.where(learnt, np.clip(seen, 0.0, DEAD_BAND_MAX_RAD), stall_rad), stuck
 
 
 def last_direction(trajectory: JointTrajectory) -> Array:
@@ -90,14 +90,14 @@ def last_direction(trajectory: JointTrajectory) -> Array:
     resting = np.flatnonzero((np.abs(trajectory.qd) < 1e-9).all(axis=1))
     begun = resting[resting < len(trajectory.t_s) - 1]
     travel = trajectory.q[-1] - trajectory.q[begun[-1] if len(begun) else 0]
-    return np.where(np.abs(travel) > LOOSE_RAD, np.sign(travel), 0.0)
+    return np.where(np.abs(travel) > STICTION_BREAK_MIN_RAD, np.sign(travel), 0.0)
 
 
 def worth_trimming(machine: Machine, q: Array, residual: Array) -> NDArray[np.bool_]:
     """Which joints are so far short of their goal that the tool shows it: (n,) of bool."""
     J = tcp_jacobian(chain_of(machine), q)
-    lever_m = np.linalg.norm(J[:3], axis=0) + TURN_LEVER_M
-    return np.abs(residual) > np.maximum(TIP_SHARE_M / lever_m, RESIDUAL_MIN_RAD)
+    lever_m = np.linalg.norm(J[:3], axis=0) + ROTATION_LEVER_M
+    return np.abs(residual) > np.maximum(TCP_RESIDUAL_MIN_M / lever_m, JOINT_RESIDUAL_MIN_RAD)
 
 
 def plan_trim(

@@ -14,7 +14,7 @@ from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
 from server.motion.timing import TimedPath, time_path
 from server.motion.wall_clearance import wall_refusal
 
-FAR_M = 100.0  # the samples of a longer way would fill the memory before anything is refused
+GOAL_DISTANCE_MAX_M = 100.0  # the samples of a longer way would fill the memory before anything is refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class PathLeg:
     """One rest-to-rest piece: its shape, its timed reference, and its smallest clearance [m] and sigma-min."""
 
     path: JointPath
-    timed: TimedPath
+    timed_path: TimedPath
     clearance_m: float
     sigma_min: float
 
@@ -95,8 +95,11 @@ def cartesian_leg(
     """One straight leg of the TCP from where the joints are to a pose (4, 4)."""
     T_start = tcp_pose(chain, q_start)
     far_m = float(np.linalg.norm(T_end[:3, 3] - T_start[:3, 3]))
-    if far_m > FAR_M:
-        text = f"the goal is {far_m:.3g} m away (limit {FAR_M:g} m): no arm of this kind reaches so far; look again"
+    if far_m > GOAL_DISTANCE_MAX_M:
+        text = (
+            f"the goal is {far_m:.3g} m away (limit {GOAL_DISTANCE_MAX_M:g} m): no arm of this kind reaches so "
+            "far; look again"
+        )
         return Refusal(PlanStatus.OUT_OF_REACH, text)
     path = joint_path_along(machine, chain, q_start, straight_poses(T_start, T_end, settings), settings)
     return path if isinstance(path, Refusal) else _plan_path_leg(machine, chain, path, settings, wall)
@@ -148,7 +151,7 @@ def _timed_inside(machine: Machine, chain: Chain, path: JointPath, settings: Pla
 
 def plan_of(legs: list[PathLeg]) -> PathPlan:
     """The plan made of legs that follow one another."""
-    trajectory = join_trajectories([leg.timed.reference for leg in legs])
+    trajectory = join_trajectories([leg.timed_path.reference for leg in legs])
     Ts = np.concatenate([leg.path.Ts_base_tcp for leg in legs])
     qs = np.concatenate([leg.path.qs for leg in legs])
     return PathPlan(
@@ -159,7 +162,7 @@ def plan_of(legs: list[PathLeg]) -> PathPlan:
         q_end=qs[-1].copy(),
         length_m=sum(leg.path.length_m for leg in legs),
         duration_s=trajectory.duration_s,
-        tcp_speed_max_m_s=max(leg.timed.tcp_speed_m_s for leg in legs),
+        tcp_speed_max_m_s=max(leg.timed_path.tcp_speed_m_s for leg in legs),
         clearance_m=min(leg.clearance_m for leg in legs),
         sigma_min=min(leg.sigma_min for leg in legs),
         joint_travel_rad=np.abs(np.diff(qs, axis=0)).sum(axis=0),

@@ -13,10 +13,10 @@ from machine.poses import pose
 from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
 from server.motion.contracts import Array
 
-KEPT = 12
-MAP_FRAC = 0.03  # error of the local map, share of the way that is left
-JUMP_FLOOR_M = 0.004
-JUMP_SIGMAS = 5.0
+GOAL_BUFFER_SIZE = 12
+MAP_ERROR_FRAC = 0.03  # error of the local map, share of the way that is left
+GOAL_JUMP_FLOOR_M = 0.004
+GOAL_JUMP_MAX_SIGMAS = 5.0
 
 
 @dataclass(slots=True)
@@ -24,12 +24,12 @@ class SeenGoal:
     """Goals T_base_tcp of the last looks around a first one; forgets all but the newest `KEPT`."""
 
     T_first: Array
-    _seen: deque[tuple[Array, float]] = field(default_factory=lambda: deque(maxlen=KEPT))
+    _seen: deque[tuple[Array, float]] = field(default_factory=lambda: deque(maxlen=GOAL_BUFFER_SIZE))
 
     def jump_and_limit(self, T_base_goal: Array, sigma_m: float, way_m: float) -> tuple[float, float]:
         """How far a look's goal is off the present one, and how far it may be [m]; beyond it must not be used."""
         apart_m = float(np.linalg.norm(T_base_goal[:3, 3] - self.pose[:3, 3]))
-        return apart_m, max(JUMP_FLOOR_M, JUMP_SIGMAS * _sigma_with_map_error(sigma_m, way_m))
+        return apart_m, max(GOAL_JUMP_FLOOR_M, GOAL_JUMP_MAX_SIGMAS * _sigma_with_map_error(sigma_m, way_m))
 
     def add(self, T_base_goal: Array, sigma_m: float, way_m: float) -> None:
         """Take in a look's goal (4, 4): its own sigma [m] and the way that was left then [m]."""
@@ -48,4 +48,4 @@ class SeenGoal:
 
 
 def _sigma_with_map_error(sigma_m: float, way_m: float) -> float:
-    return float(np.hypot(sigma_m, MAP_FRAC * way_m))
+    return float(np.hypot(sigma_m, MAP_ERROR_FRAC * way_m))

@@ -132,22 +132,22 @@ class Pace:
 
     even_s: float
     ramp_s: float
-    shaped: bool
+    reference_shaped: bool
 
     @property
     def duration_s(self) -> float:
         """Time from rest to rest [s]."""
-        if not self.shaped:
+        if not self.reference_shaped:
             return QuinticLaw().peak * self.even_s
         return self.even_s + self.ramp_s
 
     def time_law(self, duration_s: float) -> TimeLaw:
         """The paper's quintic, or ramps and an even speed when the reference is shaped."""
-        return CruiseLaw(min(0.5, self.ramp_s / duration_s)) if self.shaped else QuinticLaw()
+        return CruiseLaw(min(0.5, self.ramp_s / duration_s)) if self.reference_shaped else QuinticLaw()
 
     def slowed(self, planned: float, reference: float) -> "Pace":
         """The pace that undoes an excess of the planned motion (less speed) and of the reference (softer ramps)."""
-        if not self.shaped:
+        if not self.reference_shaped:
             return replace(self, even_s=self.even_s * max(planned, reference, 1.0))
         return replace(self, even_s=self.even_s * max(planned, 1.0), ramp_s=self.ramp_s * max(reference, 1.0))
 
@@ -178,8 +178,8 @@ def tcp_speed(chain: Chain, trajectory: JointTrajectory, step_s: float = 0.025) 
 class Excess:
     """By what factor of time a trajectory is too fast (<= 1: it obeys), and which limit asks for it most."""
 
-    factor: float
-    worst: str
+    time_factor: float
+    limiting_quantity: str
 
 
 def limit_excess(
@@ -234,10 +234,10 @@ def time_path(machine: Machine, chain: Chain, path: JointPath, settings: PlanSet
         motion, reference = _motion_and_reference_knots(machine, path, pace.time_law(duration), duration, settings)
         planned = limit_excess(machine, chain, motion, settings, settings.limit_share)
         sent = limit_excess(machine, chain, reference, settings, settings.reference_tcp_share)
-        if max(planned.factor, sent.factor) <= 1.0:
+        if max(planned.time_factor, sent.time_factor) <= 1.0:
             return TimedPath(reference, tcp_speed(chain, motion))
-        pace = pace.slowed(1.02 * planned.factor, 1.02 * sent.factor)
-        worst = max(planned, sent, key=lambda each: each.factor).worst
+        pace = pace.slowed(1.02 * planned.time_factor, 1.02 * sent.time_factor)
+        worst = max(planned, sent, key=lambda each: each.time_factor).limiting_quantity
     text = (
         f"{worst} asks for {pace.duration_s:.0f} s, limit {settings.duration_max_s:.0f} s; "
         f"move in shorter steps or raise the speed scale ({settings.speed_scale:.2f})"

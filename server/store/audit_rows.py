@@ -12,12 +12,14 @@ from recording.files import write_durably
 # The operating-hours counter: time that passed while a server ran on this database. All that lapses here lapses by
 # it.
 
-NOW_S = "(SELECT value / 1000.0 FROM meta WHERE name = 'operating_ms')"  # in a statement: the counter as it stands
+OPERATING_TIME_S_SQL = (
+    "(SELECT value / 1000.0 FROM meta WHERE name = 'operating_ms')"  # in a statement: the counter as it stands
+)
 
 
 def read_operating_time(db: sqlite3.Connection) -> float:
     """The counter [s] as it was written last."""
-    return db.execute(f"SELECT {NOW_S}").fetchone()[0]
+    return db.execute(f"SELECT {OPERATING_TIME_S_SQL}").fetchone()[0]
 
 
 def save_operating_time(db: sqlite3.Connection, operating_s: float) -> None:
@@ -25,7 +27,7 @@ def save_operating_time(db: sqlite3.Connection, operating_s: float) -> None:
     db.execute("UPDATE meta SET value = max(value, ?) WHERE name = 'operating_ms'", (round(operating_s * 1e3),))
 
 
-KEPT_S = 400 * 86400.0  # of operation
+AUDIT_RETENTION_S = 400 * 86400.0  # of operation
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +51,8 @@ class AuditEntry:
 
 _COLUMNS = tuple(AuditEntry.__dataclass_fields__)
 _NAMES = ", ".join(_COLUMNS)
-_INSERT = f"INSERT INTO audit ({_NAMES}, operating_s) VALUES ({', '.join(':' + name for name in _COLUMNS)}, {NOW_S})"
+_VALUES = ", ".join(":" + name for name in _COLUMNS)
+_INSERT = f"INSERT INTO audit ({_NAMES}, operating_s) VALUES ({_VALUES}, {OPERATING_TIME_S_SQL})"
 
 
 def add_audit(db: sqlite3.Connection, entry: AuditEntry) -> None:
@@ -67,7 +70,7 @@ def read_audit(db: sqlite3.Connection, before: int, limit: int) -> list[dict[str
 
 def forget_old_audit(db: sqlite3.Connection) -> None:
     """Delete audit lines older than KEPT_S of operating time."""
-    db.execute(f"DELETE FROM audit WHERE operating_s < {NOW_S} - ?", (KEPT_S,))
+    db.execute(f"DELETE FROM audit WHERE operating_s < {OPERATING_TIME_S_SQL} - ?", (AUDIT_RETENTION_S,))
 
 
 # The fencing number: it only grows, also across restarts.

@@ -133,10 +133,10 @@ class StoreBusyError(StoreError):
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 Work = Callable[[sqlite3.Connection], T]
-QUEUE_MAX = 256
-WRITE_S = 5.0  # longest wait of a command for the disk
-BUSY_MS = 2000
-FILES = ("", "-wal", "-shm")  # endings of SQLite's files: as long as it is open they stay
+WRITE_QUEUE_MAX = 256
+WRITE_TIMEOUT_S = 5.0  # longest wait of a command for the disk
+SQLITE_BUSY_TIMEOUT_MS = 2000
+SQLITE_FILE_SUFFIXES = ("", "-wal", "-shm")  # endings of SQLite's files: as long as it is open they stay
 _Item = tuple[Work[Any], Future[Any]] | None
 
 
@@ -146,7 +146,7 @@ class Database:
     def __init__(self, path: Path | None) -> None:
         self.path = path
         self.problem = "the database is not open"
-        self._queue: queue.Queue[_Item] = queue.Queue(QUEUE_MAX)
+        self._queue: queue.Queue[_Item] = queue.Queue(WRITE_QUEUE_MAX)
         self._db: sqlite3.Connection | None = None
         self._inodes: list[tuple[int, int] | None] = []  # of the files that `_db` writes to
         self._thread: threading.Thread | None = None
@@ -162,7 +162,7 @@ class Database:
         """Write what is waiting, then close."""
         if self._thread is not None:
             self._queue.put(None)
-            self._thread.join(2 * WRITE_S)
+            self._thread.join(2 * WRITE_TIMEOUT_S)
             self._thread = None
 
     # --- writing ----------------------------------------------------------------------------------------------------
@@ -174,27 +174,27 @@ class Database:
         """
         done: Future[T] = Future()
         try:
-            if self._queue.qsize() >= QUEUE_MAX - spare:
+            if self._queue.qsize() >= WRITE_QUEUE_MAX - spare:
                 raise queue.Full
             self._queue.put_nowait((work, done))
         except queue.Full:
-            raise StoreBusyError(f"{QUEUE_MAX - spare} writes are waiting for the disk") from None
+            raise StoreBusyError(f"{WRITE_QUEUE_MAX - spare} writes are waiting for the disk") from None
         return done
 
     def write(self, work: Work[T]) -> T:
         """Run one transaction and wait for it. Raises: StoreError: it was not written."""
         try:
-            return self.submit(work).result(WRITE_S)
+            return self.submit(work).result(WRITE_TIMEOUT_S)
         except TimeoutError:
-            raise StoreError(f"the disk did not take a write within {WRITE_S:.0f} s") from None
+            raise StoreError(f"the disk did not take a write within {WRITE_TIMEOUT_S:.0f} s") from None
 
     async def write_async(self, work: Work[T]) -> T:
         """As `write`, for the event loop."""
         try:
-            async with asyncio.timeout(WRITE_S):
+            async with asyncio.timeout(WRITE_TIMEOUT_S):
                 return await asyncio.wrap_future(self.submit(work))
         except TimeoutError:
-            raise StoreError(f"the disk did not take a write within {WRITE_S:.0f} s") from None
+            raise StoreError(f"the disk did not take a write within {WRITE_TIMEOUT_S:.0f} s") from None
 
     def _write_all(self) -> None:
         while (item := self._queue.get()) is not None:
@@ -238,7 +238,7 @@ class Database:
         """Raises: StoreError: what was written now is not where the next life of the server will look for it."""
         if self.path is None:
             return
-        inodes = [_device_and_inode(f"{self.path}{ending}") for ending in FILES]
+        inodes = [_device_and_inode(f"{self.path}{ending}") for ending in SQLITE_FILE_SUFFIXES]
         self._inodes = self._inodes or inodes
         if inodes[0] is None or inodes != self._inodes:
             raise StoreError(
@@ -282,7 +282,7 @@ def _open_connection(path: Path | None) -> sqlite3.Connection:
     db = sqlite3.connect(":memory:" if path is None else path, isolation_level=None, check_same_thread=False)
     try:
         db.row_factory = sqlite3.Row
-        db.execute(f"PRAGMA busy_timeout = {BUSY_MS}")
+        db.execute(f"PRAGMA busy_timeout = {SQLITE_BUSY_TIMEOUT_MS}")
         found = db.execute("PRAGMA integrity_check(3)").fetchall()
         if found[0][0] != "ok":
             raise StoreError(f"database {path} is damaged ({found[0][0]}); move it away and start again")

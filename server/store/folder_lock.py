@@ -14,7 +14,7 @@ from pathlib import Path
 from server.errors import SettingsError
 
 log = logging.getLogger(__name__)
-LOCK = "longreach.lock"
+LOCK_FILE_NAME = "longreach.lock"
 _CREDENTIALS = struct.Struct("3i")  # SO_PEERCRED: process, user, group
 
 
@@ -33,7 +33,7 @@ def alone_in(folder: Path) -> Iterator[None]:
             folder.mkdir(parents=True, exist_ok=True)
             itself = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
             held.callback(os.close, itself)
-            file = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+            file = os.open(folder / LOCK_FILE_NAME, os.O_RDWR | os.O_CREAT, 0o644)
             held.callback(os.close, file)
         except OSError as error:
             raise SettingsError(
@@ -43,7 +43,7 @@ def alone_in(folder: Path) -> Iterator[None]:
             _lock_folder(itself)
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
-            holder = os.read(file, 20).decode("ascii", "replace").strip() or f"unknown, {LOCK} was removed"
+            holder = os.read(file, 20).decode("ascii", "replace").strip() or f"unknown, {LOCK_FILE_NAME} was removed"
             raise SettingsError(
                 f"folder {folder} is used by another server (process {holder}); end it, or give another by --runs"
             ) from error

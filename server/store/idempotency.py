@@ -5,9 +5,9 @@ import sqlite3
 from dataclasses import dataclass
 
 from server.access.errors import AccessError
-from server.store.audit_rows import NOW_S
+from server.store.audit_rows import OPERATING_TIME_S_SQL
 
-KEPT_S = 24 * 3600.0
+IDEMPOTENCY_KEY_TTL_S = 24 * 3600.0
 
 
 class KeyReusedError(AccessError):
@@ -39,9 +39,9 @@ class StoredAnswer:
     """What was answered to a key."""
 
     body_hash: str
-    status: int
+    http_status: int
     location: str
-    answer: str
+    response_body: str
 
 
 def hash_of(body: bytes) -> str:
@@ -65,8 +65,10 @@ def replay_of(known: StoredAnswer | None, in_progress: bool, body_hash: str) -> 
 
 def read_answer(db: sqlite3.Connection, who: str, key: str) -> StoredAnswer | None:
     """What was answered to that caller's key within KEPT_S."""
-    kept = f"operating_s > {NOW_S} - ?"
-    row = db.execute(f"SELECT * FROM idempotency WHERE who = ? AND key = ? AND {kept}", (who, key, KEPT_S)).fetchone()
+    kept = f"operating_s > {OPERATING_TIME_S_SQL} - ?"
+    row = db.execute(
+        f"SELECT * FROM idempotency WHERE who = ? AND key = ? AND {kept}", (who, key, IDEMPOTENCY_KEY_TTL_S)
+    ).fetchone()
     return None if row is None else StoredAnswer(row["body_hash"], row["status"], row["location"], row["answer"])
 
 
@@ -77,9 +79,9 @@ def forget_answer(db: sqlite3.Connection, who: str, key: str) -> None:
 
 def save_answer(db: sqlite3.Connection, who: str, key: str, answered: StoredAnswer) -> None:
     """Keep an answer; forget those of yesterday."""
-    db.execute(f"DELETE FROM idempotency WHERE operating_s <= {NOW_S} - ?", (KEPT_S,))
+    db.execute(f"DELETE FROM idempotency WHERE operating_s <= {OPERATING_TIME_S_SQL} - ?", (IDEMPOTENCY_KEY_TTL_S,))
     db.execute(
         "INSERT INTO idempotency (who, key, body_hash, status, location, answer, operating_s) "
-        f"VALUES (?, ?, ?, ?, ?, ?, {NOW_S})",
-        (who, key, answered.body_hash, answered.status, answered.location, answered.answer),
+        f"VALUES (?, ?, ?, ?, ?, ?, {OPERATING_TIME_S_SQL})",
+        (who, key, answered.body_hash, answered.http_status, answered.location, answered.response_body),
     )

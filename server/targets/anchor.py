@@ -15,7 +15,7 @@ from server.vision.odometry_features import allowed_masks
 from server.vision.odometry_keyframe import triangulated
 from server.vision.odometry_sight import ImageSight, StereoMatches
 
-CELL_PX = 22  # one landmark a cell: neighbours' patches of 15 px do not overlap; about 150 within reach
+LANDMARK_CELL_PX = 22  # one landmark a cell: neighbours' patches of 15 px do not overlap; about 150 within reach
 LANDMARKS_MIN = 24  # twice what a fix needs, so that half of them may be covered
 PATCH_SAMPLES_MAX = 100
 
@@ -58,8 +58,8 @@ def anchor_target(
         sigma_scale_frac=float(T_ref_target[2, 3]) * settings.sigma_disparity_px / (camera.fx_px * camera.baseline_m),
         reference_left=left.copy(),
         reference_right=right.copy(),
-        surroundings=surroundings,
-        surface=_surface_samples(patch, camera, T_ref_target),
+        surrounding_landmarks=surroundings,
+        surface_landmarks=_surface_samples(patch, camera, T_ref_target),
     )
 
 
@@ -79,7 +79,7 @@ def _match_surroundings(
     disc = np.zeros_like(both[0])
     cv2.circle(disc, (round(patch.pixel[0]), round(patch.pixel[1])), round(radius_px), 255, -1)
     sight = ImageSight(left, right, (np.minimum(both[0], disc), both[1]), 0)
-    count = camera.height_px * camera.width_px // CELL_PX**2
+    count = camera.height_px * camera.width_px // LANDMARK_CELL_PX**2
     return sight.match_eyes(camera, count, np.zeros((0, 2)))
 
 

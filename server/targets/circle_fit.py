@@ -14,19 +14,28 @@ from server.targets.contracts import BoolArray
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
 
-SPACING_PX = 2.0  # of edge points: the point spread correlates nearer ones
-ROUNDNESS_FRAC = 0.01  # of the radius: departure of a rim from a circle, one sigma of each low harmonic
-PAINT_PX = 0.05  # displacement of a painted edge, one sigma: both its sides lie on the surface
-SHADING_PX = 0.2  # of a hole's edge: each eye sees another side of the hole, lit or dark, behind it
+EDGE_POINT_SPACING_PX = 2.0  # of edge points: the point spread correlates nearer ones
+ROUNDNESS_SIGMA_FRAC = 0.01  # of the radius: departure of a rim from a circle, one sigma of each low harmonic
+PAINTED_EDGE_SIGMA_PX = 0.05  # displacement of a painted edge, one sigma: both its sides lie on the surface
+HOLE_EDGE_SIGMA_PX = 0.2  # of a hole's edge: each eye sees another side of the hole, lit or dark, behind it
 N = 19  # unknowns: centre, rotation, radius, and first and second harmonics of the rim, left shading, right shading
-REACHES_PX = (6.0, 4.0, 3.0, 3.0, 3.0, 3.0)  # of the search along the normals, narrower as the circle settles
+SEARCH_HALF_WIDTHS_PX = (
+    6.0,
+    4.0,
+    3.0,
+    3.0,
+    3.0,
+    3.0,
+)  # of the search along the normals, narrower as the circle settles
 PROFILE_STEP_PX = 0.5
-SMOOTH_PX = 1.0  # Gaussian along the profile, before its derivative
-NOISE_SIGMAS = 4.0  # of an edge's contrast over the image's noise
-TUKEY = 4.685
-RIM_PX = 0.5  # an edge this near lies on the rim: ten times the noise of one edge point
-ALIGNED_RAD = np.deg2rad(22.5)  # a gradient this near to the normal counts as aligned; chance gives 45 of 360 deg
-ALIGNED_BY_CHANCE = 2.0 * float(ALIGNED_RAD) / (2.0 * np.pi)
+PROFILE_SMOOTHING_SIGMA_PX = 1.0  # Gaussian along the profile, before its derivative
+EDGE_CONTRAST_MIN_SIGMAS = 4.0  # of an edge's contrast over the image's noise
+TUKEY_SIGMAS = 4.685
+RIM_DISTANCE_MAX_PX = 0.5  # an edge this near lies on the rim: ten times the noise of one edge point
+GRADIENT_ALIGNED_MAX_RAD = np.deg2rad(
+    22.5
+)  # a gradient this near to the normal counts as aligned; chance gives 45 of 360 deg
+CHANCE_ALIGNMENT_PROBABILITY = 2.0 * float(GRADIENT_ALIGNED_MAX_RAD) / (2.0 * np.pi)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +102,13 @@ def fit_circle(
     """
     circle, sign = start, 1.0 if dark_inside else -1.0
     images = (left.astype(np.float32), right.astype(np.float32))
-    sigma_edge_m = (SHADING_PX if dark_inside else PAINT_PX) * float(start.centre[2]) / camera.fx_px
+    sigma_edge_m = (
+        (HOLE_EDGE_SIGMA_PX if dark_inside else PAINTED_EDGE_SIGMA_PX) * float(start.centre[2]) / camera.fx_px
+    )
     eyes: list[_RimEdges] = []
     weights, J, residual = np.zeros(0), np.zeros((0, N)), np.zeros(0)
     step, harmonics, scale = np.zeros(N), np.zeros(N - 7), sigma_px
-    for reach in REACHES_PX:
+    for reach in SEARCH_HALF_WIDTHS_PX:
         eyes = [
             _find_rim_edges(image, camera, circle, harmonics, k, sign, reach, noise_grey)
             for k, image in enumerate(images)
@@ -110,7 +121,7 @@ def fit_circle(
         prior, towards = _prior_information(circle, sigma_edge_m), np.concatenate([np.zeros(7), harmonics])
         step = np.zeros(N)
         for _ in range(3):
-            weights = np.clip(1.0 - ((residual - J @ step) / (TUKEY * scale)) ** 2, 0.0, None) ** 2
+            weights = np.clip(1.0 - ((residual - J @ step) / (TUKEY_SIGMAS * scale)) ** 2, 0.0, None) ** 2
             A = J * weights[:, None]
             information = A.T @ J / scale**2 + prior
             gradient = A.T @ residual / scale**2 - prior @ towards
@@ -130,19 +141,19 @@ def fit_circle(
         circle,
         0.5 * (covariance + covariance.T),
         max(_log10_nfa(eye.aligned, camera) for eye in eyes),
-        min(float(np.mean(eye.aligned & eye.found & (np.abs(eye.distance_px) < RIM_PX))) for eye in eyes),
+        min(float(np.mean(eye.aligned & eye.found & (np.abs(eye.distance_px) < RIM_DISTANCE_MAX_PX))) for eye in eyes),
         float(np.sqrt(np.mean(residual[on] ** 2))),
     )
 
 
-TURN_SIGMA_RAD = 1e-4  # the turn about the axis is a convention; no covariance may be singular
+AXIS_TURN_SIGMA_RAD = 1e-4  # the turn about the axis is a convention; no covariance may be singular
 
 
 def _prior_information(circle: Circle, sigma_edge_m: float) -> Array:
     """Information (19, 19) on the turn about the axis, which nothing else determines, and on the rim's harmonics."""
     out = np.zeros((N, N))
-    out[3:6, 3:6] = np.outer(circle.axis, circle.axis) / TURN_SIGMA_RAD**2
-    out[7:11, 7:11] = np.eye(4) / (ROUNDNESS_FRAC * circle.radius_m) ** 2
+    out[3:6, 3:6] = np.outer(circle.axis, circle.axis) / AXIS_TURN_SIGMA_RAD**2
+    out[7:11, 7:11] = np.eye(4) / (ROUNDNESS_SIGMA_FRAC * circle.radius_m) ** 2
     out[11:, 11:] = np.eye(N - 11) / sigma_edge_m**2
     return out
 
@@ -165,7 +176,7 @@ def _find_rim_edges(
     """Edges along the normals of the rim in one eye (0 left, 1 right)."""
     shift = np.array([eye * camera.baseline_m, 0.0, 0.0])
     around = 2.0 * np.pi * circle.radius_m * camera.fx_px / float(circle.centre[2])
-    n = max(24, int(around / SPACING_PX))
+    n = max(24, int(around / EDGE_POINT_SPACING_PX))
     points, outward, tangent = circle.points(n)
     angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
     waves = np.column_stack([np.cos(angle), np.sin(angle), np.cos(2.0 * angle), np.sin(2.0 * angle)])
@@ -185,7 +196,7 @@ def _find_rim_edges(
     inside &= (pixels > border).all(axis=1) & (pixels < [image.shape[1] - border, image.shape[0] - border]).all(axis=1)
     where = np.where(inside[:, None], pixels, border)
     profile = _sample_bilinear(image, where[:, None, :] + offsets[None, :, None] * normal[:, None, :])
-    slope = cv2.GaussianBlur(profile, (0, 0), sigmaX=SMOOTH_PX / PROFILE_STEP_PX, sigmaY=1e-3)
+    slope = cv2.GaussianBlur(profile, (0, 0), sigmaX=PROFILE_SMOOTHING_SIGMA_PX / PROFILE_STEP_PX, sigmaY=1e-3)
     slope = sign * np.gradient(np.asarray(slope, dtype=np.float64), PROFILE_STEP_PX, axis=1)
     searched = slope.copy()
     searched[:, np.abs(offsets) > reach] = -np.inf
@@ -196,8 +207,8 @@ def _find_rim_edges(
     sub = np.where(bend < -1e-9, 0.5 * (before - after) / np.where(bend < -1e-9, bend, -1.0), 0.0)
     distance = offsets[at] + np.clip(sub, -1.0, 1.0) * PROFILE_STEP_PX
     # a profile's slope of white noise n has n / (2 sqrt(2) pi^(1/4) s^(3/2)) where its samples are one pixel apart
-    slope_noise = noise_grey / (2.0 * np.sqrt(2.0) * np.pi**0.25 * SMOOTH_PX**1.5)
-    found = inside & (peak > NOISE_SIGMAS * slope_noise) & (peak > before) & (peak >= after)
+    slope_noise = noise_grey / (2.0 * np.sqrt(2.0) * np.pi**0.25 * PROFILE_SMOOTHING_SIGMA_PX**1.5)
+    found = inside & (peak > EDGE_CONTRAST_MIN_SIGMAS * slope_noise) & (peak > before) & (peak >= after)
     lever = np.cross(points - circle.centre, np.einsum("ni,nij->nj", normal, J_point))
     growth = np.einsum("ni,nij,nj->n", normal, J_point, outward)[:, None]
     J = np.asarray(
@@ -219,7 +230,7 @@ def _is_gradient_along_normal(image: NDArray[np.float32], pixels: Array, normal:
     sideways = _sample_bilinear(image, pixels[:, None] + steps[None, :, None] * across[:, None])
     g_n = sign * (radial[:, 0] - radial[:, 1])
     g_t = sideways[:, 0] - sideways[:, 1]
-    return np.asarray(np.abs(np.arctan2(g_t, g_n)) < ALIGNED_RAD)
+    return np.asarray(np.abs(np.arctan2(g_t, g_n)) < GRADIENT_ALIGNED_MAX_RAD)
 
 
 def _log10_nfa(aligned: BoolArray, camera: StereoCamera) -> float:
@@ -229,7 +240,7 @@ def _log10_nfa(aligned: BoolArray, camera: StereoCamera) -> float:
     """
     n, k = len(aligned), int(aligned.sum())
     tests = 2.5 * np.log10(float(camera.width_px * camera.height_px))
-    return float(tests + binom.logsf(k - 1, n, ALIGNED_BY_CHANCE) / np.log(10.0))
+    return float(tests + binom.logsf(k - 1, n, CHANCE_ALIGNMENT_PROBABILITY) / np.log(10.0))
 
 
 def _correlation_factor(series: list[Array]) -> float:

@@ -17,15 +17,15 @@ from server.vision.contracts import Array, Image
 from server.vision.odometry_keyframe import triangulated
 from server.vision.odometry_sight import ImageSight
 
-CORNERS = 1500
-PLANE_DRAWS = 200
-PLANE_MIN = 50  # corners on it
-SPREAD_FRAC = 0.08  # of a radius in the square view: relief of 50 mm at 0.6 m, slopes of 20 deg
-COVER_MIN = 0.3  # of a rim's length that votes: half of it may be lost, and it is thickened by the relief
-RADIUS_PX = 14.0  # of the smallest rim in the square view: its votes then still fall together
-RIVALS_MAX = 60  # per sign; each is then judged by its fit in both eyes
-BLUR_PX = 1.0
-SLACK_PX = 12.0  # of a mark's disparity about the plane's: 60 mm of relief at 0.6 m
+CORNERS_MAX = 1500
+RANSAC_ITERATIONS = 200
+PLANE_POINTS_MIN = 50  # corners on it
+RADIUS_SPREAD_FRAC = 0.08  # of a radius in the square view: relief of 50 mm at 0.6 m, slopes of 20 deg
+RIM_VOTES_MIN_FRAC = 0.3  # of a rim's length that votes: half of it may be lost, and it is thickened by the relief
+RADIUS_MIN_PX = 14.0  # of the smallest rim in the square view: its votes then still fall together
+CANDIDATES_MAX = 60  # per sign; each is then judged by its fit in both eyes
+GRADIENT_BLUR_SIGMA_PX = 1.0
+DISPARITY_SLACK_PX = 12.0  # of a mark's disparity about the plane's: 60 mm of relief at 0.6 m
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class SquareView:
     """The wall's mean plane as an image: pixel (column, row) of `grey` lies at `T_cam_plane` @ (x, y, 0)."""
 
     grey: Image
-    known: Image
+    valid_mask: Image
     T_cam_plane: Array
     origin_m: Array
     px_m: float
@@ -70,7 +70,8 @@ def find_places(
     T = wall_plane(left, right, camera, settings, masks)
     if T is None:
         return (
-            f"the wall's plane is not known: fewer than {PLANE_MIN} points on one plane in both eyes; add light, come "
+            f"the wall's plane is not known: fewer than {PLANE_POINTS_MIN} points on one plane in both eyes; add "
+            "light, come "
             "nearer or face the wall"
         )
     view = square_view(left, camera, T, masks[0], 0.5 * min(diameters_m))
@@ -86,15 +87,15 @@ def wall_plane(
     left: Image, right: Image, camera: StereoCamera, settings: TargetSettings, masks: tuple[Image, Image]
 ) -> Array | None:
     """T_cam_plane (4, 4) of the plane that most corners lie on within 3 % of their range; z towards the camera."""
-    found = ImageSight(left, right, masks, 0).match_eyes(camera, CORNERS, np.zeros((0, 2)))
+    found = ImageSight(left, right, masks, 0).match_eyes(camera, CORNERS_MAX, np.zeros((0, 2)))
     points = triangulated(camera, found, settings.sigma_px)[0]
     points = points[(points[:, 2] > settings.depth_min_m) & (points[:, 2] < settings.depth_max_m)]
-    if len(points) < PLANE_MIN:
+    if len(points) < PLANE_POINTS_MIN:
         return None
     rng = np.random.default_rng(0)
     limit = 0.03 * float(np.median(points[:, 2]))
     best = np.zeros(len(points), dtype=bool)
-    for _ in range(PLANE_DRAWS):
+    for _ in range(RANSAC_ITERATIONS):
         three = points[rng.choice(len(points), 3, replace=False)]
         normal = np.cross(three[1] - three[0], three[2] - three[0])
         length = float(np.linalg.norm(normal))
@@ -103,7 +104,7 @@ def wall_plane(
         on = np.abs((points - three[0]) @ (normal / length)) < limit
         if on.sum() > best.sum():
             best = on
-    if best.sum() < PLANE_MIN:
+    if best.sum() < PLANE_POINTS_MIN:
         return None
     middle = points[best].mean(axis=0)
     normal = np.linalg.svd(points[best] - middle)[2][2]
@@ -124,7 +125,7 @@ def square_view(left: Image, camera: StereoCamera, T_cam_plane: Array, mask: Ima
     hits = rays * ((p @ n) / towards)[:, None]
     xy = ((hits - p) @ T_cam_plane[:3, :3])[:, :2]
     low, high = xy.min(axis=0), xy.max(axis=0)
-    px_m = min(camera.fx_px / float(p[2]), RADIUS_PX / smallest_m)
+    px_m = min(camera.fx_px / float(p[2]), RADIUS_MIN_PX / smallest_m)
     size = np.minimum(np.ceil((high - low) * px_m).astype(int), 2 * np.array([width, height]))
     origin = np.array([low[0], high[1]])
     u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
@@ -138,18 +139,18 @@ def square_view(left: Image, camera: StereoCamera, T_cam_plane: Array, mask: Ima
 
 def _candidate_radii(diameters_m: Sequence[float], px: float) -> Array:
     """Radii [m] within the spread of any diameter, a pixel apart."""
-    low, high = 0.5 * (1.0 - SPREAD_FRAC) * min(diameters_m), 0.5 * (1.0 + SPREAD_FRAC) * max(diameters_m)
+    low, high = 0.5 * (1.0 - RADIUS_SPREAD_FRAC) * min(diameters_m), 0.5 * (1.0 + RADIUS_SPREAD_FRAC) * max(diameters_m)
     all_m = np.arange(low, high + px, px)
-    near = [np.abs(all_m / (0.5 * diameter) - 1.0) <= SPREAD_FRAC + px / diameter for diameter in diameters_m]
+    near = [np.abs(all_m / (0.5 * diameter) - 1.0) <= RADIUS_SPREAD_FRAC + px / diameter for diameter in diameters_m]
     return np.asarray(all_m[np.any(near, axis=0)])
 
 
 def _vote_circle_centres(view: SquareView, radii_m: Array, dark_inside: bool) -> list[CirclePlace]:
     """Centres by the share of the rim that votes for them."""
-    smooth = cv2.GaussianBlur(view.grey.astype(np.float32), (0, 0), BLUR_PX)
+    smooth = cv2.GaussianBlur(view.grey.astype(np.float32), (0, 0), GRADIENT_BLUR_SIGMA_PX)
     gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
     size = np.hypot(gx, gy)
-    inner = cv2.erode(view.known, np.ones((7, 7), np.uint8)) > 0
+    inner = cv2.erode(view.valid_mask, np.ones((7, 7), np.uint8)) > 0
     if not inner.any():
         return []
     strong = inner & (size > np.median(size[inner])) & _non_maximum_suppression(size, gx, gy)
@@ -182,8 +183,8 @@ def _vote_peaks(
 ) -> list[CirclePlace]:
     kernel = 2 * int(radius) + 1
     top = cv2.dilate(cover, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (kernel, kernel)))
-    v, u = np.nonzero((cover >= top) & (cover > COVER_MIN))
-    order = np.argsort(-cover[v, u])[:RIVALS_MAX]
+    v, u = np.nonzero((cover >= top) & (cover > RIM_VOTES_MIN_FRAC))
+    order = np.argsort(-cover[v, u])[:CANDIDATES_MAX]
     centres = view.points_of(np.column_stack([u, v]).astype(float)[order])
     axis = view.T_cam_plane[:3, 2]
     return [
@@ -197,7 +198,9 @@ def _at_its_depth(left: Image, right: Image, camera: StereoCamera, circle: Circl
     ray = circle.centre[:2] / circle.centre[2]
     expected = camera.fx_px * camera.baseline_m / float(circle.centre[2])
     half = round(1.5 * circle.radius_m * camera.fx_px / float(circle.centre[2]))
-    match = coarse_disparity(camera, left, right, ray, half, (expected - SLACK_PX, expected + SLACK_PX))
+    match = coarse_disparity(
+        camera, left, right, ray, half, (expected - DISPARITY_SLACK_PX, expected + DISPARITY_SLACK_PX)
+    )
     if not np.isfinite(match.disparity_px):
         return circle
     scale = expected / match.disparity_px

@@ -64,7 +64,7 @@ class SurfacePatch:
     samples_px: Array
     samples_cam: Array
     radius_m: float
-    shape: Literal["plane", "curved"]
+    surface_shape: Literal["plane", "curved"]
     n_used: int
     residual_px: float
 
@@ -119,8 +119,8 @@ class AnchoredTarget:
     sigma_scale_frac: float
     reference_left: Image
     reference_right: Image
-    surroundings: Landmarks
-    surface: Landmarks
+    surrounding_landmarks: Landmarks
+    surface_landmarks: Landmarks
 
     @property
     def reference_images(self) -> tuple[Image, Image]:
@@ -142,7 +142,7 @@ class TargetFix:
     n_landmarks: int
     agree_frac: float
     residual_px: float
-    seen: bool = True  # False: nothing of the surroundings was recognised
+    surroundings_seen: bool = True  # False: nothing of the surroundings was recognised
 
 
 def no_fix(reason: str, n: int, share: float = NAN, residual_px: float = NAN, seen: bool = True) -> TargetFix:

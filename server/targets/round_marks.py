@@ -17,12 +17,16 @@ from server.vision.contracts import Array, Image
 from server.vision.odometry_features import allowed_masks
 
 LOG10_NFA_MAX = -2.0  # one chance circle in a hundred pictures
-RIM_MIN_FRAC = 0.5  # of a rim with an edge within half a pixel: a chip of rock is round by and large, never so exactly
-TOLERANCE_FRAC = 0.02  # one sigma of a true diameter about the nominal one: wear of a bit, a stencil, shade at the rim
-CONCENTRIC_FRAC = 0.4  # of the larger radius: nearer centres belong to one mark
-RIM_FRAC = 1.25  # of the radius: chips and dust end there, the rock around begins
-CHI2_3_999 = 16.3
-EDGE_FLOOR_PX = 0.05  # of one edge point; larger where the residuals say so
+RIM_EDGE_MIN_FRAC = (
+    0.5  # of a rim with an edge within half a pixel: a chip of rock is round by and large, never so exactly
+)
+DIAMETER_SIGMA_FRAC = (
+    0.02  # one sigma of a true diameter about the nominal one: wear of a bit, a stencil, shade at the rim
+)
+CONCENTRIC_OFFSET_MAX_FRAC = 0.4  # of the larger radius: nearer centres belong to one mark
+EXCLUDED_DISC_RADIUS_FRAC = 1.25  # of the radius: chips and dust end there, the rock around begins
+CHI2_3DOF_999 = 16.3
+EDGE_SIGMA_FLOOR_PX = 0.05  # of one edge point; larger where the residuals say so
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +92,12 @@ def _fit_accepted_circles(
     for place in places:
         if any(place.dark_inside == dark and _is_concentric(place.circle, fit.circle) for fit, _, dark in kept):
             continue  # the better voted one has the same rim
-        fit = fit_circle(left, right, camera, place.circle, place.dark_inside, EDGE_FLOOR_PX, noise)
-        if fit is None or fit.log10_nfa > LOG10_NFA_MAX or fit.rim_frac < RIM_MIN_FRAC:
+        fit = fit_circle(left, right, camera, place.circle, place.dark_inside, EDGE_SIGMA_FLOOR_PX, noise)
+        if fit is None or fit.log10_nfa > LOG10_NFA_MAX or fit.rim_frac < RIM_EDGE_MIN_FRAC:
             continue
         diameter_m, sigma_m = 2.0 * fit.circle.radius_m, 2.0 * float(np.sqrt(fit.covariance[6, 6]))
         nominal_m = min(diameters_m, key=lambda one: abs(one - diameter_m))
-        if abs(diameter_m - nominal_m) <= 3.0 * float(np.hypot(sigma_m, TOLERANCE_FRAC * nominal_m)):
+        if abs(diameter_m - nominal_m) <= 3.0 * float(np.hypot(sigma_m, DIAMETER_SIGMA_FRAC * nominal_m)):
             kept.append((fit, nominal_m, place.dark_inside))
     return kept
 
@@ -112,12 +116,16 @@ def _one_of_each(fits: Sequence[Fitted]) -> list[Fitted]:
 
 def _is_concentric(first: Circle, second: Circle) -> bool:
     larger = max(first.radius_m, second.radius_m)
-    return float(np.linalg.norm(first.centre - second.centre)) < CONCENTRIC_FRAC * larger
+    return float(np.linalg.norm(first.centre - second.centre)) < CONCENTRIC_OFFSET_MAX_FRAC * larger
 
 
 def _disc_px(camera: StereoCamera, fit: CircleFit) -> tuple[float, float, float]:
     u, v = project(camera, fit.circle.centre[None])[0]
-    return float(u), float(v), RIM_FRAC * fit.circle.radius_m * camera.fx_px / float(fit.circle.centre[2])
+    return (
+        float(u),
+        float(v),
+        EXCLUDED_DISC_RADIUS_FRAC * fit.circle.radius_m * camera.fx_px / float(fit.circle.centre[2]),
+    )
 
 
 def _mark_surface_patch(
@@ -157,7 +165,7 @@ def on_surface(circle: Circle, C: Array, around: SurfacePatch, rough_m: float) -
     seen = np.append(across @ np.cross(axis, normal), normal @ (around.T_cam_target[:3, 3] - circle.centre))
     S = H @ (C + around.covariance) @ H.T
     S[2, 2] += rough_m**2
-    if float(seen @ np.linalg.solve(S, seen)) > CHI2_3_999:
+    if float(seen @ np.linalg.solve(S, seen)) > CHI2_3DOF_999:
         return axis, circle.centre, C
     K = np.linalg.solve(S, H @ C).T
     step = K @ seen

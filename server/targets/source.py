@@ -10,7 +10,7 @@ from server.targets.taught_tracking import TaughtTracker
 from server.targets.tool_mask import ToolMask
 from server.targets.tracking import TargetTracker
 from server.vision.contracts import Array, Image, ObjectPose, ObjectPoseSource, PairObservation, PoseStatus
-from server.vision.object_pose import NO_RIVAL
+from server.vision.object_pose import NO_RIVAL_CHI2_MARGIN
 
 
 class TargetPoseSource:
@@ -44,7 +44,7 @@ class TargetPoseSource:
         """Tool by its markers, OOI by the target; what the images do not show is a status with its reason."""
         seen = self._markers.observe(left, right, t_exposure_ns)
         self.markers = seen
-        self._mask.update(seen.views)
+        self._mask.update(seen.marker_views)
         if self._tracker is None:
             return seen
         if left.shape != right.shape or left.shape != (self._camera.height_px, self._camera.width_px):
@@ -55,9 +55,11 @@ class TargetPoseSource:
 
 def _pose_of(fix: TargetFix) -> ObjectPose:
     if not fix.ok:
-        return _no_pose(PoseStatus.REJECTED if fix.seen else PoseStatus.NOT_SEEN, fix.reason)
-    return ObjectPose("ooi", PoseStatus.OK, "", fix.T_cam_target, fix.covariance, (), fix.residual_px, NO_RIVAL)
+        return _no_pose(PoseStatus.REJECTED if fix.surroundings_seen else PoseStatus.NOT_SEEN, fix.reason)
+    return ObjectPose(
+        "ooi", PoseStatus.OK, "", fix.T_cam_target, fix.covariance, (), fix.residual_px, NO_RIVAL_CHI2_MARGIN
+    )
 
 
 def _no_pose(status: PoseStatus, reason: str) -> ObjectPose:
-    return ObjectPose("ooi", status, reason, None, None, (), float("nan"), NO_RIVAL)
+    return ObjectPose("ooi", status, reason, None, None, (), float("nan"), NO_RIVAL_CHI2_MARGIN)

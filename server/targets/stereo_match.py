@@ -11,13 +11,13 @@ from machine.camera import distortion_jacobian, project, undistort_to_rays
 from machine.description import StereoCamera
 from server.targets.contracts import BoolArray
 from server.vision.contracts import Array, Image
-from server.vision.odometry_align import HALF_PX, align_reference_patches
+from server.vision.odometry_align import PATCH_HALF_PX, align_reference_patches
 from server.vision.odometry_features import UNIQUE_RATIO_MAX
 
-ROWS_OFF_PX = 1  # EPIPOLAR_MAX_PX of the odometry: rows of the two eyes agree to one pixel
+ROW_OFFSET_MAX_PX = 1  # EPIPOLAR_MAX_PX of the odometry: rows of the two eyes agree to one pixel
 NOISE_MIN_GREY = 1.0  # standard deviation of the least noise that an 8-bit image has
-SAMPLES_ACROSS = 11  # grid over the patch's diameter
-PEAK_PX = 4  # nearer to the best disparity is the same peak of the correlation
+PATCH_GRID_SIDE_SAMPLES = 11  # grid over the patch's diameter
+PEAK_HALF_WIDTH_PX = 4  # nearer to the best disparity is the same peak of the correlation
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +26,12 @@ class CoarseMatch:
 
     disparity_px: float
     correlation: float
-    ambiguity: float
+    dissimilarity_ratio: float
 
     @property
     def is_unique(self) -> bool:
         """Whether no other disparity explains the window as well (ratio test of Lowe 2004)."""
-        return self.ambiguity <= UNIQUE_RATIO_MAX
+        return self.dissimilarity_ratio <= UNIQUE_RATIO_MAX
 
 
 def rectified_window(camera: StereoCamera, image: Image, u_px: Array, v_px: Array) -> NDArray[np.float32]:
@@ -53,7 +53,7 @@ def coarse_disparity(
     """
     u, v = ray[0] * camera.fx_px, ray[1] * camera.fy_px
     offsets = np.arange(-half_px, half_px + 1.0)
-    rows = np.arange(-half_px - ROWS_OFF_PX, half_px + ROWS_OFF_PX + 1.0)
+    rows = np.arange(-half_px - ROW_OFFSET_MAX_PX, half_px + ROW_OFFSET_MAX_PX + 1.0)
     least, most = np.floor(disparities_px[0]), np.ceil(disparities_px[1])
     template = rectified_window(camera, left, u + offsets, v + offsets)
     if float(template.std()) < 1e-3:
@@ -62,7 +62,7 @@ def coarse_disparity(
     strip = rectified_window(camera, right, u + columns, v + rows)
     scores = np.nan_to_num(np.asarray(cv2.matchTemplate(strip, template, cv2.TM_CCOEFF_NORMED)), nan=-1.0).max(axis=0)
     best = int(scores.argmax())
-    apart = np.abs(np.arange(len(scores)) - best) > PEAK_PX
+    apart = np.abs(np.arange(len(scores)) - best) > PEAK_HALF_WIDTH_PX
     rival = float(scores[apart].max(initial=-1.0))
     floor = 2.0 * NOISE_MIN_GREY**2 / float(template.var())  # two windows of one place are no more alike than that
     unlike = [1.0 - max(score, 0.0) ** 2 + floor for score in (float(scores[best]), rival)]
@@ -77,7 +77,7 @@ class FineMatch:
     disparity_px: Array
     row_px: Array
     right_px: Array
-    good: BoolArray
+    valid: BoolArray
 
 
 def fine_disparities(
@@ -102,7 +102,7 @@ def fine_disparities(
     found = align_reference_patches(left, left_px, warps, right, guesses)
     seen = undistort_to_rays(camera, found.points_px)
     row = (rays[:, 1] - seen[:, 1]) * camera.fy_px
-    good = found.good & (np.abs(row) < ROWS_OFF_PX)
+    good = found.valid & (np.abs(row) < ROW_OFFSET_MAX_PX)
     return FineMatch((rays[:, 0] - seen[:, 0]) * camera.fx_px, row, found.points_px, good)
 
 
@@ -135,12 +135,12 @@ def sample_places(
 ) -> tuple[Array, int]:
     """Grid (n, 2) [px] over the disc but for the discs (u, v, radius) to avoid, inside the image; n before the image's
     border cut it."""
-    steps = np.linspace(-1.0, 1.0, SAMPLES_ACROSS) * radius_px
+    steps = np.linspace(-1.0, 1.0, PATCH_GRID_SIDE_SAMPLES) * radius_px
     du, dv = (grid.ravel() for grid in np.meshgrid(steps, steps))
     disc = np.hypot(du, dv) <= radius_px * 1.001
     places = np.column_stack([du[disc], dv[disc]]) + np.array(pixel)
     for u, v, r in avoid:
-        places = places[np.hypot(places[:, 0] - u, places[:, 1] - v) > r + HALF_PX]
-    border = HALF_PX + 2
+        places = places[np.hypot(places[:, 0] - u, places[:, 1] - v) > r + PATCH_HALF_PX]
+    border = PATCH_HALF_PX + 2
     inside = (places >= border).all(axis=1) & (places < [shape[1] - border, shape[0] - border]).all(axis=1)
     return places[inside], len(places)

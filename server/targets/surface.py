@@ -14,17 +14,17 @@ from server.targets.contracts import BoolArray, PatchStatus, SurfacePatch, Targe
 from server.targets.stereo_match import coarse_disparity, fine_disparities, sample_places, texture_sigma_px
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
-from server.vision.odometry_align import CORRELATION_MIN, HALF_PX, SIZE_PX
+from server.vision.odometry_align import PATCH_CORRELATION_MIN, PATCH_HALF_PX, PATCH_SIZE_PX
 
-CENTRE_HALF_PX = 20  # window of the first match: wide enough to be unique on natural texture
-SAMPLE_HALF_PX = 7  # as the fine alignment's patch
-SLACK_PX = 8.0  # of a sample's disparity about the centre's: 45 deg of slope over 60 mm at 0.7 m
-AROUND_MIN = 30  # samples around a hole: ten times a plane's unknowns
-CLIPPED_GREY = 254
-RANSAC_DRAWS = 200  # finds a plane of 50 % inliers with a failure rate below 1e-9
+CENTRE_WINDOW_HALF_PX = 20  # window of the first match: wide enough to be unique on natural texture
+SAMPLE_WINDOW_HALF_PX = 7  # as the fine alignment's patch
+DISPARITY_SLACK_PX = 8.0  # of a sample's disparity about the centre's: 45 deg of slope over 60 mm at 0.7 m
+SURROUNDING_SAMPLES_MIN = 30  # samples around a hole: ten times a plane's unknowns
+SATURATED_MIN_GREY = 254
+RANSAC_ITERATIONS = 200  # finds a plane of 50 % inliers with a failure rate below 1e-9
 OUTLIER_SIGMAS = 4.0
 ON_SURFACE_MIN_FRAC = 0.75  # more than a quarter elsewhere: the patch covers two surfaces
-F_TEST_1PCT = 3.8  # F(3, 60..200) at 1 %: a curved patch must explain the residuals significantly better
+F_TEST_CRITICAL_1PCT = 3.8  # F(3, 60..200) at 1 %: a curved patch must explain the residuals significantly better
 CHI2_2_95, CHI2_1_95 = 5.991, 3.841
 ROLL_SIGMA_RAD = float(np.deg2rad(0.01))  # the roll is a convention; no covariance may be singular
 Shape = Literal["plane", "curved"]
@@ -38,7 +38,7 @@ class _DisparityFit:
     covariance: Array
     on_surface: BoolArray
     residual_px: float
-    shape: Shape
+    surface_shape: Shape
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,14 +50,14 @@ class _SurfaceQuery:
     camera: StereoCamera
     pixel: tuple[float, float]
     settings: TargetSettings
-    name: str
+    label: str
 
     @property
     def ray(self) -> Array:
         return undistort_to_rays(self.camera, np.array([self.pixel]))[0]
 
     def refused(self, status: PatchStatus, reason: str) -> SurfacePatch:
-        return refused_patch(status, f"{self.name}{reason}", self.pixel)
+        return refused_patch(status, f"{self.label}{reason}", self.pixel)
 
 
 def measure_patch(
@@ -77,7 +77,7 @@ def measure_patch(
         return problem
     bf = camera.fx_px * camera.baseline_m
     coarse = coarse_disparity(
-        camera, left, right, place.ray, CENTRE_HALF_PX, (bf / settings.depth_max_m, bf / settings.depth_min_m)
+        camera, left, right, place.ray, CENTRE_WINDOW_HALF_PX, (bf / settings.depth_max_m, bf / settings.depth_min_m)
     )
     if coarse.correlation < 0.0:
         return place.refused(PatchStatus.NO_TEXTURE, " has no texture; choose a rougher place or add light")
@@ -93,15 +93,15 @@ def measure_patch(
             break
     if coarse.is_unique or found.status is PatchStatus.NO_TEXTURE:
         return found
-    if coarse.correlation < CORRELATION_MIN and not found.ok:
+    if coarse.correlation < PATCH_CORRELATION_MIN and not found.ok:
         return place.refused(
             PatchStatus.DEPTH_EDGE,
             f" covers a depth edge: no single depth explains it (correlation {coarse.correlation:.2f}, limit "
-            f"{CORRELATION_MIN:.2f}); choose a place farther from the edge",
+            f"{PATCH_CORRELATION_MIN:.2f}); choose a place farther from the edge",
         )
     return place.refused(
         PatchStatus.REPEATED_TEXTURE,
-        f" repeats along the row: dissimilarity of the best to the second-best match {coarse.ambiguity:.2f} "
+        f" repeats along the row: dissimilarity of the best to the second-best match {coarse.dissimilarity_ratio:.2f} "
         "(limit 0.80); choose a place whose texture differs from its neighbours",
     )
 
@@ -121,7 +121,10 @@ def measure_around(
     found = place.refused(PatchStatus.NO_TEXTURE, " was not measured")
     for radius_m in settings.radii_m:
         radius_px = radius_m * camera.fx_px / depth_m
-        if len(sample_places(left.shape, pixel, radius_px, avoid)[0]) < AROUND_MIN and radius_m < settings.radii_m[-1]:
+        if (
+            len(sample_places(left.shape, pixel, radius_px, avoid)[0]) < SURROUNDING_SAMPLES_MIN
+            and radius_m < settings.radii_m[-1]
+        ):
             continue
         found = _measure_at_disparity(place, camera.fx_px * camera.baseline_m / depth_m, radius_m, avoid)
         if found.covariance is not None and uncertainty_95(found.covariance)[0] <= settings.normal_wanted_deg:
@@ -132,12 +135,14 @@ def measure_around(
 def _image_problem(place: _SurfaceQuery) -> SurfacePatch | None:
     (u, v), (height, width) = place.pixel, place.left.shape
     margin = min(u, v, width - 1 - u, height - 1 - v)
-    if not margin >= CENTRE_HALF_PX:
-        reason = f" lies {margin:.0f} px from the image border (limit {CENTRE_HALF_PX} px); turn the camera to it"
+    if not margin >= CENTRE_WINDOW_HALF_PX:
+        reason = (
+            f" lies {margin:.0f} px from the image border (limit {CENTRE_WINDOW_HALF_PX} px); turn the camera to it"
+        )
         return place.refused(PatchStatus.OUTSIDE_IMAGE, reason)
-    top, left = round(v) - CENTRE_HALF_PX, round(u) - CENTRE_HALF_PX
-    window = place.left[top : top + 2 * CENTRE_HALF_PX + 1, left : left + 2 * CENTRE_HALF_PX + 1]
-    clipped, limit = float(np.mean(window >= CLIPPED_GREY)), place.settings.clipped_max_frac
+    top, left = round(v) - CENTRE_WINDOW_HALF_PX, round(u) - CENTRE_WINDOW_HALF_PX
+    window = place.left[top : top + 2 * CENTRE_WINDOW_HALF_PX + 1, left : left + 2 * CENTRE_WINDOW_HALF_PX + 1]
+    clipped, limit = float(np.mean(window >= SATURATED_MIN_GREY)), place.settings.clipped_max_frac
     if clipped > limit:
         return place.refused(
             PatchStatus.GLARE,
@@ -152,15 +157,15 @@ def _measure_at_disparity(
 ) -> SurfacePatch:
     camera, settings, ray = place.camera, place.settings, place.ray
     depth_m = camera.fx_px * camera.baseline_m / disparity_px
-    radius_px = max(radius_m * camera.fx_px / depth_m, SIZE_PX / 2.0)
+    radius_px = max(radius_m * camera.fx_px / depth_m, PATCH_SIZE_PX / 2.0)
     samples, wanted = sample_places(place.left.shape, place.pixel, radius_px, avoid)
     if len(samples) < ON_SURFACE_MIN_FRAC * wanted:
         reason = f": its surroundings of {1e3 * radius_m:.0f} mm leave the image; turn the camera to it"
         return place.refused(PatchStatus.OUTSIDE_IMAGE, reason)
     rays = undistort_to_rays(camera, samples)
     uv = (rays - ray) * [camera.fx_px, camera.fy_px]
-    limits = disparity_px - SLACK_PX, disparity_px + SLACK_PX
-    coarse = [coarse_disparity(camera, place.left, place.right, ray, SAMPLE_HALF_PX, limits) for ray in rays]
+    limits = disparity_px - DISPARITY_SLACK_PX, disparity_px + DISPARITY_SLACK_PX
+    coarse = [coarse_disparity(camera, place.left, place.right, ray, SAMPLE_WINDOW_HALF_PX, limits) for ray in rays]
     guess = np.array([found.disparity_px for found in coarse])
     usable = np.isfinite(guess)
     sigma_texture = texture_sigma_px(place.left, place.pixel, radius_px)
@@ -171,7 +176,9 @@ def _measure_at_disparity(
             f" has too little texture: it would give the depth to {2e3 * sigma_depth_m:.1f} mm (limit "
             f"{1e3 * settings.position_max_m:.1f} mm); choose a rougher place, add light or come nearer",
         )
-    per_sample_px = sigma_texture * np.sqrt(np.pi) * radius_px / SIZE_PX  # the bound of one sample's smaller patch
+    per_sample_px = (
+        sigma_texture * np.sqrt(np.pi) * radius_px / PATCH_SIZE_PX
+    )  # the bound of one sample's smaller patch
     sampled = replace(settings, sigma_px=float(np.hypot(per_sample_px, settings.sigma_floor_px)))
     fit, good = _match_and_fit_surface(replace(place, settings=sampled), samples, uv, guess, radius_px)
     if fit is None or good.mean() < ON_SURFACE_MIN_FRAC:
@@ -206,7 +213,7 @@ def _match_and_fit_surface(
         found = fine_disparities(
             place.camera, place.left, place.right, samples, np.where(near, expected, guess), slopes
         )
-        good = found.good
+        good = found.valid
         if good.sum() < 12:
             return None, good
         fit = _fit_surface(uv, found.disparity_px, good, radius_px, place.settings)
@@ -226,7 +233,7 @@ def _robust_plane(uv: Array, disparity: Array) -> Array:
     A, d = _polynomial_terms(uv[known], "plane"), disparity[known]
     rng = np.random.default_rng(0)
     best, best_median = np.array([float(np.median(d)), 0.0, 0.0]), np.inf
-    for _ in range(RANSAC_DRAWS):
+    for _ in range(RANSAC_ITERATIONS):
         three = rng.choice(len(known), 3, replace=False)
         if abs(np.linalg.det(A[three])) < 1.0:
             continue
@@ -248,8 +255,8 @@ def _fit_surface(
     The samples' patches overlap: n of them hold only the patch area's worth of independent ones, and the covariance is
     scaled by that ratio.
     """
-    area = np.pi * (radius_px + HALF_PX) ** 2
-    overlap = max(1.0, float(good.sum()) * SIZE_PX**2 / area)
+    area = np.pi * (radius_px + PATCH_HALF_PX) ** 2
+    overlap = max(1.0, float(good.sum()) * PATCH_SIZE_PX**2 / area)
     on = good.copy()
     plane = _least_squares(uv, disparity, on, "plane", settings, overlap)
     on = good & (np.abs(_polynomial_terms(uv, "plane") @ plane.coefficients - disparity) < _limit_px(plane, settings))
@@ -263,7 +270,7 @@ def _fit_surface(
     same = _least_squares(uv, disparity, curved_on, "plane", settings, overlap)
     n_free = max(curved_on.sum() / overlap - 6.0, 1.0)
     gain = (same.residual_px**2 - curved.residual_px**2) * curved_on.sum() / overlap / 3.0
-    if gain / max(curved.residual_px**2 * curved_on.sum() / overlap / n_free, 1e-12) < F_TEST_1PCT:
+    if gain / max(curved.residual_px**2 * curved_on.sum() / overlap / n_free, 1e-12) < F_TEST_CRITICAL_1PCT:
         return plane
     return curved
 
@@ -336,12 +343,22 @@ def _judge_patch(place: _SurfaceQuery, fit: _DisparityFit, samples: Array, uv: A
             f"{1e3 * depth_m:.1f} mm (limit {1e3 * settings.position_max_m:.1f} mm) only; come nearer",
         )
     on = fit.on_surface
-    disparity = _polynomial_terms(uv[on], fit.shape) @ fit.coefficients
+    disparity = _polynomial_terms(uv[on], fit.surface_shape) @ fit.coefficients
     rays = undistort_to_rays(camera, samples[on])
     points = np.column_stack([rays, np.ones(len(rays))]) * (camera.fx_px * camera.baseline_m / disparity)[:, None]
     n_used, residual_px = int(on.sum()), fit.residual_px
     return SurfacePatch(
-        PatchStatus.OK, "", place.pixel, T, covariance, samples[on], points, radius_m, fit.shape, n_used, residual_px
+        PatchStatus.OK,
+        "",
+        place.pixel,
+        T,
+        covariance,
+        samples[on],
+        points,
+        radius_m,
+        fit.surface_shape,
+        n_used,
+        residual_px,
     )
 
 

@@ -13,18 +13,20 @@ from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation, skew
 from server.targets.anchor import LANDMARKS_MIN, landmarks_of
 from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetSettings
-from server.targets.tracking import FIX_MIN, MarksPose, SearchedPair, align_marks, solve_pose
+from server.targets.tracking import FIX_LANDMARKS_MIN, MarksPose, SearchedPair, align_marks, solve_pose
 from server.vision.contracts import Image
 from server.vision.odometry_align import align_reference_patches
 from server.vision.odometry_features import allowed_masks, inside_mask
 from server.vision.odometry_keyframe import triangulated
 from server.vision.odometry_sight import StereoMatches, optical_flow, plausible_match_mask
 
-CONTRAST_MIN = 0.02  # half of OpenCV's default: worn paint has less contrast than the rock around it
-RIM_PX = 32  # about the features' region: the support of a descriptor
+SIFT_CONTRAST_MIN = 0.02  # half of OpenCV's default: worn paint has less contrast than the rock around it
+DESCRIPTOR_MARGIN_PX = 32  # about the features' region: the support of a descriptor
 SPREAD_PX, PER_SPREAD = 32, 8  # features of a whole image: no more in a cell, about 7000 at 720p
-VIEWS_MIN = 2  # a landmark that only one view shows may be a shadow, a highlight or an edge before the background
-CELL_PX = 11  # one landmark a cell: an object is small, so patches of 15 px may overlap by a quarter
+TAUGHT_VIEWS_MIN = (
+    2  # a landmark that only one view shows may be a shadow, a highlight or an edge before the background
+)
+LANDMARK_CELL_PX = 11  # one landmark a cell: an object is small, so patches of 15 px may overlap by a quarter
 
 Descriptors = NDArray[np.uint8]
 Polygons = tuple[tuple[Array, ...], tuple[Array, ...]]
@@ -59,7 +61,7 @@ class TaughtView:
     reference_right: Image
     T_cam_object: Array
     covariance: Array
-    marks: Landmarks
+    landmarks: Landmarks
     descriptors: Descriptors
     masks_px: Polygons
 
@@ -90,10 +92,10 @@ def image_features(image: Image, mask: Image) -> tuple[Array, Descriptors]:
 
     Source:  Lowe 2004 (SIFT).
     """
-    sift = cv2.SIFT.create(contrastThreshold=CONTRAST_MIN)
+    sift = cv2.SIFT.create(contrastThreshold=SIFT_CONTRAST_MIN)
     u, v, width, height = cv2.boundingRect(mask)
-    left, top = max(u - RIM_PX, 0), max(v - RIM_PX, 0)
-    part = np.s_[top : v + height + RIM_PX, left : u + width + RIM_PX]
+    left, top = max(u - DESCRIPTOR_MARGIN_PX, 0), max(v - DESCRIPTOR_MARGIN_PX, 0)
+    part = np.s_[top : v + height + DESCRIPTOR_MARGIN_PX, left : u + width + DESCRIPTOR_MARGIN_PX]
     points = sorted(sift.detect(image[part], mask[part]), key=lambda point: -point.response) if width else []
     if not points:
         return np.zeros((0, 2)), np.zeros((0, 128), np.uint8)
@@ -126,7 +128,7 @@ def teach_view(
     both = allowed_masks(size, polygons)
     inside = _box_mask(camera, T_cam_object, box, size)
     places, descriptors = image_features(left, np.asarray(np.minimum(both[0], inside)))
-    first = _strongest_by_cell(places, CELL_PX, 1)
+    first = _strongest_by_cell(places, LANDMARK_CELL_PX, 1)
     left_px, descriptors = places[first], descriptors[first]
     right_px, good = _in_right(left, right, camera, left_px, float(T_cam_object[2, 3]))
     good &= inside_mask(both[1], right_px)
@@ -172,7 +174,7 @@ def _in_right(
     guess = left_px - [camera.fx_px * camera.baseline_m / depth_m, 0.0]
     coarse = optical_flow(left, right, left_px, guess)
     fine = align_reference_patches(left, left_px, np.tile(np.eye(2), (len(left_px), 1, 1)), right, coarse.points_px)
-    good = coarse.good & fine.good
+    good = coarse.valid & fine.valid
     return fine.points_px, plausible_match_mask(camera, undistort_to_rays(camera, left_px), fine.points_px, good)
 
 
@@ -192,9 +194,11 @@ def teach_object(
              both eyes; a landmark is kept where another view confirms it. The frame is then moved to the mean of all
              markers' frames.
     """
-    if len(views) < VIEWS_MIN:
-        return f"{len(views)} views of '{name}' (limit {VIEWS_MIN}); add one from another side, 10 to 30 deg away"
-    first = int(np.argmax([len(view.marks) for view in views]))
+    if len(views) < TAUGHT_VIEWS_MIN:
+        return (
+            f"{len(views)} views of '{name}' (limit {TAUGHT_VIEWS_MIN}); add one from another side, 10 to 30 deg away"
+        )
+    first = int(np.argmax([len(view.landmarks) for view in views]))
     placed: list[TaughtView] = []
     for number, view in enumerate(views):
         found = _seen_in(views[first], view, camera, settings)
@@ -204,11 +208,13 @@ def teach_object(
                 "marker has moved between them, or they are too far apart: take them again"
             )
         placed.append(
-            view if number == first else replace(view, marks=_landmarks_at_pose(view, found.T), T_cam_object=found.T)
+            view
+            if number == first
+            else replace(view, landmarks=_landmarks_at_pose(view, found.T_cam_target), T_cam_object=found.T_cam_target)
         )
     confirmed, shares = _confirm_landmarks(placed, camera, settings)
-    some = [view for view in confirmed if len(view.marks) >= FIX_MIN]
-    total = sum(len(view.marks) for view in some)
+    some = [view for view in confirmed if len(view.landmarks) >= FIX_LANDMARKS_MIN]
+    total = sum(len(view.landmarks) for view in some)
     if total < LANDMARKS_MIN:
         return (
             f"{total} landmarks of '{name}' are confirmed by a second view (limit {LANDMARKS_MIN}); take views that "
@@ -225,11 +231,11 @@ def teach_object(
 def _seen_in(view: TaughtView, other: TaughtView, camera: StereoCamera, settings: TargetSettings) -> MarksPose | None:
     """Where one view's landmarks place the object in another view; None where they are not found."""
     pair = _as_pair(other, camera, settings)
-    seen, _ = align_marks(view.reference_images, view.marks, pair, other.T_cam_object)
-    if len(seen.indices) < FIX_MIN:
+    seen, _ = align_marks(view.reference_images, view.landmarks, pair, other.T_cam_object)
+    if len(seen.indices) < FIX_LANDMARKS_MIN:
         return None
-    fit = solve_pose(pair, view.marks, seen, other.T_cam_object)
-    return fit if fit.agree.sum() >= FIX_MIN else None
+    fit = solve_pose(pair, view.landmarks, seen, other.T_cam_object)
+    return fit if fit.inliers.sum() >= FIX_LANDMARKS_MIN else None
 
 
 def _as_pair(view: TaughtView, camera: StereoCamera, settings: TargetSettings) -> SearchedPair:
@@ -239,7 +245,7 @@ def _as_pair(view: TaughtView, camera: StereoCamera, settings: TargetSettings) -
 
 def _landmarks_at_pose(view: TaughtView, T_cam_object: Array) -> Landmarks:
     """The view's landmarks in the object axes that stand at T_cam_object in its camera."""
-    return _in_axes(view.marks, inverse_pose(T_cam_object) @ view.T_cam_object)
+    return _in_axes(view.landmarks, inverse_pose(T_cam_object) @ view.T_cam_object)
 
 
 def _in_axes(marks: Landmarks, T_new_old: Array) -> Landmarks:
@@ -259,19 +265,19 @@ def _confirm_landmarks(
     """The views with those landmarks that another one confirms, and the best share of each view that one confirmed."""
     kept, shares = [], []
     for view in views:
-        agreed = np.zeros(len(view.marks), dtype=bool)
+        agreed = np.zeros(len(view.landmarks), dtype=bool)
         best = 0.0
         for other in views:
             if other is view:
                 continue
             pair = _as_pair(other, camera, settings)
-            seen, visible = align_marks(view.reference_images, view.marks, pair, other.T_cam_object)
-            if len(seen.indices) < FIX_MIN:
+            seen, visible = align_marks(view.reference_images, view.landmarks, pair, other.T_cam_object)
+            if len(seen.indices) < FIX_LANDMARKS_MIN:
                 continue
-            fit = solve_pose(pair, view.marks, seen, other.T_cam_object)
-            agreed[seen.indices[fit.agree]] = True
-            best = max(best, float(fit.agree.sum()) / visible)
-        kept.append(replace(view, marks=view.marks.subset(agreed), descriptors=view.descriptors[agreed]))
+            fit = solve_pose(pair, view.landmarks, seen, other.T_cam_object)
+            agreed[seen.indices[fit.inliers]] = True
+            best = max(best, float(fit.inliers.sum()) / visible)
+        kept.append(replace(view, landmarks=view.landmarks.subset(agreed), descriptors=view.descriptors[agreed]))
         shares.append(best)
     return kept, shares
 
@@ -304,7 +310,7 @@ def _view_in_new_frame(view: TaughtView, T_frame_mean: Array) -> TaughtView:
     return replace(
         view,
         T_cam_object=view.T_cam_object @ T_frame_mean,
-        marks=_in_axes(view.marks, inverse_pose(T_frame_mean)),
+        landmarks=_in_axes(view.landmarks, inverse_pose(T_frame_mean)),
         masks_px=((), ()),
     )
 

@@ -13,7 +13,7 @@ from server.targets.contracts import Landmarks
 from server.targets.taught import TaughtObject, TaughtView
 from server.vision.contracts import Image
 
-VERSION = 1
+FILE_FORMAT_VERSION = 1
 SUFFIX = ".npz"
 _MARKS = ("left_px", "right_px", "points_target", "covariances_target", "support_target")
 
@@ -25,7 +25,7 @@ class TaughtFileError(Exception):
 def save_taught(folder: Path, taught: TaughtObject) -> Path:
     """Write an object; a former one of that name is replaced."""
     arrays: dict[str, NDArray[np.generic]] = {
-        "version": np.array(VERSION),
+        "version": np.array(FILE_FORMAT_VERSION),
         "size_m": taught.size_m,
         "covariance_target": taught.covariance_target,
         "figures": np.array([taught.sigma_scale_frac, taught.agree_frac]),
@@ -38,7 +38,7 @@ def save_taught(folder: Path, taught: TaughtObject) -> Path:
             f"T_cam_object_{k}": view.T_cam_object,
             f"covariance_{k}": view.covariance,
             f"descriptors_{k}": view.descriptors,
-            **{f"{name}_{k}": getattr(view.marks, name) for name in _MARKS},
+            **{f"{name}_{k}": getattr(view.landmarks, name) for name in _MARKS},
         }
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # pyright: ignore[reportArgumentType]
@@ -55,8 +55,10 @@ def load_taught(path: Path) -> TaughtObject:
     """
     try:
         with np.load(path, allow_pickle=False) as data:
-            if int(data["version"]) != VERSION:
-                raise TaughtFileError(f"{path.name} has version {int(data['version'])} (known: {VERSION}); teach again")
+            if int(data["version"]) != FILE_FORMAT_VERSION:
+                raise TaughtFileError(
+                    f"{path.name} has version {int(data['version'])} (known: {FILE_FORMAT_VERSION}); teach again"
+                )
             scale, agree = (float(value) for value in data["figures"])
             views = tuple(_read_taught_view(data, k) for k in range(int(data["views"])))
             return TaughtObject(path.stem, data["size_m"], views, data["covariance_target"], scale, agree)

@@ -7,7 +7,7 @@ import numpy as np
 
 from server.vision.contracts import Array, MarkerView
 
-SHAFT_PX = 3000.0  # beyond the border of any image
+MASK_EXTENSION_PX = 3000.0  # beyond the border of any image
 BOARD_CORNERS_MIN = 4  # fewer do not give a rectangle
 
 
@@ -24,7 +24,7 @@ def plate_and_shaft(corners_px: Array, scale: float) -> Array:
     """
     top_left, top_right, bottom_right, bottom_left = blown_up(corners_px, scale)
     down = bottom_left - top_left + bottom_right - top_right
-    reach = SHAFT_PX * down / np.linalg.norm(down)
+    reach = MASK_EXTENSION_PX * down / np.linalg.norm(down)
     return np.array([top_left, top_right, bottom_right + reach, bottom_left + reach])
 
 

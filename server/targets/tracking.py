@@ -18,18 +18,18 @@ from server.vision.odometry_features import allowed_masks, inside_mask, recognis
 from server.vision.odometry_pose import ransac_pose
 from server.vision.odometry_sight import optical_flow
 
-FIX_MIN = 12  # landmarks in both eyes: half of them may be wrong, and six still overdetermine the pose
-FOUND_MIN_FRAC = 0.3  # of the visible landmarks: fewer, and the surroundings are not those of the reference
-AGREE_MIN_FRAC = 0.75  # of the visible patch samples, as for the first measurement
-MIDDLE_M = 0.045  # radius of what the operator pointed at: half of a tool's width
-VISIBLE_MIN = 5  # patch samples: fewer visible ones cannot outvote a wrong one
-MOVED_SIGMAS = 3.0
-MOVED_MIN_M = 0.001  # a look calls 1 mm rest
-AREA_MAX = 2.5  # of a patch against its reference: beyond, the images are compared at half size
-AREA_MIN = 0.4
-LEVELS = 3
-PNP_PX = 3.0
-TUKEY = 4.685
+FIX_LANDMARKS_MIN = 12  # landmarks in both eyes: half of them may be wrong, and six still overdetermine the pose
+LANDMARKS_FOUND_MIN_FRAC = 0.3  # of the visible landmarks: fewer, and the surroundings are not those of the reference
+PATCH_AGREEMENT_MIN_FRAC = 0.75  # of the visible patch samples, as for the first measurement
+PATCH_MIDDLE_RADIUS_M = 0.045  # radius of what the operator pointed at: half of a tool's width
+VISIBLE_SAMPLES_MIN = 5  # patch samples: fewer visible ones cannot outvote a wrong one
+TARGET_MOVED_SIGMAS = 3.0
+TARGET_MOVED_MIN_M = 0.001  # a look calls 1 mm rest
+PATCH_AREA_RATIO_MAX = 2.5  # of a patch against its reference: beyond, the images are compared at half size
+PATCH_AREA_RATIO_MIN = 0.4
+PYRAMID_LEVELS = 3
+PNP_INLIER_MAX_PX = 3.0
+TUKEY_SIGMAS = 4.685
 STEPS, STEP_MIN = 8, 1e-7  # rad and m: a hundredth of what noise moves
 DEPTH_MIN_M = 0.05
 
@@ -49,7 +49,7 @@ class SeenMarks:
     """Landmarks found in both eyes: numbers (n,), raw pixels (n, 4) left and right."""
 
     indices: np.ndarray
-    pixels: Array
+    stereo_pixels: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,11 +59,11 @@ class MarksPose:
     variance: of the residuals over what noise and landmarks explain; 1 unless they refute it.
     """
 
-    T: Array
+    T_cam_target: Array
     covariance: Array
-    agree: BoolArray
+    inliers: BoolArray
     residual_px: float
-    variance: float = 1.0
+    variance_factor: float = 1.0
 
 
 class TargetTracker:
@@ -89,7 +89,7 @@ class TargetTracker:
         pair = SearchedPair((left, right), masks, self._camera, self._settings)
         guess = self._by_flow(left, masks[0])
         fix, T = self._fix_from_guess(pair, guess) if guess is not None else (_LOST, None)
-        if T is None and self._lost % RECOGNISE_EVERY == 0:
+        if T is None and self._lost % RECOGNITION_INTERVAL_PAIRS == 0:
             guess = self._recognise_pose(left, masks[0])
             if guess is not None:
                 fix, T = self._fix_from_guess(pair, guess)
@@ -101,14 +101,16 @@ class TargetTracker:
         """The pose by landmarks that moved on from the last image."""
         if self._last is None:
             return None
-        points, pixels = moved_on(self._camera, self._last, self._target.surroundings.points_target, left, mask)
+        points, pixels = moved_on(
+            self._camera, self._last, self._target.surrounding_landmarks.points_target, left, mask
+        )
         return self._pose_by_ransac(points, pixels, self._last[1])
 
     def _recognise_pose(self, left: Image, mask: Image) -> Array | None:
         """The pose by features of the reference, wherever the camera is."""
         target = self._target
         first, second = recognise(target.reference_left, self._mask_reference, left, mask)
-        if len(first) < FIX_MIN:
+        if len(first) < FIX_LANDMARKS_MIN:
             return None
         return self._pose_by_ransac(self._lift_to_surface(first), second, None)
 
@@ -117,7 +119,7 @@ class TargetTracker:
 
         The disparity of a surface of second order is fitted: good to millimetres, which a first guess needs no better.
         """
-        marks, camera = self._target.surroundings, self._camera
+        marks, camera = self._target.surrounding_landmarks, self._camera
         rays = undistort_to_rays(camera, marks.left_px)
         disparity = rays[:, 0] - undistort_to_rays(camera, marks.right_px)[:, 0]
         found = np.linalg.lstsq(_quadratic_terms(rays), disparity, rcond=None)[0]
@@ -127,28 +129,28 @@ class TargetTracker:
         return (np.column_stack([wanted, np.ones(len(wanted))]) * depth[:, None] - T[:3, 3]) @ T[:3, :3]
 
     def _pose_by_ransac(self, points: Array, pixels: Array, start: Array | None) -> Array | None:
-        if len(points) < FIX_MIN:
+        if len(points) < FIX_LANDMARKS_MIN:
             return None
-        rays, limit = undistort_to_rays(self._camera, pixels), PNP_PX / self._camera.fx_px
+        rays, limit = undistort_to_rays(self._camera, pixels), PNP_INLIER_MAX_PX / self._camera.fx_px
         found = ransac_pose(points, rays, limit, 200, cv2.SOLVEPNP_ITERATIVE, start)
-        return None if found is None or len(found[1]) < FIX_MIN else found[0]
+        return None if found is None or len(found[1]) < FIX_LANDMARKS_MIN else found[0]
 
     def _fix_from_guess(self, pair: SearchedPair, guess: Array) -> tuple[TargetFix, Array | None]:
         """The fix from a guess; the pose None where the surroundings were not found."""
         target = self._target
-        seen, visible, fit = fitted_marks(target.reference_images, target.surroundings, pair, guess)
+        seen, visible, fit = fitted_marks(target.reference_images, target.surrounding_landmarks, pair, guess)
         if fit is None:
             return not_found(len(seen.indices), visible), None
-        n = int(fit.agree.sum())
-        if n < FIX_MIN or n < FOUND_MIN_FRAC * visible:
+        n = int(fit.inliers.sum())
+        if n < FIX_LANDMARKS_MIN or n < LANDMARKS_FOUND_MIN_FRAC * visible:
             return not_found(n, visible), None
         agree, problem = _patch_verdict(target, pair, fit)
         if problem:
-            return no_fix(problem, n, agree, fit.residual_px), fit.T
-        return TargetFix(True, "", fit.T, fit.covariance, n, agree, fit.residual_px), fit.T
+            return no_fix(problem, n, agree, fit.residual_px), fit.T_cam_target
+        return TargetFix(True, "", fit.T_cam_target, fit.covariance, n, agree, fit.residual_px), fit.T_cam_target
 
 
-RECOGNISE_EVERY = 3  # lost pairs: recognition takes as long as two pairs
+RECOGNITION_INTERVAL_PAIRS = 3  # lost pairs: recognition takes as long as two pairs
 _LOST = no_fix(
     "target: its surroundings are not recognised in the left eye; bring it into view, or clear what covers it",
     0,
@@ -159,8 +161,8 @@ _LOST = no_fix(
 def not_found(n: int, visible: int) -> TargetFix:
     """The fix of surroundings of which too few landmarks were found."""
     reason = (
-        f"target: {n} of {visible} visible landmarks found in both eyes (limits {FIX_MIN} and "
-        f"{100 * FOUND_MIN_FRAC:.0f} %); clear the view, restore the light, or choose the target again"
+        f"target: {n} of {visible} visible landmarks found in both eyes (limits {FIX_LANDMARKS_MIN} and "
+        f"{100 * LANDMARKS_FOUND_MIN_FRAC:.0f} %); clear the view, restore the light, or choose the target again"
     )
     return no_fix(reason, n, seen=False)
 
@@ -179,7 +181,7 @@ def moved_on(
     inside = (before >= 0.0).all(axis=1) & (before < [left.shape[1], left.shape[0]]).all(axis=1)
     indices = np.flatnonzero(np.isfinite(before).all(axis=1) & inside)
     found = optical_flow(image, left, before[indices])
-    good = found.good & inside_mask(mask, found.points_px)
+    good = found.valid & inside_mask(mask, found.points_px)
     return points_target[indices[good]], found.points_px[good]
 
 
@@ -207,12 +209,18 @@ def align_marks(
     area = growth[:, 0, 0] * growth[:, 1, 1] - growth[:, 0, 1] * growth[:, 1, 0]
     known = (points[:, 2] > DEPTH_MIN_M) & np.isfinite(area) & np.isfinite(right_px).all(axis=1)
     known[known] = inside_mask(pair.masks[0], left_px[known]) & inside_mask(pair.masks[1], right_px[known])
-    known &= area > AREA_MIN
+    known &= area > PATCH_AREA_RATIO_MIN
     if not known.any():
         return SeenMarks(np.zeros(0, dtype=np.int64), np.zeros((0, 4))), 0
-    level = int(np.clip(np.ceil(0.5 * np.log2(max(float(np.median(area[known])) / AREA_MAX, 1.0))), 0, LEVELS - 1))
+    level = int(
+        np.clip(
+            np.ceil(0.5 * np.log2(max(float(np.median(area[known])) / PATCH_AREA_RATIO_MAX, 1.0))),
+            0,
+            PYRAMID_LEVELS - 1,
+        )
+    )
     scale = 0.5**level
-    known &= area * scale**2 < AREA_MAX * 2.0
+    known &= area * scale**2 < PATCH_AREA_RATIO_MAX * 2.0
     indices = np.flatnonzero(known)
     if not len(indices):
         return SeenMarks(indices, np.zeros((0, 4))), 0
@@ -223,7 +231,7 @@ def align_marks(
         at = align_reference_patches(
             references[eye], places[indices], warps, small, (guesses[indices] + 0.5) * scale - 0.5
         )
-        found.append(((at.points_px + 0.5) / scale - 0.5, at.good))
+        found.append(((at.points_px + 0.5) / scale - 0.5, at.valid))
     good = found[0][1] & found[1][1]
     return SeenMarks(indices[good], np.hstack([found[0][0][good], found[1][0][good]])), len(indices)
 
@@ -235,10 +243,10 @@ def fitted_marks(
 
     def fitted(T: Array) -> tuple[SeenMarks, int, MarksPose | None]:
         seen, visible = align_marks(references, marks, pair, T)
-        return seen, visible, solve_pose(pair, marks, seen, T) if len(seen.indices) >= FIX_MIN else None
+        return seen, visible, solve_pose(pair, marks, seen, T) if len(seen.indices) >= FIX_LANDMARKS_MIN else None
 
     first = fitted(guess)
-    return first if first[2] is None else fitted(first[2].T)
+    return first if first[2] is None else fitted(first[2].T_cam_target)
 
 
 def _downsampled_image(image: Image, level: int) -> Image:
@@ -267,12 +275,12 @@ def solve_pose(pair: SearchedPair, marks: Landmarks, seen: SeenMarks, start: Arr
         R = T[:3, :3]
         noise = pair.settings.sigma_px**2 * np.eye(4) + J_point @ (R @ C @ R.T) @ J_point.transpose(0, 2, 1)
         root = np.linalg.inv(np.linalg.cholesky(noise))
-        residual = np.hstack(project_stereo(camera, cam)) - seen.pixels
+        residual = np.hstack(project_stereo(camera, cam)) - seen.stereo_pixels
         white = np.einsum("nij,nj->ni", root, residual)
         J = root @ np.concatenate([J_point @ turned, J_point], axis=2)
         norm = np.linalg.norm(white, axis=1) / 2.0
         spread = max(1.4826 * float(np.median(norm)) / 1.4, 1.0)
-        weights = np.clip(1.0 - (norm / (TUKEY * spread)) ** 2, 0.0, None) ** 2
+        weights = np.clip(1.0 - (norm / (TUKEY_SIGMAS * spread)) ** 2, 0.0, None) ** 2
         information = np.einsum("n,nki,nkj->ij", weights, J, J) + 1e-12 * np.eye(6)
         step = -np.linalg.solve(information, np.einsum("n,nki,nk->i", weights, J, white))
         T = moved_pose(T, step)
@@ -282,7 +290,7 @@ def solve_pose(pair: SearchedPair, marks: Landmarks, seen: SeenMarks, start: Arr
     information = np.einsum("nki,nkj->ij", J[agree], J[agree]) + 1e-12 * np.eye(6)
     variance = fitted_variance(float(np.sum(white[agree] ** 2)), 4 * int(agree.sum()) - 6, 1.0)
     covariance = variance * np.linalg.inv(information)
-    shown = np.hstack(project_stereo(camera, transform_points(T, points)))[agree] - seen.pixels[agree]
+    shown = np.hstack(project_stereo(camera, transform_points(T, points)))[agree] - seen.stereo_pixels[agree]
     rms = float(np.sqrt(np.mean(shown**2))) if len(shown) else 0.0
     return MarksPose(T, 0.5 * (covariance + covariance.T), agree, rms, variance)
 
@@ -292,8 +300,8 @@ def _patch_verdict(target: AnchoredTarget, pair: SearchedPair, fit: MarksPose) -
 
     The middle of the patch is judged first, by itself: an object smaller than the patch may lie on it or have moved.
     """
-    near = np.linalg.norm(target.surface.points_target, axis=1) <= MIDDLE_M
-    for marks in (target.surface.subset(near), target.surface):
+    near = np.linalg.norm(target.surface_landmarks.points_target, axis=1) <= PATCH_MIDDLE_RADIUS_M
+    for marks in (target.surface_landmarks.subset(near), target.surface_landmarks):
         share, problem = _marks_verdict(target, marks, pair, fit)
         if problem:
             return share, problem
@@ -301,21 +309,22 @@ def _patch_verdict(target: AnchoredTarget, pair: SearchedPair, fit: MarksPose) -
 
 
 def _marks_verdict(target: AnchoredTarget, marks: Landmarks, pair: SearchedPair, fit: MarksPose) -> tuple[float, str]:
-    seen, visible = align_marks(target.reference_images, marks, pair, fit.T)
-    if visible < VISIBLE_MIN:
+    seen, visible = align_marks(target.reference_images, marks, pair, fit.T_cam_target)
+    if visible < VISIBLE_SAMPLES_MIN:
         return float("nan"), ""  # under our own tool; the surroundings speak for it
     share = len(seen.indices) / visible
-    if share < AGREE_MIN_FRAC or len(seen.indices) < VISIBLE_MIN - 1:
+    if share < PATCH_AGREEMENT_MIN_FRAC or len(seen.indices) < VISIBLE_SAMPLES_MIN - 1:
         reason = (
-            f"target: {100 * share:.0f} % of its visible surface looks as it did (limit {100 * AGREE_MIN_FRAC:.0f} %); "
+            f"target: {100 * share:.0f} % of its visible surface looks as it did (limit "
+            f"{100 * PATCH_AGREEMENT_MIN_FRAC:.0f} %); "
             "it is covered, has moved or has changed. Clear it, or choose the target again"
         )
         return share, reason
-    own = solve_pose(pair, marks, seen, fit.T)
+    own = solve_pose(pair, marks, seen, fit.T_cam_target)
     middle = marks.points_target[seen.indices].mean(axis=0)
-    moved = transform_points(own.T, middle[None])[0] - transform_points(fit.T, middle[None])[0]
-    sigma = _sigma_at(own, fit, middle) + np.sqrt(target.covariance_target[5, 5]) * np.abs(fit.T[:3, 2])
-    limit = np.maximum(MOVED_SIGMAS * sigma, MOVED_MIN_M)
+    moved = transform_points(own.T_cam_target, middle[None])[0] - transform_points(fit.T_cam_target, middle[None])[0]
+    sigma = _sigma_at(own, fit, middle) + np.sqrt(target.covariance_target[5, 5]) * np.abs(fit.T_cam_target[:3, 2])
+    limit = np.maximum(TARGET_MOVED_SIGMAS * sigma, TARGET_MOVED_MIN_M)
     worst = int(np.argmax(np.abs(moved) / limit))
     if abs(moved[worst]) > limit[worst]:
         reason = (
@@ -330,6 +339,6 @@ def _sigma_at(own: MarksPose, fit: MarksPose, point_target: Array) -> Array:
     """Standard deviation (3,) [m] of a point's place, both poses together, camera axes."""
     total = np.zeros((3, 3))
     for estimate in (own, fit):
-        J = np.hstack([-skew(estimate.T[:3, :3] @ point_target), np.eye(3)])
+        J = np.hstack([-skew(estimate.T_cam_target[:3, :3] @ point_target), np.eye(3)])
         total += J @ estimate.covariance @ J.T
     return np.sqrt(np.diag(total))

@@ -14,11 +14,11 @@ from server.vision.contracts import Array, ObjectPose, PoseStatus
 from server.vision.pose_refinement import KernelArrays, PointObservations, kernel_arrays, sum_squares
 from server.vision.small_algebra import apply, rotated_by_rotvec, solve_positive
 
-PROFILE_STEPS = 6
-REACH_SIGMAS = 2.45
-REACH_STEPS = 6
+PROFILE_ITERATIONS = 6
+PROFILE_REACH_SIGMAS = 2.45
+REACH_ITERATIONS = 6
 REACH_MIN, REACH_MAX = 0.25, 6.0
-RISE_MAX = 16.0  # an orientation that fits worse by more needs no room
+CHI2_RISE_MAX = 16.0  # an orientation that fits worse by more needs no room
 
 
 def mirrored_pose(T_cam_object: Array, points_object: Array, eye_x_m: Array, share: float = 1.0) -> Array:
@@ -73,7 +73,7 @@ def _best_cost_for_rotation(rotation: Array, position: Array, given: KernelArray
     total = sum_squares(rotation, place, given)
     A, g = np.empty((3, 3)), np.empty(3)
     row, col = np.empty(3), np.empty(3)
-    for _ in range(PROFILE_STEPS):
+    for _ in range(PROFILE_ITERATIONS):
         if not total < np.inf:
             break
         A[:], g[:] = 0.0, 0.0
@@ -120,7 +120,7 @@ def _steps_to_cost_rise(
 ) -> float:
     """How many times `step` (6,) must be taken until the profile has risen by `rise` [px^2]; 0.25 to 6."""
     low, high, at, found = 0.0, np.inf, 1.0, 1.0
-    for _ in range(REACH_STEPS):
+    for _ in range(REACH_ITERATIONS):
         total = _best_cost_for_rotation(rotated_by_rotvec(rotation, at * step[:3]), position + at * step[3:], given)
         found = at
         ratio = (total - best) / rise
@@ -152,8 +152,10 @@ def _widened_covariance(T: Array, covariance: Array, variance: float, best: floa
         own = 0.0
         for j in range(3):
             own += along[j] * axes[j, k]
-        step = REACH_SIGMAS * along / math.sqrt(own)  # the best fit's way when this angle is moved by so many sigma
-        rise = REACH_SIGMAS**2 * variance
+        step = (
+            PROFILE_REACH_SIGMAS * along / math.sqrt(own)
+        )  # the best fit's way when this angle is moved by so many sigma
+        rise = PROFILE_REACH_SIGMAS**2 * variance
         there = _steps_to_cost_rise(rotation, position, step, rise, best, given)
         back = _steps_to_cost_rise(rotation, position, -step, rise, best, given)
         grown = max(there, back, 1.0) ** 2 - 1.0
@@ -188,7 +190,7 @@ def widened_covariance(
     for share in (1.0, 0.5) if alone else ():
         other = mirrored_pose(T, observations.points_object, observations.eye_x_m, share)
         rise = (profile_sum_squares(other, observations) - best_px2) / variance
-        if rise < RISE_MAX:
+        if rise < CHI2_RISE_MAX:
             wide = _at_most(wide, pose_difference(T, other), max(rise, 1.0))
     return wide
 
@@ -202,8 +204,8 @@ def _at_most(covariance: Array, apart: Array, chi2: float) -> Array:
     return covariance + (1.0 / chi2 - 1.0 / claimed) * np.outer(apart, apart)
 
 
-AGE_MAX_S = 0.5
-PLAUSIBLE_CHI2 = 16.8  # 6 degrees of freedom, 99 %
+PRIOR_AGE_MAX_S = 0.5
+PRIOR_CHI2_MAX = 16.8  # 6 degrees of freedom, 99 %
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from server.vision.border_fit import border_covered, printed_pattern, sides_with
 from server.vision.charuco import board_sighting, why_no_corner
 from server.vision.charuco_saddle import fit_saddles
 from server.vision.contracts import (
-    AT_TWO_PLACES,
-    NO_WHITE_MARGIN,
+    DUPLICATE_MARKER_REASON,
+    NO_WHITE_MARGIN_REASON,
     Array,
     Image,
     MarkerView,
@@ -29,7 +29,7 @@ from server.vision.edge_fit import fit_corners
 from server.vision.errors import NoMarkersError
 from server.vision.marker_search import wrong_cells
 from server.vision.object_pose import (
-    NO_RIVAL,
+    NO_RIVAL_CHI2_MARGIN,
     ObjectName,
     PoseSettings,
     estimate_object_pose,
@@ -41,8 +41,8 @@ from server.vision.pose_problem import PointSighting, Sighting
 from server.vision.pose_refinement import PointObservations, distinct_minima
 
 BLACK_MEAN_GREY = 4.0
-SATURATED_FRAC = 0.5
-NOTHING = EyeDetection({}, {}, frozenset(), full_search=False)
+SATURATED_MAX_FRAC = 0.5
+EMPTY_DETECTION = EyeDetection({}, {}, frozenset(), full_search=False)
 
 
 def markers_by_object(machine: Machine) -> dict[ObjectName, tuple[Marker, ...]]:
@@ -66,7 +66,7 @@ def image_problem(name: str, image: Image) -> str:
     thumb = image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)]
     if float(thumb.mean()) < BLACK_MEAN_GREY:
         return f"{name} image is black; check lens cap, light and exposure"
-    if float((thumb >= 254).mean()) > SATURATED_FRAC:
+    if float((thumb >= 254).mean()) > SATURATED_MAX_FRAC:
         return f"{name} image is saturated; reduce exposure or light"
     return ""
 
@@ -83,11 +83,11 @@ def sightings_of(markers: Iterable[Marker], left: dict[int, Array], right: dict[
 def detect_safely(detector: EyeDetector, image: Image) -> EyeDetection:
     """Markers in one image of any kind: what cannot be searched shows none."""
     if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape, default=0) == 0:
-        return NOTHING
+        return EMPTY_DETECTION
     try:
         return detector.detect(image)
     except cv2.error:  # a shape OpenCV cannot search shows no marker
-        return NOTHING
+        return EMPTY_DETECTION
 
 
 def warm_up_markers() -> None:
@@ -167,7 +167,7 @@ class ArucoSettings:
     """Settings of the marker pose source."""
 
     detection: DetectionSettings = field(default_factory=DetectionSettings)
-    pose: PoseSettings = field(default_factory=PoseSettings)
+    pose_estimation: PoseSettings = field(default_factory=PoseSettings)
 
 
 class ArucoPoseSource:
@@ -206,14 +206,14 @@ class ArucoPoseSource:
             *boards["tool"],
             *boards["ooi"],
         )
-        contradiction = rig_contradiction(everything, self._camera, self._settings.pose)
+        contradiction = rig_contradiction(everything, self._camera, self._settings.pose_estimation)
         for name, markers in self._markers.items():
             usable = tuple(marker for marker in markers if marker.marker_id not in repeated)
             sightings = (*sightings_of(usable, found[0].markers, found[1].markers), *boards[name])
             last = self._last.get(name)
             prior = None if last is None else prior_from(last, age_s)
             poses[name], object_views = estimate_object_pose(
-                name, sightings, self._camera, self._settings.pose, contradiction, prior
+                name, sightings, self._camera, self._settings.pose_estimation, contradiction, prior
             )
             if not sightings:
                 reasons = [*problems, *_why_unused(found, markers), *self._boards.why_unseen(name, decoded)]
@@ -240,19 +240,19 @@ def _unused_views(found: tuple[EyeDetection, EyeDetection], known: set[int]) -> 
         reason = f"marker {number} is partly covered or shaded; clear the view to all four of its sides"
         if number in left.no_margin | right.no_margin:
             remedy = "print it with at least one cell of white"
-            reason = f"marker {number} has {NO_WHITE_MARGIN} around its black border; {remedy}"
+            reason = f"marker {number} has {NO_WHITE_MARGIN_REASON} around its black border; {remedy}"
         seen = left.covered.get(number), right.covered.get(number)
         views[number] = MarkerView(number, *seen, float("nan"), False, reason)
-    for number in sorted((left.inverted | right.inverted) - known - views.keys()):
+    for number in sorted((left.inverted_ids | right.inverted_ids) - known - views.keys()):
         reason = f"marker {number} is printed white on black; print it black on white"
         views[number] = MarkerView(number, None, None, float("nan"), False, reason)
     for number in sorted(left.repeated_ids | right.repeated_ids):
-        reason = f"marker id {number} is {AT_TWO_PLACES}; cover or remove one"
+        reason = f"marker id {number} is {DUPLICATE_MARKER_REASON}; cover or remove one"
         views[number] = MarkerView(number, None, None, float("nan"), False, reason)
     return list(views.values())
 
 
-MONO_SIGMA_PX = 0.5  # of unrefined corners
+MONO_CORNER_SIGMA_PX = 0.5  # of unrefined corners
 
 
 class MonoArucoPoseSource:
@@ -297,7 +297,7 @@ class MonoArucoPoseSource:
         T_cam_object = solutions[0] @ inverse_pose(marker.T_on_marker)
         covariance = _rough_covariance(T_cam_object, marker.side_m, self._camera.fx_px)
         ids = (marker.marker_id,)
-        return ObjectPose(name, PoseStatus.OK, "", T_cam_object, covariance, ids, float("nan"), NO_RIVAL)
+        return ObjectPose(name, PoseStatus.OK, "", T_cam_object, covariance, ids, float("nan"), NO_RIVAL_CHI2_MARGIN)
 
 
 def _quadrilateral_area(corners: Array | None) -> float:
@@ -310,8 +310,8 @@ def _quadrilateral_area(corners: Array | None) -> float:
 def _rough_covariance(T_cam_object: Array, side_m: float, focal_px: float) -> Array:
     """Rules of thumb for a frontal marker: lateral s z/(2 f), range 0.75 s z^2/(f a), tilt 1.9 s z^2/(f a^2)."""
     z = float(T_cam_object[2, 3])
-    lateral = MONO_SIGMA_PX * z / (2.0 * focal_px)
-    along = 0.75 * MONO_SIGMA_PX * z * z / (focal_px * side_m)
-    tilt = 1.9 * MONO_SIGMA_PX * z * z / (focal_px * side_m**2)
-    roll = MONO_SIGMA_PX * z / (focal_px * side_m)
+    lateral = MONO_CORNER_SIGMA_PX * z / (2.0 * focal_px)
+    along = 0.75 * MONO_CORNER_SIGMA_PX * z * z / (focal_px * side_m)
+    tilt = 1.9 * MONO_CORNER_SIGMA_PX * z * z / (focal_px * side_m**2)
+    roll = MONO_CORNER_SIGMA_PX * z / (focal_px * side_m)
     return np.diag(np.square([tilt, tilt, roll, lateral, lateral, along]))

@@ -8,8 +8,8 @@ from server.vision.contracts import Array, Image
 from server.vision.edge_fit import side_length_min
 from server.vision.quadrilateral import grey_at, of_unit_square
 
-PER_CELL = 4  # samples along and across a cell
-TRIED_CELLS = 0.15  # how far a side is tried outward and inward
+SAMPLES_PER_CELL = 4  # samples along and across a cell
+BORDER_SHIFT_CELLS = 0.15  # how far a side is tried outward and inward
 CELL_MIN_PX = 4.0  # smaller cells do not show their parts
 MOVED_MIN_CELLS, MOVED_MIN_PX = 0.10, 0.8  # clean ones stay below 0.07 and 0.6, in shade and blur
 NO_MATCH = -2.0
@@ -20,7 +20,7 @@ def printed_pattern(white: NDArray[np.bool_]) -> Array:
 
     Less their slope, so that light that falls off across the marker says nothing.
     """
-    fine = np.kron(white[1:-1, 1:-1], np.ones((PER_CELL, PER_CELL))).astype(np.float64)
+    fine = np.kron(white[1:-1, 1:-1], np.ones((SAMPLES_PER_CELL, SAMPLES_PER_CELL))).astype(np.float64)
     along = _cell_sample_positions(len(white)) - 0.5
     fine -= fine.mean()
     for axis in (0, 1):
@@ -30,24 +30,26 @@ def printed_pattern(white: NDArray[np.bool_]) -> Array:
 
 
 def _cell_sample_positions(cells: int) -> Array:
-    return np.asarray((np.arange((cells - 2) * PER_CELL) + 0.5) / (cells * PER_CELL) + 1.0 / cells, dtype=np.float64)
+    return np.asarray(
+        (np.arange((cells - 2) * SAMPLES_PER_CELL) + 0.5) / (cells * SAMPLES_PER_CELL) + 1.0 / cells, dtype=np.float64
+    )
 
 
 @njit(cache=True, nogil=True)
 def _pattern_correlation(image: Image, corners: Array, pattern: Array) -> float:
     """Correlation of the picture with the printed cells where corners (4, 2) put them, less the slope of the light."""
     k = pattern.shape[0]
-    cells = k // PER_CELL + 2
+    cells = k // SAMPLES_PER_CELL + 2
     good, place = of_unit_square(corners, 1e-9)
     if not good:
         return NO_MATCH
     a, b, c, d, e, f, g, h = place
     total, squares, along, across, product, pattern2, place2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for row in range(k):
-        t = (row + 0.5) / (cells * PER_CELL) + 1.0 / cells
+        t = (row + 0.5) / (cells * SAMPLES_PER_CELL) + 1.0 / cells
         place2 += (t - 0.5) ** 2
         for column in range(k):
-            s = (column + 0.5) / (cells * PER_CELL) + 1.0 / cells
+            s = (column + 0.5) / (cells * SAMPLES_PER_CELL) + 1.0 / cells
             w = g * s + h * t + 1.0
             grey = grey_at(image, (a * s + b * t + c) / w, (d * s + e * t + f) / w)
             if grey < 0.0:
@@ -73,13 +75,13 @@ def sides_moved_in(image: Image, corners: Array, pattern: Array) -> Array:
     Args:    image: grey (h, w). corners (4, 2) [px], top left first, clockwise as printed. pattern: `printed_pattern`.
     """
     moved = np.zeros(4)
-    cells = pattern.shape[0] // PER_CELL + 2
+    cells = pattern.shape[0] // SAMPLES_PER_CELL + 2
     here = _pattern_correlation(image, corners, pattern)
     tried, found = np.empty((4, 2)), np.zeros(2)
     for side in range(4):
         i, j, before, behind = side, (side + 1) % 4, (side + 3) % 4, (side + 2) % 4
         for way in range(2):
-            share = (1.0 - 2.0 * way) * TRIED_CELLS / cells
+            share = (1.0 - 2.0 * way) * BORDER_SHIFT_CELLS / cells
             tried[:] = corners
             for axis in range(2):
                 tried[i, axis] += share * (corners[i, axis] - corners[before, axis])
@@ -90,10 +92,11 @@ def sides_moved_in(image: Image, corners: Array, pattern: Array) -> Array:
         bend = found[0] - 2.0 * here + found[1]
         if bend < -1e-9:
             moved[side] = min(
-                max(0.5 * TRIED_CELLS * (found[1] - found[0]) / bend, -3.0 * TRIED_CELLS), 3.0 * TRIED_CELLS
+                max(0.5 * BORDER_SHIFT_CELLS * (found[1] - found[0]) / bend, -3.0 * BORDER_SHIFT_CELLS),
+                3.0 * BORDER_SHIFT_CELLS,
             )
         elif found[0] > found[1]:
-            moved[side] = 3.0 * TRIED_CELLS
+            moved[side] = 3.0 * BORDER_SHIFT_CELLS
     return moved
 
 
@@ -102,7 +105,7 @@ def border_covered(image: Image, corners_px: Array, pattern: Array, bow_px: floa
 
     Args: as `sides_moved_in`. bow_px: how far the lens bows a side, which the cells follow and the corners do not.
     """
-    cell_px = side_length_min(corners_px) / (pattern.shape[0] // PER_CELL + 2)
+    cell_px = side_length_min(corners_px) / (pattern.shape[0] // SAMPLES_PER_CELL + 2)
     if not cell_px >= CELL_MIN_PX:
         return False
     moved = float(sides_moved_in(image, np.ascontiguousarray(corners_px, dtype=np.float64), pattern).max())

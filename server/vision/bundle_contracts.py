@@ -16,7 +16,9 @@ Mask = NDArray[np.bool_]
 
 # Named tuples where compiled kernels take them: numba does not take dataclasses.
 
-PRIOR = 1e-6  # information on a point's direction and relative depth: sigma 1000, so that no point block is singular
+POINT_PRIOR_INFORMATION = (
+    1e-6  # information on a point's direction and relative depth: sigma 1000, so that no point block is singular
+)
 
 
 class BundleWork(NamedTuple):
@@ -30,20 +32,20 @@ class BundleWork(NamedTuple):
     columns (longest track,): one point's.
     """
 
-    weight: Array
-    pull: Array
-    arm: Array
-    squares: Array
-    chart: Array
-    lower: Array
-    damped: Array
-    anchor: Indices
-    reduced: Array
-    right: Array
-    diagonal: Array
-    rows: Array
+    observation_information: Array
+    observation_gradient: Array
+    eye_to_point: Array
+    squared_residuals: Array
+    point_chart: Array
+    point_cholesky: Array
+    point_damping: Array
+    anchor_frames: Indices
+    reduced_matrix: Array
+    reduced_rhs: Array
+    reduced_diagonal: Array
+    point_frame_blocks: Array
     point_step: Array
-    columns: Indices
+    point_frame_columns: Indices
 
 
 class BundleInputError(VisionError):
@@ -82,13 +84,13 @@ class BundleProblem:
 
     Ts_vo_cam: Array
     points_vo: Array
-    frames: Indices
-    points: Indices
-    uv: Array
+    frame_indices: Indices
+    point_indices: Indices
+    rays: Array
     sigma_px: Array
     focal_px: tuple[float, float]
     baseline_m: float
-    fixed: Mask
+    fixed_frames: Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +100,9 @@ class BundleSettings:
     loss: BundleLoss = BundleLoss.HUBER
     loss_scale: float = 2.0  # in sigmas; with `trim` times the noise, where residuals are larger than their sigma
     inlier_sigma: float = 4.0  # an eye's residual beyond this (times the noise, where that is above 1) is an outlier
-    trim: bool = True  # leave outliers out and adjust again: a loss lets each of them pull a little (not with NONE)
+    trim_outliers: bool = (
+        True  # leave outliers out and adjust again: a loss lets each of them pull a little (not with NONE)
+    )
     iterations_max: int = 50
     step_tol_sigma: float = 1e-2  # stop when no combination of unknowns moves by more than this many of its sigmas
     depth_min_m: float = 0.02  # an observation whose point lies nearer, or behind the eye, is not used
@@ -149,15 +153,15 @@ class BundleLayout(NamedTuple):
     to first[p + 1]. scale (n, 4): focal / sigma, 0 = not seen.
     """
 
-    frame: Indices
-    first: Indices
+    frame_indices: Indices
+    first_observation: Indices
     rays: Array
-    scale: Array
-    alive: Mask
-    joint: bool
+    focal_over_sigma: Array
+    in_front: Mask
+    shared_row: bool
     baseline: float
     depth_min: float
-    column: Indices
+    frame_columns: Indices
     n_columns: int
     loss: int
     loss_scale: float
@@ -165,19 +169,19 @@ class BundleLayout(NamedTuple):
 
 def check_shapes(problem: BundleProblem) -> None:
     """Raise BundleInputError where arrays do not fit together."""
-    k, m, n = len(problem.Ts_vo_cam), len(problem.points_vo), len(problem.frames)
+    k, m, n = len(problem.Ts_vo_cam), len(problem.points_vo), len(problem.frame_indices)
     wanted = {
         "Ts_vo_cam": (problem.Ts_vo_cam, (k, 4, 4)),
         "points_vo": (problem.points_vo, (m, 3)),
-        "points": (problem.points, (n,)),
-        "uv": (problem.uv, (n, 3) if problem.uv.ndim == 2 and problem.uv.shape[1] == 3 else (n, 4)),
+        "points": (problem.point_indices, (n,)),
+        "uv": (problem.rays, (n, 3) if problem.rays.ndim == 2 and problem.rays.shape[1] == 3 else (n, 4)),
         "sigma_px": (problem.sigma_px, (n, 2)),
-        "fixed": (problem.fixed, (k,)),
+        "fixed": (problem.fixed_frames, (k,)),
     }
     for name, (array, shape) in wanted.items():
         if array.shape != shape:
             raise BundleInputError(f"{name} has shape {array.shape}; {shape} is needed")
-    for name, indices, limit in (("frames", problem.frames, k), ("points", problem.points, m)):
+    for name, indices, limit in (("frames", problem.frame_indices, k), ("points", problem.point_indices, m)):
         whole = np.issubdtype(indices.dtype, np.integer)
         if n and not (whole and 0 <= indices.min() <= indices.max() < limit):
             raise BundleInputError(f"{name} has to hold whole numbers from 0 to {limit - 1}")
@@ -185,11 +189,11 @@ def check_shapes(problem: BundleProblem) -> None:
 
 def _rays_and_seen_mask(problem: BundleProblem) -> tuple[Array, Mask]:
     """Rays (n, 4) with 0 where an eye does not see the point, and which coordinates are measured (n, 4)."""
-    uv = np.full((len(problem.frames), 4), np.nan)
-    uv[:, : problem.uv.shape[1]] = problem.uv
+    uv = np.full((len(problem.frame_indices), 4), np.nan)
+    uv[:, : problem.rays.shape[1]] = problem.rays
     seen = ~np.isnan(uv)
     seen[:, :2] &= seen[:, :2].all(axis=1, keepdims=True)
-    if problem.uv.shape[1] == 4:
+    if problem.rays.shape[1] == 4:
         seen[:, 2:] &= seen[:, 2:].all(axis=1, keepdims=True)
     return np.where(seen, uv, 0.0), seen
 
@@ -198,22 +202,24 @@ def kernel_layout_and_start(
     problem: BundleProblem, settings: BundleSettings
 ) -> tuple[BundleLayout, BundleState, Indices]:
     """Layout and start, and the order (n,) in which the observations were sorted."""
-    order = np.argsort(problem.points, kind="stable")
+    order = np.argsort(problem.point_indices, kind="stable")
     rays, seen = _rays_and_seen_mask(problem)
     focal = np.array(problem.focal_px, dtype=float)
     with np.errstate(all="ignore"):
         scale = np.tile(focal, 2) / np.repeat(problem.sigma_px, 2, axis=1)
-    unknown = ~problem.fixed
+    unknown = ~problem.fixed_frames
     layout = BundleLayout(
-        frame=np.ascontiguousarray(problem.frames[order], dtype=np.int64),
-        first=np.searchsorted(problem.points[order], np.arange(len(problem.points_vo) + 1)).astype(np.int64),
+        frame_indices=np.ascontiguousarray(problem.frame_indices[order], dtype=np.int64),
+        first_observation=np.searchsorted(problem.point_indices[order], np.arange(len(problem.points_vo) + 1)).astype(
+            np.int64
+        ),
         rays=np.ascontiguousarray(rays[order]),
-        scale=np.ascontiguousarray(np.where(seen, scale, 0.0)[order]),
-        alive=np.ascontiguousarray(np.asarray(seen.any(axis=1))[order]),
-        joint=problem.uv.shape[1] == 3,
+        focal_over_sigma=np.ascontiguousarray(np.where(seen, scale, 0.0)[order]),
+        in_front=np.ascontiguousarray(np.asarray(seen.any(axis=1))[order]),
+        shared_row=problem.rays.shape[1] == 3,
         baseline=float(problem.baseline_m),
         depth_min=float(settings.depth_min_m),
-        column=np.where(unknown, np.cumsum(unknown) - 1, -1).astype(np.int64),
+        frame_columns=np.where(unknown, np.cumsum(unknown) - 1, -1).astype(np.int64),
         n_columns=int(unknown.sum()),
         loss=settings.loss.value,
         loss_scale=float(settings.loss_scale),
@@ -225,21 +231,21 @@ def kernel_layout_and_start(
 
 def make_work(layout: BundleLayout) -> BundleWork:
     """Room for one adjustment."""
-    n, m, c = len(layout.frame), len(layout.first) - 1, 6 * layout.n_columns
-    longest = int(np.diff(layout.first).max(initial=1))
+    n, m, c = len(layout.frame_indices), len(layout.first_observation) - 1, 6 * layout.n_columns
+    longest = int(np.diff(layout.first_observation).max(initial=1))
     return BundleWork(
-        weight=np.zeros((n, 6)),
-        pull=np.zeros((n, 3)),
-        arm=np.zeros((n, 3)),
-        squares=np.zeros((n, 2)),
-        chart=np.zeros((m, 3, 3)),
-        lower=np.zeros((m, 3, 3)),
-        damped=np.zeros((m, 3)),
-        anchor=np.full(m, -1, dtype=np.int64),
-        reduced=np.zeros((c, c)),
-        right=np.zeros(c),
-        diagonal=np.zeros(c),
-        rows=np.zeros((longest, 3, 6)),
+        observation_information=np.zeros((n, 6)),
+        observation_gradient=np.zeros((n, 3)),
+        eye_to_point=np.zeros((n, 3)),
+        squared_residuals=np.zeros((n, 2)),
+        point_chart=np.zeros((m, 3, 3)),
+        point_cholesky=np.zeros((m, 3, 3)),
+        point_damping=np.zeros((m, 3)),
+        anchor_frames=np.full(m, -1, dtype=np.int64),
+        reduced_matrix=np.zeros((c, c)),
+        reduced_rhs=np.zeros(c),
+        reduced_diagonal=np.zeros(c),
+        point_frame_blocks=np.zeros((longest, 3, 6)),
         point_step=np.zeros((m, 3)),
-        columns=np.zeros(longest, dtype=np.int64),
+        point_frame_columns=np.zeros(longest, dtype=np.int64),
     )

@@ -17,23 +17,23 @@ CHI2_MEDIANS = np.array([1.0, 0.4549, 1.3863, 2.3660])  # by degrees of freedom
 
 CONVERGED, UNFINISHED, NOT_FINITE = 0, 1, 2
 DAMPING_START, DAMPING_MIN, DAMPING_MAX = 1e-4, 1e-12, 1e8
-DAMPING_SMALL = 1e-2  # below, a short step means a near optimum and not a short leash
-NOISE = 1e-13  # of the cost: a change below is rounding
-BEHIND_PATIENCE = 4  # steps refused because a point would go behind an eye; then its observation is given up
+NEAR_OPTIMUM_DAMPING_MAX = 1e-2  # below, a short step means a near optimum and not a short leash
+COST_ROUNDING_FRAC = 1e-13  # of the cost: a change below is rounding
+BEHIND_EYE_STEPS_MAX = 4  # steps refused because a point would go behind an eye; then its observation is given up
 
 
 @njit(cache=True, nogil=True)
 def _solve_damped_step(layout: BundleLayout, work: BundleWork, damping: float, step: Array) -> float:
     """Damped step of the frames into `step`, of the points into the workspace; returns the promised gain, -1: none."""
     assemble(layout, work, damping)
-    if not cholesky_in_place(work.reduced):
+    if not cholesky_in_place(work.reduced_matrix):
         return -1.0
     for j in range(len(step)):
-        step[j] = -work.right[j]
-    solve_factored(work.reduced, step)
+        step[j] = -work.reduced_rhs[j]
+    solve_factored(work.reduced_matrix, step)
     gain = back_substitute(layout, work, step)
     for j in range(len(step)):
-        gain += 0.5 * step[j] * (damping * work.diagonal[j] * step[j] - work.right[j])
+        gain += 0.5 * step[j] * (damping * work.reduced_diagonal[j] * step[j] - work.reduced_rhs[j])
     return gain
 
 
@@ -67,7 +67,9 @@ def minimise(
         if not math.isfinite(gain):
             return NOT_FINITE, iteration
         if gain >= 0.0:
-            near = damping <= DAMPING_SMALL and (2.0 * gain < step_tol * step_tol or gain < NOISE * cost)
+            near = damping <= NEAR_OPTIMUM_DAMPING_MAX and (
+                2.0 * gain < step_tol * step_tol or gain < COST_ROUNDING_FRAC * cost
+            )
             apply_step(layout, state, work, step, trial)
             new, behind = observations_cost(layout, trial)
             if behind == 0 and new <= cost:
@@ -80,7 +82,7 @@ def minimise(
             if fresh:
                 continue
             refused += behind > 0
-            if refused >= BEHIND_PATIENCE:
+            if refused >= BEHIND_EYE_STEPS_MAX:
                 drop_behind(layout, trial)
                 cost, _ = observations_cost(layout, state)
                 refused, fresh = 0, True
@@ -103,7 +105,7 @@ class Spread(NamedTuple):
 class BundleFit(NamedTuple):
     """Which eyes (n, 2) see and agree, rms [sigma] of their coordinates, variance factor, redundancy."""
 
-    agree: Mask
+    inliers: Mask
     rms_sigma: float
     variance_factor: float
     redundancy: int
@@ -115,10 +117,10 @@ def frames_spread(layout: BundleLayout, state: BundleState, work: BundleWork, li
     linearise(cut, state, work)
     choose_charts(cut, state, work)
     assemble(cut, work, 0.0)
-    c = len(work.diagonal)
+    c = len(work.reduced_diagonal)
     covariance = np.zeros((c, c))
-    size = np.sqrt(np.maximum(work.diagonal, 1e-300))
-    scaled = work.reduced / size[:, None] / size
+    size = np.sqrt(np.maximum(work.reduced_diagonal, 1e-300))
+    scaled = work.reduced_matrix / size[:, None] / size
     if not cholesky_in_place(scaled):
         return Spread(covariance, np.zeros(c))
     _invert_factored(scaled, covariance)
@@ -148,10 +150,10 @@ def _invert_factored(lower: Array, inverse: Array) -> None:
 
 def seen_counts(layout: BundleLayout) -> Indices:
     """Coordinates (n, 2) that either eye measured of each living observation; a rectified pair is one eye of 3 or 2."""
-    counts = (layout.scale > 0.0).reshape(-1, 2, 2).sum(axis=2)
-    if layout.joint:
+    counts = (layout.focal_over_sigma > 0.0).reshape(-1, 2, 2).sum(axis=2)
+    if layout.shared_row:
         counts = np.column_stack([counts.sum(axis=1), np.zeros(len(counts), dtype=np.int64)])
-    return np.where(layout.alive[:, None], counts, 0)
+    return np.where(layout.in_front[:, None], counts, 0)
 
 
 def noise_of(layout: BundleLayout, squares: Array) -> float:
@@ -176,23 +178,23 @@ def fit_of(layout: BundleLayout, work: BundleWork, limit_sigma: float) -> Bundle
              that still pull).
     """
     counts = seen_counts(layout)
-    agree = (counts > 0) & (work.squares <= limit_sigma**2)
+    agree = (counts > 0) & (work.squared_residuals <= limit_sigma**2)
     redundancy = _degrees_of_freedom(layout, np.where(agree, counts, 0))
-    squares, of = work.squares[agree], counts[agree]
-    influence = float(np.sum(_squared_influence(layout, work.squares[counts > 0])))
+    squares, of = work.squared_residuals[agree], counts[agree]
+    influence = float(np.sum(_squared_influence(layout, work.squared_residuals[counts > 0])))
     slope = float(np.sum(_influence_derivative(layout, squares, of))) / max(int(of.sum()), 1)
     measured = influence / max(redundancy, 1) / max(slope, 0.05) ** 2
-    expected = gaussian_factor(layout.loss, round(layout.loss_scale, 1), 3 if layout.joint else 2)
+    expected = gaussian_factor(layout.loss, round(layout.loss_scale, 1), 3 if layout.shared_row else 2)
     rms = math.sqrt(float(squares.sum()) / max(redundancy, 1))
     return BundleFit(agree, rms, max(measured, expected), redundancy)
 
 
 def _degrees_of_freedom(layout: BundleLayout, counts: Indices) -> int:
     """Agreeing coordinates (counts (n, 2)) minus unknowns; a point takes no more than what was measured of it."""
-    if len(layout.first) == 1:
+    if len(layout.first_observation) == 1:
         return int(counts.sum()) - 6 * layout.n_columns
-    of_point = np.add.reduceat(np.append(counts.sum(axis=1), 0), layout.first[:-1])
-    of_point = np.where(np.diff(layout.first) > 0, of_point, 0)
+    of_point = np.add.reduceat(np.append(counts.sum(axis=1), 0), layout.first_observation[:-1])
+    of_point = np.where(np.diff(layout.first_observation) > 0, of_point, 0)
     return int(counts.sum()) - 6 * layout.n_columns - int(np.minimum(of_point, 3).sum())
 
 

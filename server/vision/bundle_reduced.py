@@ -4,7 +4,7 @@ import math
 
 from numba import njit
 
-from server.vision.bundle_contracts import PRIOR, BundleLayout, BundleState, BundleWork, Indices
+from server.vision.bundle_contracts import POINT_PRIOR_INFORMATION, BundleLayout, BundleState, BundleWork, Indices
 from server.vision.contracts import Array
 
 
@@ -50,13 +50,18 @@ def back_substitute(layout: BundleLayout, work: BundleWork, frames_step: Array) 
     The gain that a damped step promises is (g^T (H + dD)^-1 g + d step^T D step) / 2; elimination splits its first part
     into |L^-1 g|^2 of each point and the same of the reduced system.
     """
-    frame, first, column, anchor = layout.frame, layout.first, layout.column, work.anchor
+    frame, first, column, anchor = (
+        layout.frame_indices,
+        layout.first_observation,
+        layout.frame_columns,
+        work.anchor_frames,
+    )
     weight, arm, chart, lower, damped, step = (
-        work.weight,
-        work.arm,
-        work.chart,
-        work.lower,
-        work.damped,
+        work.observation_information,
+        work.eye_to_point,
+        work.point_chart,
+        work.point_cholesky,
+        work.point_damping,
         work.point_step,
     )
     gain = 0.0
@@ -118,14 +123,14 @@ def choose_charts(layout: BundleLayout, state: BundleState, work: BundleWork) ->
     measurements are nearly linear at any distance; the point itself stays Euclidean in vo, so that the frames' system
     is the ordinary one and an anchor that moves costs nothing.
     """
-    rotation, arm, chart, anchor = state.rotation, work.arm, work.chart, work.anchor
+    rotation, arm, chart, anchor = state.rotation, work.eye_to_point, work.point_chart, work.anchor_frames
     for p in range(len(anchor)):
         anchor[p] = -1
         nearest = math.inf
-        for i in range(layout.first[p], layout.first[p + 1]):
-            f = layout.frame[i]
+        for i in range(layout.first_observation[p], layout.first_observation[p + 1]):
+            f = layout.frame_indices[i]
             z = rotation[f, 0, 2] * arm[i, 0] + rotation[f, 1, 2] * arm[i, 1] + rotation[f, 2, 2] * arm[i, 2]
-            if layout.alive[i] and z < nearest:
+            if layout.in_front[i] and z < nearest:
                 nearest, anchor[p] = z, f
                 for j in range(3):
                     chart[p, j, 0] = z * rotation[f, j, 0]
@@ -136,25 +141,42 @@ def choose_charts(layout: BundleLayout, state: BundleState, work: BundleWork) ->
 @njit(cache=True, nogil=True)
 def assemble(layout: BundleLayout, work: BundleWork, damping: float) -> None:
     """Reduced system and right side for J^T W J + damping * its diagonal."""
-    frame, first, column, alive = layout.frame, layout.first, layout.column, layout.alive
-    weight, pull, arm, rows, columns = work.weight, work.pull, work.arm, work.rows, work.columns
-    reduced, right, diagonal = work.reduced, work.right, work.diagonal
+    frame, first, column, alive = layout.frame_indices, layout.first_observation, layout.frame_columns, layout.in_front
+    weight, pull, arm, rows, columns = (
+        work.observation_information,
+        work.observation_gradient,
+        work.eye_to_point,
+        work.point_frame_blocks,
+        work.point_frame_columns,
+    )
+    reduced, right, diagonal = work.reduced_matrix, work.reduced_rhs, work.reduced_diagonal
     reduced[:], right[:], diagonal[:] = 0.0, 0.0, 0.0
-    for p in range(len(work.anchor)):
+    for p in range(len(work.anchor_frames)):
         begin, end = first[p], first[p + 1]
         for i in range(begin, end):
             c = column[frame[i]]
             if c >= 0:
                 _add_block(int(6 * c), i, weight, pull, arm, reduced, right, diagonal)
-        if work.anchor[p] >= 0:
-            _factor_point(p, begin, end, damping, weight, pull, work.chart, work.lower, work.damped, work.point_step)
+        if work.anchor_frames[p] >= 0:
+            _factor_point(
+                p,
+                begin,
+                end,
+                damping,
+                weight,
+                pull,
+                work.point_chart,
+                work.point_cholesky,
+                work.point_damping,
+                work.point_step,
+            )
             count = 0
             for i in range(begin, end):
                 if alive[i] and column[frame[i]] >= 0:
                     columns[count] = 6 * column[frame[i]]
-                    _project_rows(p, i, count, work.chart, work.lower, weight, arm, rows)
+                    _project_rows(p, i, count, work.point_chart, work.point_cholesky, weight, arm, rows)
                     count += 1
-            _eliminate_point(p, count, work.point_step, work.lower, columns, rows, reduced, right)
+            _eliminate_point(p, count, work.point_step, work.point_cholesky, columns, rows, reduced, right)
     for j in range(len(diagonal)):
         reduced[j, j] += damping * diagonal[j]
 
@@ -250,7 +272,7 @@ def _factor_point(
         v0, v1, v2 = s0 * x + s3 * y + s5 * z, s3 * x + s1 * y + s4 * z, s5 * x + s4 * y + s2 * z
         for c in range(j, 3):
             L[c, j] = M[0, c] * v0 + M[1, c] * v1 + M[2, c] * v2
-    floor = PRIOR + 1e-12 * (L[0, 0] + L[1, 1] + L[2, 2])
+    floor = POINT_PRIOR_INFORMATION + 1e-12 * (L[0, 0] + L[1, 1] + L[2, 2])
     for j in range(3):
         damped[p, j] = damping * L[j, j] + floor
         L[j, j] += damped[p, j]

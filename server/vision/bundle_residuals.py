@@ -18,14 +18,14 @@ NONE, HUBER, CAUCHY, CUT = 0, 1, 2, 3  # BundleLoss; CUT: 1 below the scale, 0 b
 Three = tuple[float, float, float]
 
 
-SHRINK_MIN = -0.9  # of the relative inverse depth in one step: no point jumps behind its anchor
+INVERSE_DEPTH_STEP_MIN = -0.9  # of the relative inverse depth in one step: no point jumps behind its anchor
 
 
 @njit(cache=True, nogil=True)
 def apply_step(layout: BundleLayout, state: BundleState, work: BundleWork, step: Array, trial: BundleState) -> None:
     """Write the moved state into `trial`: frames by R <- exp(w) R, t <- t + dt, points in their charts."""
-    for frame in range(len(layout.column)):
-        column = layout.column[frame]
+    for frame in range(len(layout.frame_columns)):
+        column = layout.frame_columns[frame]
         if column < 0:
             trial.rotation[frame] = state.rotation[frame]
             trial.position[frame] = state.position[frame]
@@ -34,8 +34,8 @@ def apply_step(layout: BundleLayout, state: BundleState, work: BundleWork, step:
         trial.rotation[frame] = rotated_by_rotvec(state.rotation[frame], part[:3])
         for j in range(3):
             trial.position[frame, j] = state.position[frame, j] + part[3 + j]
-    for p in range(len(work.anchor)):
-        if work.anchor[p] >= 0:
+    for p in range(len(work.anchor_frames)):
+        if work.anchor_frames[p] >= 0:
             _move_point(state, work, p, trial)
         else:
             trial.points[p] = state.points[p]
@@ -43,8 +43,8 @@ def apply_step(layout: BundleLayout, state: BundleState, work: BundleWork, step:
 
 @njit(cache=True, nogil=True)
 def _move_point(state: BundleState, work: BundleWork, p: int, trial: BundleState) -> None:
-    eye, M, d = state.position[work.anchor[p]], work.chart[p], work.point_step[p]
-    shrink = 1.0 / (1.0 + max(d[2], SHRINK_MIN))
+    eye, M, d = state.position[work.anchor_frames[p]], work.point_chart[p], work.point_step[p]
+    shrink = 1.0 / (1.0 + max(d[2], INVERSE_DEPTH_STEP_MIN))
     for j in range(3):  # the chart's third column is minus the arm
         trial.points[p, j] = eye[j] + (M[j, 0] * d[0] + M[j, 1] * d[1] - M[j, 2]) * shrink
 
@@ -101,8 +101,14 @@ def residuals(rays: Array, scale: Array, i: int, ul: float, ur: float, v: float)
 def observations_cost(layout: BundleLayout, state: BundleState) -> tuple[float, int]:
     """Cost of all living observations, and how many of them have their point behind the eye."""
     rotation, position, points = state.rotation, state.position, state.points
-    frame, first, alive, rays, scale = layout.frame, layout.first, layout.alive, layout.rays, layout.scale
-    kind, size, joint, baseline = layout.loss, layout.loss_scale, layout.joint, layout.baseline
+    frame, first, alive, rays, scale = (
+        layout.frame_indices,
+        layout.first_observation,
+        layout.in_front,
+        layout.rays,
+        layout.focal_over_sigma,
+    )
+    kind, size, joint, baseline = layout.loss, layout.loss_scale, layout.shared_row, layout.baseline
     cost, behind = 0.0, 0
     for p in range(len(points)):
         for i in range(first[p], first[p + 1]):
@@ -125,19 +131,30 @@ def observations_cost(layout: BundleLayout, state: BundleState) -> tuple[float, 
 def drop_behind(layout: BundleLayout, state: BundleState) -> None:
     """Leave out for good what has its point behind the eye."""
     for p in range(len(state.points)):
-        for i in range(layout.first[p], layout.first[p + 1]):
-            _, _, z = in_eye(state.rotation, state.position, state.points, layout.frame[i], p)
+        for i in range(layout.first_observation[p], layout.first_observation[p + 1]):
+            _, _, z = in_eye(state.rotation, state.position, state.points, layout.frame_indices[i], p)
             if not z > layout.depth_min:
-                layout.alive[i] = False
+                layout.in_front[i] = False
 
 
 @njit(cache=True, nogil=True)
 def linearise(layout: BundleLayout, state: BundleState, work: BundleWork) -> None:
     """Write S, g, arm and squares of every living observation; zeros for the others."""
     rotation, position, points = state.rotation, state.position, state.points
-    frame, first, alive, rays, scale = layout.frame, layout.first, layout.alive, layout.rays, layout.scale
-    kind, size, joint, baseline = layout.loss, layout.loss_scale, layout.joint, layout.baseline
-    weights, pull, arm, squares = work.weight, work.pull, work.arm, work.squares
+    frame, first, alive, rays, scale = (
+        layout.frame_indices,
+        layout.first_observation,
+        layout.in_front,
+        layout.rays,
+        layout.focal_over_sigma,
+    )
+    kind, size, joint, baseline = layout.loss, layout.loss_scale, layout.shared_row, layout.baseline
+    weights, pull, arm, squares = (
+        work.observation_information,
+        work.observation_gradient,
+        work.eye_to_point,
+        work.squared_residuals,
+    )
     for p in range(len(points)):
         for i in range(first[p], first[p + 1]):
             f = frame[i]

@@ -15,7 +15,7 @@ from server.vision.charuco_saddle import fit_saddles
 from server.vision.contracts import Array, Image
 from server.vision.pose_problem import PointSighting
 
-STRAY_PX = 3.0  # a point that lies further from the common plane is not believed
+PLANE_OUTLIER_MIN_PX = 3.0  # a point that lies further from the common plane is not believed
 GAUSS_NEWTON_STEPS = 3  # from the robust start, which is within a pixel
 POINTS_MIN = 4
 DETERMINANT_MIN = 1e-24  # of the equations scaled to a unit diagonal: points on a line leave nothing
@@ -53,11 +53,13 @@ def fit_plane(plane: Array, pixels: Array, sigmas_px: Array, camera: StereoCamer
     seen = undistort_to_rays(camera, pixels) * camera.fx_px
     if len(plane) < POINTS_MIN or not np.isfinite(seen).all():
         return None
-    start, _ = cv2.findHomography(plane, seen, cv2.RANSAC if len(plane) > POINTS_MIN else 0, STRAY_PX)
+    start, _ = cv2.findHomography(plane, seen, cv2.RANSAC if len(plane) > POINTS_MIN else 0, PLANE_OUTLIER_MIN_PX)
     if start is None or not np.isfinite(start).all() or abs(start[2, 2]) < 1e-9:
         return None
     H = np.asarray(start, dtype=np.float64) / start[2, 2]
-    near = np.linalg.norm(_apply_homography(H, plane) - seen, axis=1) <= np.maximum(STRAY_PX, 3.0 * sigmas_px)
+    near = np.linalg.norm(_apply_homography(H, plane) - seen, axis=1) <= np.maximum(
+        PLANE_OUTLIER_MIN_PX, 3.0 * sigmas_px
+    )
     if near.sum() < POINTS_MIN:
         return None
     return _gauss_newton(H, plane[near], seen[near], sigmas_px[near], camera)
@@ -97,19 +99,21 @@ def _homography_jacobian(H: Array, plane: Array) -> Array:
     return J
 
 
-ROUGHNESS_MAX_FRAC = 0.10  # rms of the fit over its contrast; clean corners stay below 0.05
+FIT_RESIDUAL_MAX_FRAC = 0.10  # rms of the fit over its contrast; clean corners stay below 0.05
 CONTRAST_MIN_GREY = 16.0
-SIDE_MIN_PX = 5.0  # of a square
-MARKER_SIGMA_PX = 0.8  # of a decoded marker's corner before refinement; found chess corners count as CORNER_SIGMA_PX
+SQUARE_SIDE_MIN_PX = 5.0  # of a square
+MARKER_CORNER_SIGMA_PX = (
+    0.8  # of a decoded marker's corner before refinement; found chess corners count as CORNER_SIGMA_PX
+)
 CORNER_SIGMA_PX = 0.2
-TRUST_FRAC = 0.10  # of a square: a corner is looked for only where its place is known to this sigma ...
-MOVE_MAX_FRAC = 0.35  # ... and is it only if it lies this near: the next one alike is 1.4 squares away
+PREDICTION_SIGMA_MAX_FRAC = 0.10  # of a square: a corner is looked for only where its place is known to this sigma ...
+CORNER_SHIFT_MAX_FRAC = 0.35  # ... and is it only if it lies this near: the next one alike is 1.4 squares away
 OFF_PLANE_MIN_PX = 0.5  # a corner may lie this far from the plane of the others, or five times their spread
-OFF_PLANE_SPREADS = 5.0
+OFF_PLANE_MEDIAN_FACTOR = 5.0
 OFF_PLANE_CORNERS_MIN = 8  # fewer cannot outvote one
 CORNERS_MIN = 4  # fewer give no plane, and one by itself may be anything
-STRAY_MARKER_FRAC = 0.35  # of a square: a marker this far from its place belongs to a board described otherwise
-PASSES_MAX = 8  # the corners found show where their neighbours are
+MARKER_OFFSET_MAX_FRAC = 0.35  # of a square: a marker this far from its place belongs to a board described otherwise
+SEARCH_PASSES_MAX = 8  # the corners found show where their neighbours are
 
 
 def board_corners(image: Image, board: Board, found: Mapping[int, Array], camera: StereoCamera) -> Array:
@@ -126,7 +130,7 @@ def board_corners(image: Image, board: Board, found: Mapping[int, Array], camera
     seen = np.full(plane.shape, np.nan)
     markers = _marker_points(board, found)
     where = _agreed_plane(markers, camera)
-    for _ in range(PASSES_MAX):
+    for _ in range(SEARCH_PASSES_MAX):
         if where is None or np.isfinite(seen).all():
             break
         fitted = np.where(np.isnan(seen), _fit_board_corners(image, board, where, plane, np.isnan(seen[:, 0])), seen)
@@ -183,12 +187,14 @@ def _agreed_plane(markers: tuple[Array, Array], camera: StereoCamera) -> BoardPl
     those would give a pose that is wrong by a square.
     """
     plane, pixels = markers
-    where = fit_plane(plane, pixels, np.full(len(plane), MARKER_SIGMA_PX), camera)
+    where = fit_plane(plane, pixels, np.full(len(plane), MARKER_CORNER_SIGMA_PX), camera)
     if where is None:
         return None
     off = np.linalg.norm(where.pixels(plane) - pixels, axis=1).reshape(-1, 4).max(axis=1)
     square = where.pixels(plane + np.array([1.0, 0.0])) - where.pixels(plane)
-    limit = np.maximum(STRAY_PX, STRAY_MARKER_FRAC * np.linalg.norm(square, axis=1).reshape(-1, 4).min(axis=1))
+    limit = np.maximum(
+        PLANE_OUTLIER_MIN_PX, MARKER_OFFSET_MAX_FRAC * np.linalg.norm(square, axis=1).reshape(-1, 4).min(axis=1)
+    )
     return where if np.all(off <= limit) else None
 
 
@@ -197,7 +203,7 @@ def _plane_of(markers: tuple[Array, Array], plane: Array, seen_px: Array, camera
     seen = np.isfinite(seen_px).all(axis=1)
     points = np.concatenate([markers[0], plane[seen]])
     pixels = np.concatenate([markers[1], seen_px[seen]])
-    sigmas = np.repeat([MARKER_SIGMA_PX, CORNER_SIGMA_PX], [len(markers[0]), int(seen.sum())])
+    sigmas = np.repeat([MARKER_CORNER_SIGMA_PX, CORNER_SIGMA_PX], [len(markers[0]), int(seen.sum())])
     return fit_plane(points, pixels, sigmas, camera)
 
 
@@ -208,12 +214,12 @@ def _fit_board_corners(image: Image, board: Board, where: BoardPlane, plane: Arr
     right = where.pixels(plane + x) - where.pixels(plane - x)
     down = where.pixels(plane - y) - where.pixels(plane + y)
     side = np.minimum(np.linalg.norm(right, axis=1), np.linalg.norm(down, axis=1))
-    known = (side >= SIDE_MIN_PX) & (where.sigmas_px(plane) < TRUST_FRAC * side)
+    known = (side >= SQUARE_SIDE_MIN_PX) & (where.sigmas_px(plane) < PREDICTION_SIGMA_MAX_FRAC * side)
     start[~(wanted & known)] = np.nan
     gap_frac = 0.5 * (1.0 - board.marker_m / board.square_m)
     found = fit_saddles(image, start, np.stack([right, down], axis=2), dark_first(board), gap_frac)
-    good = (found[:, 2] < ROUGHNESS_MAX_FRAC) & (found[:, 3] > CONTRAST_MIN_GREY)
-    good &= np.linalg.norm(found[:, :2] - start, axis=1) < MOVE_MAX_FRAC * side
+    good = (found[:, 2] < FIT_RESIDUAL_MAX_FRAC) & (found[:, 3] > CONTRAST_MIN_GREY)
+    good &= np.linalg.norm(found[:, :2] - start, axis=1) < CORNER_SHIFT_MAX_FRAC * side
     return np.where(good[:, None], found[:, :2], np.nan)
 
 
@@ -226,5 +232,5 @@ def _on_plane(seen_px: Array, plane: Array, camera: StereoCamera) -> Array:
     if where is None:
         return seen_px
     off = np.linalg.norm(where.pixels(plane) - seen_px, axis=1)
-    limit = max(OFF_PLANE_MIN_PX, OFF_PLANE_SPREADS * float(np.nanmedian(off)))
+    limit = max(OFF_PLANE_MIN_PX, OFF_PLANE_MEDIAN_FACTOR * float(np.nanmedian(off)))
     return np.where((off <= limit)[:, None], seen_px, np.nan)

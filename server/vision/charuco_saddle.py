@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from server.vision.contracts import Array, Image
 from server.vision.small_algebra import solve_positive
 
-ARM_FRAC = 0.45  # of a square: how far the edges are followed
-ARM_MAX_PX = 14.0
-BAND_PX = 3.0  # on each side of an edge
-GUARD_PX = 1.5  # kept from a marker's side: its blur
+EDGE_LENGTH_FRAC = 0.45  # of a square: how far the edges are followed
+EDGE_LENGTH_MAX_PX = 14.0
+EDGE_BAND_HALF_WIDTH_PX = 3.0  # on each side of an edge
+MARKER_GUARD_PX = 1.5  # kept from a marker's side: its blur
 BLUR_MIN_PX, BLUR_MAX_PX = 0.3, 3.0
 ITERATIONS_MAX = 12
 PIXELS_MIN = 24
@@ -37,7 +37,10 @@ def _gather_edge_pixels(
     if not abs(det) > 1e-9:
         return 0, 0.0
     across_x, across_y = abs(det) / size_y, abs(det) / size_x  # px per square, square to the edges
-    arm_x, arm_y = min(ARM_FRAC, ARM_MAX_PX / size_x), min(ARM_FRAC, ARM_MAX_PX / size_y)
+    arm_x, arm_y = (
+        min(EDGE_LENGTH_FRAC, EDGE_LENGTH_MAX_PX / size_x),
+        min(EDGE_LENGTH_FRAC, EDGE_LENGTH_MAX_PX / size_y),
+    )
     reach_u = abs(J[0, 0]) * arm_x + abs(J[0, 1]) * arm_y
     reach_v = abs(J[1, 0]) * arm_x + abs(J[1, 1]) * arm_y
     height, width = image.shape
@@ -49,10 +52,12 @@ def _gather_edge_pixels(
             if abs(right) > arm_x or abs(down) > arm_y:
                 continue
             off_x, off_y = abs(right) * across_x, abs(down) * across_y
-            if min(off_x, off_y) > BAND_PX:
+            if min(off_x, off_y) > EDGE_BAND_HALF_WIDTH_PX:
                 continue
             dark = (right * down > 0.0) == dark_first
-            near_marker = off_x > gap_frac * across_x - GUARD_PX and off_y > gap_frac * across_y - GUARD_PX
+            near_marker = (
+                off_x > gap_frac * across_x - MARKER_GUARD_PX and off_y > gap_frac * across_y - MARKER_GUARD_PX
+            )
             if not dark and near_marker and (off_x > 1.5 or off_y > 1.5):
                 continue
             wanted += 1
@@ -136,7 +141,7 @@ def fit_saddle(image: Image, start: Array, J: Array, dark_first: bool, gap_frac:
              the other way round than asked.
     """
     failed = np.full(5, np.nan)
-    pixels = np.empty((int(4.0 * (2.0 * ARM_MAX_PX + 2.0) * (2.0 * BAND_PX + 3.0)), 3))
+    pixels = np.empty((int(4.0 * (2.0 * EDGE_LENGTH_MAX_PX + 2.0) * (2.0 * EDGE_BAND_HALF_WIDTH_PX + 3.0)), 3))
     p = np.empty(N_PARAMETERS)
     p[0], p[1] = start[0], start[1]
     p[2], p[3] = math.atan2(J[1, 0], J[0, 0]), math.atan2(J[1, 1], J[0, 1])

@@ -22,11 +22,11 @@ class PoseStatus(Enum):
 
 
 # Words in the reason of a view or pose by which others know what was found; never written out a second time.
-NO_WHITE_MARGIN = "no white margin"  # a print's sides are no edges by which to judge a picture
-AT_TWO_PLACES = "visible at two places"
-MOVED_ON_BOARD = "moved on its board"
-EYES_SWAPPED = "left and right eye are swapped"
-ROWS_DIFFER = "rows of the two eyes differ"
+NO_WHITE_MARGIN_REASON = "no white margin"  # a print's sides are no edges by which to judge a picture
+DUPLICATE_MARKER_REASON = "visible at two places"
+MOVED_MARKER_REASON = "moved on its board"
+EYES_SWAPPED_REASON = "left and right eye are swapped"
+ROWS_DIFFER_REASON = "rows of the two eyes differ"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class ObjectPose:
     `T_cam_object` and `covariance` are None when status is NOT_SEEN or REJECTED.
     """
 
-    on: Literal["tool", "ooi"]
+    object_name: Literal["tool", "ooi"]
     status: PoseStatus
     reason: str
     T_cam_object: Array | None
@@ -70,9 +70,9 @@ class PairObservation:
     t_exposure_ns: int
     tool: ObjectPose
     ooi: ObjectPose
-    views: tuple[MarkerView, ...]
+    marker_views: tuple[MarkerView, ...]
     warnings: tuple[str, ...]
-    searched: bool = True
+    fully_searched: bool = True
 
 
 class ObjectPoseSource(Protocol):

@@ -29,11 +29,11 @@ from server.vision.marker_search import (
 )
 
 #: Searches in a row that missed a marker, at which white-on-black prints are looked for: soon, then twice again.
-LOOKS_FOR_INVERTED = (2, 8, 32)
+INVERTED_SEARCH_MISSES = (2, 8, 32)
 
 WRONG_CELLS_MAX = 0
 SHAPE_CHANGE_MAX_FRAC = 0.10  # of a side's length from pair to pair; more does not come from a crane's motion
-TURN_MIN_PX = 0.5  # the sag of the sides is computed again once the corners have moved by this much
+SAG_UPDATE_MOTION_MIN_PX = 0.5  # the sag of the sides is computed again once the corners have moved by this much
 
 
 @dataclass(slots=True)
@@ -80,7 +80,7 @@ class MarkerFollower:
         """Take over where the markers are in this pair; what is not clean is forgotten."""
         followed: dict[int, _TrackedMarker] = {}
         for marker_id, marker in found.items():
-            if marker.fit is not SideFit.CLEAN:
+            if marker.side_fit is not SideFit.CLEAN:
                 continue
             last = self._followed.get(marker_id)
             if last is None:
@@ -91,7 +91,7 @@ class MarkerFollower:
         self._followed = followed
 
     def _cached_side_sags(self, known: _TrackedMarker, corners_px: Array) -> Array:
-        if float(np.abs(corners_px - known.sags_at_px).max()) > TURN_MIN_PX:
+        if float(np.abs(corners_px - known.sags_at_px).max()) > SAG_UPDATE_MOTION_MIN_PX:
             known.sags_px, known.sags_at_px = side_sags(self._camera, corners_px), corners_px
         return known.sags_px
 
@@ -139,7 +139,7 @@ class EyeDetection:
     repeated_ids: frozenset[int]
     full_search: bool
     no_margin: frozenset[int] = frozenset()  # of the covered ones: printed without white around the black border
-    inverted: frozenset[int] = frozenset()  # missing, but seen white on black at the last look for such prints
+    inverted_ids: frozenset[int] = frozenset()  # missing, but seen white on black at the last look for such prints
 
 
 class EyeDetector:
@@ -199,7 +199,7 @@ class EyeDetector:
             self._follower.store_marker_positions(found)
         clean = {marker.marker_id: marker.corners_px for marker in found.values() if not marker.covered}
         covered = {marker.marker_id: marker.corners_px for marker in found.values() if marker.covered}
-        bare = frozenset(marker.marker_id for marker in found.values() if marker.fit is SideFit.NO_MARGIN)
+        bare = frozenset(marker.marker_id for marker in found.values() if marker.side_fit is SideFit.NO_MARGIN)
         return EyeDetection(clean, covered, self._repeated, full_search, bare, self._inverted - found.keys())
 
     def _detect_markers(self, image: Image) -> tuple[FoundMarker, ...]:
@@ -246,7 +246,7 @@ class EyeDetector:
         everything = known | {marker_id: self._refined_if_wanted(marker, image) for marker_id, marker in new.items()}
         single = {marker_id: marker for marker_id, marker in everything.items() if marker_id not in self._repeated}
         self._missed_searches = 0 if self._wanted <= single.keys() else self._missed_searches + 1
-        if self._missed_searches in LOOKS_FOR_INVERTED or not self._missed_searches:
+        if self._missed_searches in INVERTED_SEARCH_MISSES or not self._missed_searches:
             self._inverted = self._white_on_black(image) if self._missed_searches else frozenset()
         return self._record_detection(single, full_search=True)
 

@@ -20,7 +20,9 @@ BLUR_MIN_PX, BLUR_MAX_PX, BLUR_START_PX = 0.3, 3.0, 0.8
 ITERATIONS_MAX = 10
 CELL_MIN_PX = 1.6
 COARSE_STATIONS, FINE_STATIONS = 24, 64  # pixel rows read across a side; of a long one every second or third
-ROUGHNESS_MAX_FRAC = 0.10  # rms of the edge fit over its contrast; clean sides reach 0.035, covered ones start at 0.13
+FIT_RESIDUAL_MAX_FRAC = (
+    0.10  # rms of the edge fit over its contrast; clean sides reach 0.035, covered ones start at 0.13
+)
 COARSE_PX, FINE_PX = 2e-2, 5e-4  # a fit ends when its ends move by less
 _TABLE_END, _TABLE_PER_UNIT = 6.0, 256.0
 _STEP = ndtr(np.arange(-_TABLE_END, _TABLE_END + 2.0 / _TABLE_PER_UNIT, 1.0 / _TABLE_PER_UNIT))  # good to 5e-7
@@ -277,7 +279,7 @@ def fit_corners(image: Image, corners_px: Array, cells: int, sags_px: Array) -> 
         if not good:
             return SideFit.COVERED, corners_px
     moved = float(np.max(np.abs(current - corners_px)))
-    if roughness > ROUGHNESS_MAX_FRAC or moved > max(2.5, 0.6 * cell):
+    if roughness > FIT_RESIDUAL_MAX_FRAC or moved > max(2.5, 0.6 * cell):
         return SideFit.COVERED, corners_px
     return SideFit.CLEAN, current
 

@@ -109,5 +109,5 @@ def pair_error(tool: ObjectPose, ooi: ObjectPose, T_ooi_goal: Array, common: Arr
 
 def _pose_and_covariance(found: ObjectPose) -> tuple[Array, Array]:
     if found.T_cam_object is None or found.covariance is None:
-        raise NoPoseError(f"{found.on} has no pose ({found.status.value}): {found.reason}")
+        raise NoPoseError(f"{found.object_name} has no pose ({found.status.value}): {found.reason}")
     return found.T_cam_object, found.covariance

@@ -13,11 +13,11 @@ from server.vision.contracts import Array, Look, LookStatus, ObjectPose, PairObs
 ITERATIONS_MAX = 20
 MAD_TO_SIGMA = 1.4826
 OUTLIER_CHI2 = 16.3  # 3 degrees of freedom, 99.9 %
-CHI2_3_MEDIAN = 2.366
-SCATTER_MIN = 8  # fewer poses do not show their own scatter
+CHI2_3DOF_MEDIAN = 2.366
+SCATTER_POSES_MIN = 8  # fewer poses do not show their own scatter
 TRACY_WIDOM_99 = 2.02
-CORRELATED_ALL = 2.33 / np.sqrt(6.0)  # standard errors of a correlation that six axes share: 1 %
-CORRELATED_ONE = 1.645  # of one axis alone: 5 %, for a drift that is passed over costs more than a few poses
+SHARED_CORRELATION_SIGMAS = 2.33 / np.sqrt(6.0)  # standard errors of a correlation that six axes share: 1 %
+AXIS_CORRELATION_SIGMAS = 1.645  # of one axis alone: 5 %, for a drift that is passed over costs more than a few poses
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class PoseMean:
 
     T_mean: Array
     covariance: Array
-    kept: NDArray[np.bool_]
+    inliers: NDArray[np.bool_]
 
 
 def pose_deviations(Ts: Array, T_mean: Array) -> Array:
@@ -73,7 +73,7 @@ def pose_mean(Ts: Array, covariances: Array) -> PoseMean:
     for block in (slice(0, 3), slice(3, 6)):
         part = from_start[:, block]
         chi2 = np.sum(part * np.linalg.solve(covariances[:, block, block], part[..., None])[..., 0], axis=1)
-        kept &= chi2 <= OUTLIER_CHI2 * max(float(np.median(chi2)) / CHI2_3_MEDIAN, 1.0)
+        kept &= chi2 <= OUTLIER_CHI2 * max(float(np.median(chi2)) / CHI2_3DOF_MEDIAN, 1.0)
     if not kept.any():
         kept[:] = True
     T_mean = _mean_pose(Ts[kept], start[:3, :3])
@@ -83,7 +83,7 @@ def pose_mean(Ts: Array, covariances: Array) -> PoseMean:
 def _covariance_of_mean(residuals: Array, covariances: Array) -> Array:
     n = len(residuals)
     predicted = covariances.mean(axis=0)
-    if n < SCATTER_MIN:
+    if n < SCATTER_POSES_MIN:
         return predicted / n
     root = np.linalg.cholesky(predicted + 1e-18 * np.eye(6))
     white = np.linalg.solve(root, residuals.T).T
@@ -114,9 +114,9 @@ def _effective_numbers(white: Array) -> Array:
     """
     n = len(white)
     products, squares = np.sum(white[1:] * white[:-1], axis=0), np.sum(white**2, axis=0)
-    shared = _effective_sample_size(float(products.sum() / max(squares.sum(), 1e-30)), n, CORRELATED_ALL)
+    shared = _effective_sample_size(float(products.sum() / max(squares.sum(), 1e-30)), n, SHARED_CORRELATION_SIGMAS)
     own = [
-        _effective_sample_size(float(p / max(q, 1e-30)), n, CORRELATED_ONE)
+        _effective_sample_size(float(p / max(q, 1e-30)), n, AXIS_CORRELATION_SIGMAS)
         for p, q in zip(products, squares, strict=True)
     ]
     return np.minimum(shared, own)
@@ -131,8 +131,8 @@ def _effective_sample_size(r: float, n: int, limit: float) -> float:
 
 
 SPREAD_SIGMAS, DRIFT_SIGMAS = 2.0, 4.0  # of the predicted noise: more is motion, whatever the limits in mm say
-USED_MIN_FRAC = 0.5  # of the pairs: so many must show both objects
-USABLE = (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS)
+USED_PAIRS_MIN_FRAC = 0.5  # of the pairs: so many must show both objects
+USABLE_POSE_STATUSES = (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS)
 
 
 def average_look(observations: Sequence[PairObservation], spread_max_mm: float = 1.0) -> Look:
@@ -147,8 +147,12 @@ def average_look(observations: Sequence[PairObservation], spread_max_mm: float =
     if not observations:
         reason = "no stereo pairs received; check the camera source and its cable"
         return _failed_look(observations, LookStatus.NO_IMAGES, reason)
-    usable = [pair for pair in observations if pair.tool.status in USABLE and pair.ooi.status in USABLE]
-    if len(usable) < max(1.0, USED_MIN_FRAC * len(observations)):
+    usable = [
+        pair
+        for pair in observations
+        if pair.tool.status in USABLE_POSE_STATUSES and pair.ooi.status in USABLE_POSE_STATUSES
+    ]
+    if len(usable) < max(1.0, USED_PAIRS_MIN_FRAC * len(observations)):
         return _failed_look(observations, *_why_unusable(observations))
     spread_mm, drift_mm = _spread_and_drift_mm(usable)
     noise_mm = _noise_mm(usable)  # far markers scatter by more than the limits without any motion
@@ -162,7 +166,7 @@ def average_look(observations: Sequence[PairObservation], spread_max_mm: float =
         )
         return _failed_look(observations, LookStatus.NOT_AT_REST, reason, spread_mm)
     clear = [pair for pair in usable if pair.tool.status is PoseStatus.OK and pair.ooi.status is PoseStatus.OK]
-    ambiguous = len(clear) < USED_MIN_FRAC * len(usable)
+    ambiguous = len(clear) < USED_PAIRS_MIN_FRAC * len(usable)
     return _averaged_look(observations, usable if ambiguous else clear, spread_mm, ambiguous)
 
 
@@ -170,7 +174,7 @@ def _averaged_look(
     observations: Sequence[PairObservation], taken: Sequence[PairObservation], spread_mm: float, ambiguous: bool
 ) -> Look:
     tool, ooi = _mean_of([pair.tool for pair in taken]), _mean_of([pair.ooi for pair in taken])
-    both = tool.kept & ooi.kept
+    both = tool.inliers & ooi.inliers
     reason = ""
     if ambiguous:
         reason = next(
@@ -194,7 +198,7 @@ def _averaged_look(
 
 def _mean_corners(taken: Sequence[PairObservation]) -> dict[int, tuple[Array | None, Array | None]]:
     """Median corners (4, 2) [raw px] of each marker in each eye, over the pairs that used it."""
-    views = [view for pair in taken for view in pair.views if view.used]
+    views = [view for pair in taken for view in pair.marker_views if view.used]
     found: dict[int, tuple[Array | None, Array | None]] = {}
     for marker_id in sorted({view.marker_id for view in views}):
         own = [view for view in views if view.marker_id == marker_id]
@@ -251,7 +255,7 @@ def _why_unusable(observations: Sequence[PairObservation]) -> tuple[LookStatus, 
     if rejected:
         return LookStatus.REJECTED, f"{len(rejected)} poses rejected in {n} pairs: {rejected[-1].reason}"
     unseen = [found for pair in observations for found in (pair.tool, pair.ooi) if found.status is PoseStatus.NOT_SEEN]
-    status = LookStatus.TOOL_NOT_SEEN if unseen[-1].on == "tool" else LookStatus.OOI_NOT_SEEN
+    status = LookStatus.TOOL_NOT_SEEN if unseen[-1].object_name == "tool" else LookStatus.OOI_NOT_SEEN
     return status, f"tool and OOI together in too few of {n} pairs: {unseen[-1].reason}"
 
 

@@ -15,19 +15,19 @@ from server.vision.edge_fit import SideFit, refine_corners, side_sags
 from server.vision.errors import UnknownDictionaryError
 from server.vision.quadrilateral import grey_at, of_unit_square
 
-SIDE_MIN_PX = 12  # of a picture; the smallest marker has 6 cells
-BARE_SIDES = 3  # of four without white: a cover lies over one or two, and a print may touch something bright
-SAME_PLACE_FRAC = 0.25  # of a marker's size: closer than that, two finds are one marker
+IMAGE_SIDE_MIN_PX = 12  # of a picture; the smallest marker has 6 cells
+MARGINLESS_SIDES_MIN = 3  # of four without white: a cover lies over one or two, and a print may touch something bright
+DUPLICATE_DISTANCE_MAX_FRAC = 0.25  # of a marker's size: closer than that, two finds are one marker
 
 CONTRAST_MIN_GREY = 12.0  # between the cells printed white and those printed black
-QUIET_CELLS = 1  # the black border
+MARKER_BORDER_CELLS = 1  # the black border
 NO_MATCH = 1000
 
 
 def marker_cells(dictionary: "cv2.aruco.Dictionary", marker_id: int) -> NDArray[np.bool_]:
     """Which cells are white (n, n), the black border included, row 0 at the top as printed."""
-    n = int(dictionary.markerSize) + 2 * QUIET_CELLS
-    drawn = cv2.aruco.generateImageMarker(dictionary, marker_id, n, borderBits=QUIET_CELLS)
+    n = int(dictionary.markerSize) + 2 * MARKER_BORDER_CELLS
+    drawn = cv2.aruco.generateImageMarker(dictionary, marker_id, n, borderBits=MARKER_BORDER_CELLS)
     return np.ascontiguousarray(np.asarray(drawn) > 127)
 
 
@@ -83,12 +83,12 @@ class FoundMarker:
 
     marker_id: int
     corners_px: Array
-    fit: SideFit | None = None  # how the refinement ended; None before it. Unless CLEAN the corners are coarse
+    side_fit: SideFit | None = None  # how the refinement ended; None before it. Unless CLEAN the corners are coarse
 
     @property
     def covered(self) -> bool:
         """Whether a side is not a clean edge."""
-        return self.fit in (SideFit.COVERED, SideFit.NO_MARGIN)
+        return self.side_fit in (SideFit.COVERED, SideFit.NO_MARGIN)
 
 
 def dictionary_names() -> tuple[str, ...]:
@@ -153,7 +153,7 @@ def find_markers(
 
     Pixel convention: the centre of the top left pixel is (0, 0). A picture of less than 12 px shows none.
     """
-    if min(image.shape) < SIDE_MIN_PX:  # a place that a smaller picture no longer has
+    if min(image.shape) < IMAGE_SIDE_MIN_PX:  # a place that a smaller picture no longer has
         return ()
     return detect_markers(image, dictionary, search_parameters(max(image.shape), perimeter_min_px))
 
@@ -171,7 +171,7 @@ def same_place(one: FoundMarker, other: FoundMarker) -> bool:
         return False
     size = float(np.linalg.norm(one.corners_px[2] - one.corners_px[0]))
     apart = float(np.linalg.norm(one.corners_px.mean(axis=0) - other.corners_px.mean(axis=0)))
-    return apart < SAME_PLACE_FRAC * size
+    return apart < DUPLICATE_DISTANCE_MAX_FRAC * size
 
 
 def refined_marker(
@@ -184,6 +184,6 @@ def refined_marker(
         image, corners, printed_pattern(cells), float(np.abs(side_sags(camera, corners)).max())
     ):
         fit, corners = SideFit.COVERED, marker.corners_px
-    if fit is SideFit.COVERED and sides_without_margin(image, marker.corners_px, cells) >= BARE_SIDES:
+    if fit is SideFit.COVERED and sides_without_margin(image, marker.corners_px, cells) >= MARGINLESS_SIDES_MIN:
         fit = SideFit.NO_MARGIN
     return FoundMarker(marker.marker_id, corners, fit)

@@ -8,8 +8,8 @@ import numpy as np
 
 from machine.description import StereoCamera
 from server.vision.ambiguity import (
-    AGE_MAX_S,
-    PLAUSIBLE_CHI2,
+    PRIOR_AGE_MAX_S,
+    PRIOR_CHI2_MAX,
     MotionLimits,
     PosePrior,
     chi2_to_prior,
@@ -17,13 +17,21 @@ from server.vision.ambiguity import (
     mirrored_pose,
     widened_covariance,
 )
-from server.vision.contracts import EYES_SWAPPED, MOVED_ON_BOARD, ROWS_DIFFER, Array, MarkerView, ObjectPose, PoseStatus
+from server.vision.contracts import (
+    EYES_SWAPPED_REASON,
+    MOVED_MARKER_REASON,
+    ROWS_DIFFER_REASON,
+    Array,
+    MarkerView,
+    ObjectPose,
+    PoseStatus,
+)
 from server.vision.pose_problem import PointSighting, PoseProblem, SeenGroup, Sighting, pose_problem
 from server.vision.pose_refinement import RefinedPose, distinct_minima
 
 ObjectName = Literal["tool", "ooi"]
-SAME_MINIMUM_RAD = float(np.deg2rad(0.5))
-NO_RIVAL = float("inf")
+SAME_POSE_ANGLE_MAX_RAD = float(np.deg2rad(0.5))
+NO_RIVAL_CHI2_MARGIN = float("inf")
 
 
 # One eye's view of one target that lies: something bright covers an edge, and the corners follow its border.
@@ -32,9 +40,11 @@ NO_RIVAL = float("inf")
 # The other eye looks past it, and the rigid layout outvotes the one view. A target that has really moved lies in both.
 
 TARGETS_MIN = 2  # with one target only nothing can outvote its other eye
-LEFT_SHARE = 0.4  # of the residual at most, once the lying view is out
-RUNNER_UP = 1.5  # leaving out any other view leaves at least so many times as much: it is that view and no other
-EYES = ("left", "right")
+RESIDUAL_LEFT_MAX_FRAC = 0.4  # of the residual at most, once the lying view is out
+RUNNER_UP_RATIO_MIN = (
+    1.5  # leaving out any other view leaves at least so many times as much: it is that view and no other
+)
+EYE_NAMES = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,17 +61,19 @@ def without_covered_view(problem: PoseProblem, best: RefinedPose, apart_rad: flo
     Args: best: the pose by all views; apart_rad: minima nearer than this are one.
     """
     groups = _doubly_seen(problem)
-    if len({group.sighting for group in problem.groups}) < TARGETS_MIN or len(problem.groups) < 4 or not groups:
+    if len({group.sighting_index for group in problem.groups}) < TARGETS_MIN or len(problem.groups) < 4 or not groups:
         return None
     left = np.array([_rms_without(problem, group, best.T_cam_object, apart_rad) for group in groups])
     order = np.argsort(left)
     chosen, least = groups[int(order[0])], float(left[order[0]])
     before = float(np.sqrt(best.sum_squares_px2 / best.residuals_px.size))
-    if least > LEFT_SHARE * before or (len(order) > 1 and left[order[1]] < RUNNER_UP * least):
+    if least > RESIDUAL_LEFT_MAX_FRAC * before or (len(order) > 1 and left[order[1]] < RUNNER_UP_RATIO_MIN * least):
         return None
     sightings = list(problem.sightings)
-    one, eye = sightings[chosen.sighting], EYES[chosen.eye]
-    sightings[chosen.sighting] = replace(one, left_px=None) if chosen.eye == 0 else replace(one, right_px=None)
+    one, eye = sightings[chosen.sighting_index], EYE_NAMES[chosen.eye_index]
+    sightings[chosen.sighting_index] = (
+        replace(one, left_px=None) if chosen.eye_index == 0 else replace(one, right_px=None)
+    )
     return ConsistentSightings(
         tuple(sightings), f"marker {one.target_id} is covered in the {eye} eye by something bright: not used there"
     )
@@ -69,13 +81,13 @@ def without_covered_view(problem: PoseProblem, best: RefinedPose, apart_rad: flo
 
 def _doubly_seen(problem: PoseProblem) -> list[SeenGroup]:
     """Views of targets that the other eye sees, too."""
-    seen = [group.sighting for group in problem.groups]
-    return [group for group in problem.groups if seen.count(group.sighting) > 1]
+    seen = [group.sighting_index for group in problem.groups]
+    return [group for group in problem.groups if seen.count(group.sighting_index) > 1]
 
 
 def _rms_without(problem: PoseProblem, group: SeenGroup, T_cam_object: Array, apart_rad: float) -> float:
     rows = np.ones(len(problem.observations.points_object), dtype=bool)
-    rows[group.first : group.end] = False
+    rows[group.first_row : group.end_row] = False
     found = distinct_minima(T_cam_object[None], problem.observations.subset(rows), apart_rad)
     if not found:
         return float("inf")
@@ -94,14 +106,14 @@ class PoseSettings:
     )
     tilt_sigma_max_deg: float = 12.0  # an orientation known worse than this is not one
     epipolar_max_px: float = 3.0  # row difference of the eyes above which the rig is not what the file says
-    motion: MotionLimits = field(default_factory=MotionLimits)  # how far a pose may be from the one before
+    motion_limits: MotionLimits = field(default_factory=MotionLimits)  # how far a pose may be from the one before
 
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
     """A minimum, its covariance, and by how much chi2 it fits better than the best of the others."""
 
-    fit: RefinedPose
+    refined_pose: RefinedPose
     covariance: Array
     margin_chi2: float
 
@@ -136,7 +148,7 @@ def estimate_object_pose(
     if not minima:
         return _rejected_pose(on, problem, "no pose puts the corners in front of the camera", float("nan"))
     if _residual_rms_px(minima[0]) > settings.covered_rms_px:
-        cleared = without_covered_view(problem, minima[0], SAME_MINIMUM_RAD)
+        cleared = without_covered_view(problem, minima[0], SAME_POSE_ANGLE_MAX_RAD)
         if cleared is not None:
             found, views = estimate_object_pose(on, cleared.sightings, camera, settings, "", prior)
             return replace(found, reason="; ".join(text for text in (found.reason, cleared.reason) if text)), views
@@ -157,7 +169,7 @@ def estimate_object_pose(
 
 def not_seen(on: ObjectName, reason: str) -> ObjectPose:
     """The status of an object that no eye shows."""
-    return ObjectPose(on, PoseStatus.NOT_SEEN, reason, None, None, (), float("nan"), NO_RIVAL)
+    return ObjectPose(on, PoseStatus.NOT_SEEN, reason, None, None, (), float("nan"), NO_RIVAL_CHI2_MARGIN)
 
 
 def fitted_variance(sum_squares_px2: float, dof: int, sigma_px: float) -> float:
@@ -182,22 +194,22 @@ def _contradiction_of(problem: PoseProblem, settings: PoseSettings) -> str:
         return ""
     disparity = float(np.median(left[:, 0] - right[:, 0]))
     if disparity < 0.0:
-        return f"disparity {disparity:.1f} px is negative; {EYES_SWAPPED}"
+        return f"disparity {disparity:.1f} px is negative; {EYES_SWAPPED_REASON}"
     row = float(np.median(left[:, 1] - right[:, 1]))
     if abs(row) > settings.epipolar_max_px:
-        return f"{ROWS_DIFFER} by {row:.1f} px (limit {settings.epipolar_max_px:g} px); recalibrate the rig"
+        return f"{ROWS_DIFFER_REASON} by {row:.1f} px (limit {settings.epipolar_max_px:g} px); recalibrate the rig"
     return ""
 
 
 def _pose_minima(problem: PoseProblem, indices: Sequence[int]) -> list[RefinedPose]:
     """Distinct local minima, the best first."""
     observations = problem.observations_of(indices)
-    found = distinct_minima(problem.starting_poses(indices), observations, SAME_MINIMUM_RAD)
+    found = distinct_minima(problem.starting_poses(indices), observations, SAME_POSE_ANGLE_MAX_RAD)
     if not found:
         return []
     other = mirrored_pose(found[0].T_cam_object, observations.points_object, observations.eye_x_m)
     starts = np.array([*(minimum.T_cam_object for minimum in found), other])
-    return distinct_minima(starts, observations, SAME_MINIMUM_RAD)
+    return distinct_minima(starts, observations, SAME_POSE_ANGLE_MAX_RAD)
 
 
 def _residual_rms_px(refined: RefinedPose) -> float:
@@ -218,7 +230,7 @@ def _without_the_worst(
     if left_out < 0 or _residual_rms_px(best[0]) > settings.residual_max_px:
         return minima, {}
     marker_id = problem.sightings[left_out].target_id
-    reason = f"marker {marker_id} contradicts the others; it has {MOVED_ON_BOARD} or its layout entry is wrong"
+    reason = f"marker {marker_id} contradicts the others; it has {MOVED_MARKER_REASON} or its layout entry is wrong"
     return best, {left_out: reason}
 
 
@@ -238,7 +250,7 @@ def _pose_candidate(
     observations, alone = problem.observations_of(used), len(minima) == 1
     wide = widened_covariance(fit.T_cam_object, covariance, variance, fit.sum_squares_px2, observations, alone)
     others = [minimum.sum_squares_px2 for k, minimum in enumerate(minima) if k != rank]
-    margin = (min(others) - fit.sum_squares_px2) / variance if others else NO_RIVAL
+    margin = (min(others) - fit.sum_squares_px2) / variance if others else NO_RIVAL_CHI2_MARGIN
     return _Candidate(fit, wide, float(margin))
 
 
@@ -246,17 +258,18 @@ def _chosen_by_time(
     both: tuple[_Candidate, _Candidate], settings: PoseSettings, prior: PosePrior | None
 ) -> _Candidate | None:
     """The one of two orientations that follows from the last moments, if these rule the other one out."""
-    if prior is None or not 0.0 <= prior.age_s <= AGE_MAX_S:
+    if prior is None or not 0.0 <= prior.age_s <= PRIOR_AGE_MAX_S:
         return None
     distances = [
-        chi2_to_prior(candidate.fit.T_cam_object, candidate.covariance, prior, settings.motion) for candidate in both
+        chi2_to_prior(candidate.refined_pose.T_cam_object, candidate.covariance, prior, settings.motion_limits)
+        for candidate in both
     ]
     nearer = int(np.argmin(distances))
     winner = both[nearer]
     margin = winner.margin_chi2 + distances[1 - nearer] - distances[nearer]  # images and time together
-    if distances[nearer] > PLAUSIBLE_CHI2 or margin < settings.chi2_margin_min:
+    if distances[nearer] > PRIOR_CHI2_MAX or margin < settings.chi2_margin_min:
         return None
-    return _Candidate(winner.fit, winner.covariance, float(margin))
+    return _Candidate(winner.refined_pose, winner.covariance, float(margin))
 
 
 def _accepted_pose(
@@ -281,7 +294,9 @@ def _accepted_pose(
             reason = f"{on}: two orientations fit; chosen by its pose {prior.age_s:.2f} s ago"
         else:
             status = PoseStatus.ORIENTATION_AMBIGUOUS
-            covariance = covariance_of_both(best.fit.T_cam_object, minima[1].T_cam_object, best.margin_chi2, covariance)
+            covariance = covariance_of_both(
+                best.refined_pose.T_cam_object, minima[1].T_cam_object, best.margin_chi2, covariance
+            )
             reason = (
                 f"{on}: two orientations fit (chi2 margin {best.margin_chi2:.1f}, limit {settings.chi2_margin_min:g}); "
                 "come closer, view it more obliquely, or show another marker"
@@ -292,8 +307,8 @@ def _accepted_pose(
         limit = settings.tilt_sigma_max_deg
         reason = f"{on}: orientation known to {tilt_sigma_deg:.1f} deg only (limit {limit:g}); come closer"
     ids = tuple(problem.sightings[index].target_id for index in used)
-    T, rms = best.fit.T_cam_object, _residual_rms_px(best.fit)
-    return ObjectPose(on, status, reason, T, covariance, ids, rms, best.margin_chi2), best.fit
+    T, rms = best.refined_pose.T_cam_object, _residual_rms_px(best.refined_pose)
+    return ObjectPose(on, status, reason, T, covariance, ids, rms, best.margin_chi2), best.refined_pose
 
 
 def _rejected_pose(
@@ -304,7 +319,7 @@ def _rejected_pose(
         MarkerView(sighting.target_id, sighting.left_px, sighting.right_px, rms_px, False, reason)
         for sighting in problem.sightings
     )
-    return ObjectPose(on, PoseStatus.REJECTED, reason, None, None, ids, rms_px, NO_RIVAL), views
+    return ObjectPose(on, PoseStatus.REJECTED, reason, None, None, ids, rms_px, NO_RIVAL_CHI2_MARGIN), views
 
 
 def _marker_views(

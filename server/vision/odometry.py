@@ -41,7 +41,7 @@ INLIERS_MIN_FRAC = 0.5
 class LastLocatedPair:
     """The last pair whose pose is known, and its inliers: the start for the next one."""
 
-    sight: Sight
+    image_pair: Sight
     motion: Motion
     left_px: Array
     points_vo: Array
@@ -86,7 +86,7 @@ class StereoOdometry:
         self._unique_depth = True
         self._unsure_m = 0.0  # how far the camera may have come unseen, as long as its place may be another one
         height, width = self._shape
-        self._own = OwnStructure(self._shape, int(np.sqrt(height * width / self._settings.features)))
+        self._own = OwnStructure(self._shape, int(np.sqrt(height * width / self._settings.corner_cells)))
 
     def process(
         self,
@@ -120,7 +120,7 @@ class StereoOdometry:
             reason = "too few known points found again: dark, covered, or a new place; go back or start again"
             return self._lost(sight.t_exposure_ns, reason)
         located = self._resolve_ambiguous_place(sight, self._last, located)
-        if self._last.is_keyframe and not located.doubt:
+        if self._last.is_keyframe and not located.doubt_reason:
             located = self._settle_keyframe(sight, self._last, located)
         return self._accept_located_pose(sight, self._last, located)
 
@@ -158,20 +158,20 @@ class StereoOdometry:
         )
         if not others:
             self._unsure_m = 0.0
-            return replace(best, jumped=best is not located)
+            return replace(best, jumped_to_lookalike=best is not located)
         apart_m = min(float(np.linalg.norm(way)) for way in others)
         spread = sum(np.outer(way, way) for way in others) + self._unsure_m**2 * np.eye(3)
         doubt = (
             f"what is seen repeats itself every {1e3 * apart_m:.0f} mm, and after a gap this may be any of its places; "
             "go to where something does not repeat, or start again"
         )
-        return replace(best, places=np.asarray(spread), doubt=doubt, jumped=True)
+        return replace(best, lookalike_covariance_m2=np.asarray(spread), doubt_reason=doubt, jumped_to_lookalike=True)
 
     def _coarse_pose(self, sight: Sight, last: LastLocatedPair) -> Array | None:
         """T_vo_cam by flow from the last pair, the first and the newest keyframe; else by recognising a keyframe."""
         keyframes = (self._keyframes[0], self._keyframes[-1])
-        sources = [(last.sight, last.left_px, last.points_vo)]
-        sources += [(keyframe.sight, keyframe.places_left_px, keyframe.points_vo) for keyframe in keyframes]
+        sources = [(last.image_pair, last.left_px, last.points_vo)]
+        sources += [(keyframe.image_pair, keyframe.places_left_px, keyframe.points_vo) for keyframe in keyframes]
         T_vo_cam = by_flow(self._camera, sight, sources, self._settings.inliers_min)
         if T_vo_cam is not None:
             return T_vo_cam
@@ -197,7 +197,7 @@ class StereoOdometry:
             return None
         twist, located = motion.twist(), None
         for _ in range(2 if self._has_rolling_shutter else 1):
-            points_vo = self._as_exposed(observed, T_vo_cam, twist.value)
+            points_vo = self._as_exposed(observed, T_vo_cam, twist.velocity)
             located = self._fit_motions(observed, points_vo, T_vo_cam, twist)
             if located is None:
                 return None
@@ -211,17 +211,17 @@ class StereoOdometry:
     ) -> LocatedPose | None:
         """The world's motion among those in the picture; None where too few of the other points agree with it."""
         settings, T_cam_vo = self._settings, inverse_pose(T_vo_cam)
-        problem = pose_problem(T_cam_vo, replace(observed.seen, points_vo=points_vo))
+        problem = pose_problem(T_cam_vo, replace(observed.stereo_points, points_vo=points_vo))
         first = settled_pose(problem, *rough_pose(problem, T_cam_vo))
         if first is None:
             return None
         scene = Scene(
             left_px=observed.left_px,
             rest_squares=problem.squares(np.eye(4), observed.points_row),
-            votes=observed.votes,
+            motion_votes=observed.motion_votes,
             points_vo=points_vo,
-            noise=problem.noise,
-            shape=self._shape,
+            noise_factor=problem.noise_factor,
+            image_shape=self._shape,
             count_good=settings.count_good(self._shape),
             coverage_good=settings.coverage_good,
         )
@@ -231,7 +231,7 @@ class StereoOdometry:
         if parts and not sure and rival is None:
             rival = world_motion(parts, scene)[0]  # within the noise: not decided, but held by the covariance
         inliers = [other.inliers for other in fits if other is not fit]
-        open_to = (problem.roots[:, 0, 0] > 0.0) & ~np.any(inliers, axis=0)
+        open_to = (problem.whitening_matrices[:, 0, 0] > 0.0) & ~np.any(inliers, axis=0)
         if fit.inliers.sum() < max(settings.inliers_min, INLIERS_MIN_FRAC * np.sum(open_to | fit.inliers)):
             return None
         return LocatedPose(observed, fit, points_vo, twist, scene.rest_squares, rival, doubt)
@@ -245,7 +245,7 @@ class StereoOdometry:
 
     def _as_exposed(self, observed: ObservedPoints, T_vo_cam: Array, twist: Array) -> Array:
         """Map points (n, 3) in vo as if they had moved, instead of the camera, until their row was exposed."""
-        points_vo = observed.seen.points_vo
+        points_vo = observed.stereo_points.points_vo
         if not self._has_rolling_shutter:
             return points_vo
         points_cam = transform_points(inverse_pose(T_vo_cam), points_vo)
@@ -258,7 +258,7 @@ class StereoOdometry:
             return located
         keyframe, motion = self._keyframes[-1], last.motion
         twist = motion.twist_between(motion.moved_to(inverse_pose(located.fit.T_cam_vo), sight.t_exposure_ns))
-        keyframe.place_points(keyframe.T_vo_cam, twist.value, self._readout.value_s)
+        keyframe.place_points(keyframe.T_vo_cam, twist.velocity, self._readout.value_s)
         self._known.set_twist(len(self._keyframes) - 1, twist.sigma)
         if len(self._keyframes) > 1:
             self._adjust_keyframe_window(located.fit.noise_factor)
@@ -267,9 +267,9 @@ class StereoOdometry:
         return located if again is None else again
 
     def _accept_located_pose(self, sight: Sight, last: LastLocatedPair, located: LocatedPose) -> OdometryPose:
-        fit, observed = located.fit, located.observed
+        fit, observed = located.fit, located.observed_points
         observed.count_misses(fit.inliers)
-        if not located.doubt:
+        if not located.doubt_reason:
             vote_by_pair(self._own, sight, observed, fit, located.rest_squares)
         T_vo_cam = inverse_pose(fit.T_cam_vo)
         T_vo_cam[:3, :3] = nearest_rotation(T_vo_cam[:3, :3])
@@ -280,8 +280,12 @@ class StereoOdometry:
         covariance += self._readout.sigma_s**2 * np.outer(gains.of_readout, gains.of_readout)
         self._learn_readout(gains)
         distance_m = float(np.linalg.norm(T_vo_cam[:3, 3]))
-        held = covariance if located.rival is None else _covariance_including_rival(covariance, T_vo_cam, located.rival)
-        held = held + np.kron(np.diag([0.0, 1.0]), located.places)
+        held = (
+            covariance
+            if located.rival_fit is None
+            else _covariance_including_rival(covariance, T_vo_cam, located.rival_fit)
+        )
+        held = held + np.kron(np.diag([0.0, 1.0]), located.lookalike_covariance_m2)
         evidence = Evidence(
             inliers_px=inliers_px,
             covariance=held,
@@ -289,17 +293,17 @@ class StereoOdometry:
             texture_grey=self._texture_grey,
             distance_m=distance_m,
             right_frac=self._right_frac(located),
-            doubt=located.doubt,
+            doubt_reason=located.doubt_reason,
         )
         status, reason = self._judge_evidence(evidence)
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
-        if located.jumped:  # a step over places that look alike is not a motion
+        if located.jumped_to_lookalike:  # a step over places that look alike is not a motion
             motion = standing_motion(T_vo_cam, sight.t_exposure_ns)
         frac = self._settings.keyframe_below_frac
         wanted = (
             wants_keyframe(inliers_px, self._shape, frac * self._full_points, frac * self._full_coverage)
             and (motion.is_velocity_known or not self._has_rolling_shutter)
-            and not located.doubt
+            and not located.doubt_reason
         )
         kept = sight.keep_copy() if wanted else sight
         if wanted:
@@ -309,7 +313,7 @@ class StereoOdometry:
             self._adjust_keyframe_window(fit.noise_factor)
             T_vo_cam = keyframe.T_vo_cam
             motion = replace(motion, T_vo_cam=T_vo_cam)
-        self._last = LastLocatedPair(kept, motion, inliers_px, observed.seen.points_vo[fit.inliers], wanted)
+        self._last = LastLocatedPair(kept, motion, inliers_px, observed.stereo_points.points_vo[fit.inliers], wanted)
         scale_frac = self._settings.sigma_scale_frac if self._unique_depth else 1.0
         reported = with_scale_error(held, T_vo_cam[:3, 3], scale_frac)
         return OdometryPose(sight.t_exposure_ns, T_vo_cam, reported, status, reason, len(inliers_px))
@@ -318,7 +322,7 @@ class StereoOdometry:
         """Of the points that the right eye should show, how many it does; 1 where there are too few."""
         on = located.fit.inliers
         expected = expected_right(self._camera, transform_points(located.fit.T_cam_vo, located.points_vo[on]))
-        found = np.isfinite(located.observed.right_px[on, 0])
+        found = np.isfinite(located.observed_points.right_px[on, 0])
         return float(found[expected].mean()) if expected.sum() >= self._settings.inliers_min else 1.0
 
     def _learn_readout(self, gains: Sensitivity) -> None:
@@ -329,25 +333,25 @@ class StereoOdometry:
             keyframe.place_points(keyframe.T_vo_cam, keyframe.twist, self._readout.value_s)
 
     def _pose_sensitivity(self, located: LocatedPose) -> Sensitivity:
-        observed = located.observed
-        fractions_key = np.empty(len(observed.keyframes))
-        for number in np.unique(observed.keyframes):
-            on = observed.keyframes == number
+        observed = located.observed_points
+        fractions_key = np.empty(len(observed.keyframe_indices))
+        for number in np.unique(observed.keyframe_indices):
+            on = observed.keyframe_indices == number
             fractions_key[on] = self._keyframes[number].row_fractions[observed.indices[on]]
         fractions = self._image_row_fractions(observed.left_px)
-        shutter = Shutter(fractions, fractions_key, located.twist.value, self._readout.size_s)
+        shutter = Shutter(fractions, fractions_key, located.twist.velocity, self._readout.size_s)
         return fit_sensitivity(observed, located.fit, located.points_vo, shutter, self._keyframes)
 
     def _seen_here(self, located: LocatedPose) -> SeenHere:
-        observed, on = located.observed, located.fit.inliers
+        observed, on = located.observed_points, located.fit.inliers
         serials = np.array([keyframe.serial for keyframe in self._keyframes], dtype=np.int64)
         return SeenHere(
-            serials[observed.keyframes[on]], observed.indices[on], observed.left_px[on], observed.right_px[on]
+            serials[observed.keyframe_indices[on]], observed.indices[on], observed.left_px[on], observed.right_px[on]
         )
 
     def _adjust_keyframe_window(self, noise_factor: float) -> None:
         """Bring the newest keyframes and their points into one best fit."""
-        first = max(0, len(self._keyframes) - self._settings.window)
+        first = max(0, len(self._keyframes) - self._settings.window_keyframes)
         window = self._keyframes[first:]
         joint = adjust_keyframes(self._camera, window, self._readout.value_s, self._settings.sigma_px, noise_factor)
         if joint is not None:
@@ -361,14 +365,14 @@ class StereoOdometry:
         self, sight: Sight, motion: Motion, covariance: Array, gains: Sensitivity | None, occupied_px: Array
     ) -> Keyframe:
         camera, settings = self._camera, self._settings
-        found = sight.match_eyes(camera, settings.features, occupied_px)
+        found = sight.match_eyes(camera, settings.corner_cells, occupied_px)
         free = ~self._own.on_own_structure(found.left_px)
         found = replace(found, left_px=found.left_px[free], right_px=found.right_px[free])
-        self._texture_grey, self._unique_depth = found.texture_grey, self._unique_depth and found.unique
+        self._texture_grey, self._unique_depth = found.texture_grey, self._unique_depth and found.disparity_unique
         twist = motion.twist()
         readout_s, self._serial = self._readout.value_s, self._serial + 1
         keyframe = make_keyframe(
-            camera, sight, motion.T_vo_cam, twist.value, found, settings.sigma_px, readout_s, self._serial
+            camera, sight, motion.T_vo_cam, twist.velocity, found, settings.sigma_px, readout_s, self._serial
         )
         self._keyframes.append(keyframe)
         self._known.add(covariance, gains, twist.sigma)

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from server.vision.contracts import Array, Image
 from server.vision.small_algebra import solve_positive
 
-HALF_PX = 7
-SIZE_PX = 2 * HALF_PX + 1
-SPAN_MAX_PX = 32  # of half a warped patch
+PATCH_HALF_PX = 7
+PATCH_SIZE_PX = 2 * PATCH_HALF_PX + 1
+WARPED_PATCH_HALF_MAX_PX = 32  # of half a warped patch
 ITERATIONS_MAX = 15
-STEP_MIN_PX = 0.003
-AWAY_MAX_PX = 4.0  # from the guess; farther is another place
-CORRELATION_MIN = 0.85
+CONVERGED_STEP_PX = 0.003
+ALIGNMENT_SHIFT_MAX_PX = 4.0  # from the guess; farther is another place
+PATCH_CORRELATION_MIN = 0.85
 Greys = NDArray[np.float32]
 
 
@@ -25,21 +25,24 @@ class Alignment:
 
     points_px: Array
     correlation: Array
-    good: NDArray[np.bool_]
+    valid: NDArray[np.bool_]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _sample_warped_patch(image: Image, x: float, y: float, warp: Array, patch: Greys) -> bool:
     """Patch with a rim of one pixel, sampled through the warp; False where it leaves the image or is torn apart."""
     height, width = image.shape
-    reach = HALF_PX + 1
+    reach = PATCH_HALF_PX + 1
     span_x = reach * (abs(warp[0, 0]) + abs(warp[0, 1]))
     span_y = reach * (abs(warp[1, 0]) + abs(warp[1, 1]))
     if not (x - span_x >= 0.0 and x + span_x < width - 1 and y - span_y >= 0.0 and y + span_y < height - 1):
         return False
-    if span_x > SPAN_MAX_PX or span_y > SPAN_MAX_PX:
+    if span_x > WARPED_PATCH_HALF_MAX_PX or span_y > WARPED_PATCH_HALF_MAX_PX:
         return False
-    left, top = int(x) - SPAN_MAX_PX - 1, int(y) - SPAN_MAX_PX - 1  # so that all is positive, and exact in float32
+    left, top = (
+        int(x) - WARPED_PATCH_HALF_MAX_PX - 1,
+        int(y) - WARPED_PATCH_HALF_MAX_PX - 1,
+    )  # so that all is positive, and exact in float32
     x0, y0 = np.float32(x - left), np.float32(y - top)
     xx, xy = np.float32(warp[0, 0]), np.float32(warp[0, 1])
     yx, yy = np.float32(warp[1, 0]), np.float32(warp[1, 1])
@@ -65,7 +68,7 @@ def _align_one(
     across, down, middle, grey (225,) float32: room for the patch's gradients, its grey about the mean, and the image's.
     """
     height, width = image.shape
-    size, count = SIZE_PX, SIZE_PX * SIZE_PX
+    size, count = PATCH_SIZE_PX, PATCH_SIZE_PX * PATCH_SIZE_PX
     one, half = np.float32(1.0), np.float32(0.5)
     mean = np.float32(0.0)
     for j in range(size):
@@ -100,9 +103,14 @@ def _align_one(
     gain, offset, correlation = 1.0, 0.0, -1.0
     b = np.zeros(4)
     for _ in range(ITERATIONS_MAX):
-        if not (x >= HALF_PX and x < width - HALF_PX - 1 and y >= HALF_PX and y < height - HALF_PX - 1):
+        if not (
+            x >= PATCH_HALF_PX
+            and x < width - PATCH_HALF_PX - 1
+            and y >= PATCH_HALF_PX
+            and y < height - PATCH_HALF_PX - 1
+        ):
             return x, y, -1.0
-        column, row = int(x) - HALF_PX, int(y) - HALF_PX
+        column, row = int(x) - PATCH_HALF_PX, int(y) - PATCH_HALF_PX
         right, below = np.float32(x - int(x)), np.float32(y - int(y))  # the same for the whole patch
         w00, w01 = (one - right) * (one - below), right * (one - below)
         w10, w11 = (one - right) * below, right * below
@@ -132,7 +140,7 @@ def _align_one(
         offset += step[3]
         spread = square - total * total / count
         correlation = product / np.sqrt(max(spread * variance, 1e-9))
-        if abs(step[0]) < STEP_MIN_PX and abs(step[1]) < STEP_MIN_PX:
+        if abs(step[0]) < CONVERGED_STEP_PX and abs(step[1]) < CONVERGED_STEP_PX:
             break
     return x, y, correlation
 
@@ -140,8 +148,8 @@ def _align_one(
 @njit(cache=True, nogil=True)
 def _align_patches(reference: Image, points: Array, warps: Array, image: Image, guesses: Array) -> tuple[Array, Array]:
     found, correlations = guesses.copy(), np.full(len(points), -1.0)
-    patch = np.empty((SIZE_PX + 2, SIZE_PX + 2), np.float32)
-    across = np.empty(SIZE_PX * SIZE_PX, np.float32)
+    patch = np.empty((PATCH_SIZE_PX + 2, PATCH_SIZE_PX + 2), np.float32)
+    across = np.empty(PATCH_SIZE_PX * PATCH_SIZE_PX, np.float32)
     down, middle, grey = np.empty_like(across), np.empty_like(across), np.empty_like(across)
     for k in range(len(points)):
         if _sample_warped_patch(reference, points[k, 0], points[k, 1], warps[k], patch):
@@ -168,5 +176,5 @@ def align_reference_patches(
         image,
         np.ascontiguousarray(guesses_px, dtype=np.float64),
     )
-    near = np.linalg.norm(found - guesses_px, axis=1) < AWAY_MAX_PX
-    return Alignment(found, correlation, (correlation > CORRELATION_MIN) & near)
+    near = np.linalg.norm(found - guesses_px, axis=1) < ALIGNMENT_SHIFT_MAX_PX
+    return Alignment(found, correlation, (correlation > PATCH_CORRELATION_MIN) & near)

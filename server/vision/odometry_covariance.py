@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from machine.rotations import skew
 from server.vision.contracts import Array
-from server.vision.odometry_sensitivity import SHARED, Sensitivity
+from server.vision.odometry_sensitivity import N_SHARED_ERRORS, Sensitivity
 
 # How long the rolling shutter takes from the first row to the last: given, or learned from the motion itself.
 
-SIGMA_S = 0.010  # before anything was seen: from a global shutter to that of a 60 Hz camera
-MAX_S = 0.040
-FRESH_FRAC = 0.1  # of a pair's information: the rest it shares with its neighbours (same patches, same map)
-SIGMA_MIN_S = 2e-4  # never surer: later pairs must be able to correct it
+READOUT_SIGMA_S = 0.010  # before anything was seen: from a global shutter to that of a 60 Hz camera
+READOUT_MAX_S = 0.040
+NEW_INFORMATION_FRAC = 0.1  # of a pair's information: the rest it shares with its neighbours (same patches, same map)
+READOUT_SIGMA_MIN_S = 2e-4  # never surer: later pairs must be able to correct it
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,14 +34,14 @@ class Readout:
         """After one more pair said: change it by `step_s`, with this information [1/s^2]."""
         if self.sigma_s == 0.0 or information <= 0.0:
             return self
-        known, fresh = self.sigma_s**-2, FRESH_FRAC * information
-        value = float(np.clip(self.value_s + step_s * fresh / (known + fresh), -MAX_S, MAX_S))
-        return Readout(value, max(float((known + fresh) ** -0.5), SIGMA_MIN_S))
+        known, fresh = self.sigma_s**-2, NEW_INFORMATION_FRAC * information
+        value = float(np.clip(self.value_s + step_s * fresh / (known + fresh), -READOUT_MAX_S, READOUT_MAX_S))
+        return Readout(value, max(float((known + fresh) ** -0.5), READOUT_SIGMA_MIN_S))
 
 
 def readout_of(readout_s: float | None) -> Readout:
     """As given, or unknown."""
-    return Readout(0.0, SIGMA_S) if readout_s is None else Readout(readout_s, 0.0)
+    return Readout(0.0, READOUT_SIGMA_S) if readout_s is None else Readout(readout_s, 0.0)
 
 
 class KeyframeCovariances:
@@ -58,7 +58,7 @@ class KeyframeCovariances:
     def add(self, covariance: Array, found: Sensitivity | None, twist_sigma: Array) -> None:
         """A new keyframe at a pose with this covariance (6, 6); `found`: the keyframes that it was fitted to."""
         old = len(self._joint)
-        joint = np.zeros((old + SHARED, old + SHARED))
+        joint = np.zeros((old + N_SHARED_ERRORS, old + N_SHARED_ERRORS))
         joint[:old, :old] = self._joint
         joint[old : old + 6, old : old + 6] = covariance
         joint[old + 6 :, old + 6 :] = np.diag(twist_sigma**2)
@@ -70,7 +70,7 @@ class KeyframeCovariances:
 
     def set_twist(self, number: int, twist_sigma: Array) -> None:
         """A keyframe's velocity became better known."""
-        start = SHARED * number + 6
+        start = N_SHARED_ERRORS * number + 6
         self._joint[start : start + 6, start : start + 6] = np.diag(twist_sigma**2)
 
     def replace_poses(self, numbers: Sequence[int], joint: Array, Ts_vo_key: Array) -> None:
@@ -79,12 +79,12 @@ class KeyframeCovariances:
         Model:   error = rigid motion by the first one's error, plus the adjustment's own (zero for the first).
         Args:    Ts_vo_key: their poses (k, 4, 4).
         """
-        first = SHARED * numbers[0]
+        first = N_SHARED_ERRORS * numbers[0]
         moved = np.zeros((6 * len(numbers), 6))
         for row, T in enumerate(Ts_vo_key):
             moved[6 * row : 6 * row + 6] = np.eye(6)
             moved[6 * row + 3 : 6 * row + 6, :3] = -skew(T[:3, 3] - Ts_vo_key[0, :3, 3])
-        places = np.concatenate([np.arange(SHARED * n, SHARED * n + 6) for n in numbers])
+        places = np.concatenate([np.arange(N_SHARED_ERRORS * n, N_SHARED_ERRORS * n + 6) for n in numbers])
         others = np.setdiff1d(np.arange(len(self._joint)), places)
         crossed = moved @ self._joint[first : first + 6][:, others]
         inside = moved @ self._joint[first : first + 6, first : first + 6] @ moved.T + joint
@@ -94,16 +94,20 @@ class KeyframeCovariances:
 
     def twist_sigma(self, number: int) -> Array:
         """Sigma (6,) of one keyframe's velocity."""
-        start = SHARED * number + 6
+        start = N_SHARED_ERRORS * number + 6
         return np.sqrt(np.diag(self._joint)[start : start + 6])
 
     def remove(self, number: int) -> None:
         """Forget a keyframe."""
-        kept = np.delete(np.arange(len(self._joint)), np.arange(SHARED * number, SHARED * (number + 1)))
+        kept = np.delete(
+            np.arange(len(self._joint)), np.arange(N_SHARED_ERRORS * number, N_SHARED_ERRORS * (number + 1))
+        )
         self._joint = self._joint[np.ix_(kept, kept)]
 
     @staticmethod
     def _gain_and_indices(found: Sensitivity) -> tuple[Array, NDArray[np.int64]]:
         gain = found.of_keyframes.transpose(1, 0, 2).reshape(6, -1)
-        places = np.concatenate([np.arange(SHARED * n, SHARED * (n + 1)) for n in found.keyframes])
+        places = np.concatenate(
+            [np.arange(N_SHARED_ERRORS * n, N_SHARED_ERRORS * (n + 1)) for n in found.keyframe_indices]
+        )
         return np.asarray(gain, float), np.asarray(places, np.int64)

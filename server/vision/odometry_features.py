@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from server.vision.contracts import Array, Image
 
 BORDER_PX = 14  # a patch and its gradient must fit in
-QUALITY_FRAC = 0.003  # of the image's strongest corner
-STRENGTH_MIN = 2e-5  # smaller eigenvalue of the gradient matrix, cv2's scale: sensor noise of 2 grey levels gives 5e-6
-BLOCK_PX = 5
+CORNER_QUALITY_MIN_FRAC = 0.003  # of the image's strongest corner
+CORNER_STRENGTH_MIN = (
+    2e-5  # smaller eigenvalue of the gradient matrix, cv2's scale: sensor noise of 2 grey levels gives 5e-6
+)
+CORNER_BLOCK_PX = 5
 COLUMNS, ROWS = 8, 5  # of the image's coarse cells
-N_CELLS = COLUMNS * ROWS
-SPACING_FRAC = 0.6  # of a cell, to points that are tracked already
+N_IMAGE_CELLS = COLUMNS * ROWS
+CORNER_SPACING_FRAC = 0.6  # of a cell, to points that are tracked already
 
 
 def allowed_mask(shape: tuple[int, int], polygons_px: Sequence[Array]) -> Image:
@@ -52,15 +54,15 @@ def spread_corners(image: Image, mask: Image, count: int, occupied_px: Array) ->
     cell = max(8, int(np.sqrt(height * width / count)))
     free = mask.copy()
     for x, y in np.round(occupied_px).astype(int):
-        cv2.circle(free, (int(x), int(y)), max(4, int(SPACING_FRAC * cell)), 0, -1)
-    strength = np.asarray(cv2.cornerMinEigenVal(image, BLOCK_PX, ksize=3))
+        cv2.circle(free, (int(x), int(y)), max(4, int(CORNER_SPACING_FRAC * cell)), 0, -1)
+    strength = np.asarray(cv2.cornerMinEigenVal(image, CORNER_BLOCK_PX, ksize=3))
     strength = np.where(free > 0, strength, 0.0)
     rows, columns = height // cell, width // cell
     cells = strength[: rows * cell, : columns * cell].reshape(rows, cell, columns, cell).transpose(0, 2, 1, 3)
     cells = cells.reshape(rows, columns, cell * cell)
     best = cells.argmax(axis=2)
     peak = np.take_along_axis(cells, best[:, :, None], axis=2)[:, :, 0]
-    row, column = np.nonzero(peak > max(QUALITY_FRAC * float(peak.max(initial=0.0)), STRENGTH_MIN))
+    row, column = np.nonzero(peak > max(CORNER_QUALITY_MIN_FRAC * float(peak.max(initial=0.0)), CORNER_STRENGTH_MIN))
     place = best[row, column]
     return np.stack([column * cell + place % cell, row * cell + place // cell], axis=1).astype(np.float64)
 
@@ -93,12 +95,12 @@ def covered_cell_count(points_px: Array, shape: tuple[int, int]) -> int:
     return len(np.unique(cell_numbers(points_px, shape)))
 
 
-FEATURES = 1200
-RATIO_MAX = 0.85  # of the best distance to the second best
-SCALE = 0.5  # at which a picture is compared with itself
-LOBE_PX = 4  # at that scale: nearer, a picture resembles itself whatever it shows
-ALIKE_FRAC = 0.8  # of the strongest repetition: its neighbours on the same lattice
-REPEATS_MAX = 4  # nearest repetitions
+ORB_FEATURES_MAX = 1200
+MATCH_RATIO_MAX = 0.85  # of the best distance to the second best
+SELF_MATCH_SCALE = 0.5  # at which a picture is compared with itself
+CORRELATION_LOBE_PX = 4  # at that scale: nearer, a picture resembles itself whatever it shows
+REPETITION_PEAK_MIN_FRAC = 0.8  # of the strongest repetition: its neighbours on the same lattice
+REPETITIONS_MAX = 4  # nearest repetitions
 UNIQUE_RATIO_MAX = 0.8  # of the best dissimilarity to the second best: below, the best is unique (Lowe 2004)
 
 
@@ -114,7 +116,7 @@ def recognise(first: Image, mask_first: Image, second: Image, mask_second: Image
     Source:  Rublee et al. 2011 (ORB); ratio test of Lowe 2004.
     """
     none = np.zeros((0, 2))
-    orb = cv2.ORB.create(nfeatures=FEATURES, fastThreshold=10)
+    orb = cv2.ORB.create(nfeatures=ORB_FEATURES_MAX, fastThreshold=10)
     places, descriptors = [], []
     for image, mask in ((first, mask_first), (second, mask_second)):
         points, found = orb.detectAndCompute(image, mask)
@@ -122,7 +124,7 @@ def recognise(first: Image, mask_first: Image, second: Image, mask_second: Image
             return none, none
         places.append(np.array([point.pt for point in points], dtype=np.float64))
         descriptors.append(found)
-    good = clear_matches(descriptors[0], descriptors[1], cv2.NORM_HAMMING, RATIO_MAX)
+    good = clear_matches(descriptors[0], descriptors[1], cv2.NORM_HAMMING, MATCH_RATIO_MAX)
     chosen = np.array([(match.queryIdx, match.trainIdx) for match in good], dtype=np.int64).reshape(-1, 2)
     return places[0][chosen[:, 0]], places[1][chosen[:, 1]]
 
@@ -132,16 +134,18 @@ def repeats(image: Image, along_rows: bool = False) -> Array:
 
     Model:   normalised correlation of its middle half, each way, with the whole: local maxima besides the main one.
     """
-    small = cv2.resize(image, None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image, None, fx=SELF_MATCH_SCALE, fy=SELF_MATCH_SCALE, interpolation=cv2.INTER_AREA)
     top, left = small.shape[0] // 4, small.shape[1] // 4
     middle = small[top : small.shape[0] - top, left : small.shape[1] - left]
     if along_rows:
         small, top = small[top : small.shape[0] - top], 0
     likeness = np.asarray(cv2.matchTemplate(small, middle, cv2.TM_CCOEFF_NORMED))
-    peaks = likeness >= np.asarray(cv2.dilate(likeness, np.ones((2 * LOBE_PX + 1,) * 2, np.uint8)))
+    peaks = likeness >= np.asarray(cv2.dilate(likeness, np.ones((2 * CORRELATION_LOBE_PX + 1,) * 2, np.uint8)))
     ways = np.argwhere(peaks & (likeness > 0.0))[:, ::-1] - [left, top]
     heights = likeness[ways[:, 1] + top, ways[:, 0] + left]
     apart = np.linalg.norm(ways, axis=1)
-    ways, heights = ways[apart > LOBE_PX], heights[apart > LOBE_PX]
-    ways = ways[heights >= ALIKE_FRAC * heights.max(initial=0.0)]
-    return np.asarray(ways[np.argsort(np.linalg.norm(ways, axis=1))][:REPEATS_MAX] / SCALE, dtype=np.float64)
+    ways, heights = ways[apart > CORRELATION_LOBE_PX], heights[apart > CORRELATION_LOBE_PX]
+    ways = ways[heights >= REPETITION_PEAK_MIN_FRAC * heights.max(initial=0.0)]
+    return np.asarray(
+        ways[np.argsort(np.linalg.norm(ways, axis=1))][:REPETITIONS_MAX] / SELF_MATCH_SCALE, dtype=np.float64
+    )

@@ -42,11 +42,11 @@ def ray_sigma(camera: StereoCamera, rays: Array) -> Array:
     return np.sqrt(0.5 * (noise[:, 0, 0] + noise[:, 1, 1]))
 
 
-FAILURES_MAX = 8  # more failed than found, and this often: the point is asked in turn only
-TURNS = 32  # pairs in which each of those is asked once more: what covered it may have gone
+SEARCH_FAILURES_MAX = 8  # more failed than found, and this often: the point is asked in turn only
+RETRY_INTERVAL_PAIRS = 32  # pairs in which each of those is asked once more: what covered it may have gone
 DEPTH_MIN_M = 0.05
-VOTES_MAX = 8  # pairs in a row that turn a point's verdict round
-OWN_VOTES = -2  # of two pairs: one may be chance, as where a texture repeats
+MOTION_VOTES_MAX = 8  # pairs in a row that turn a point's verdict round
+CAMERA_FIXED_VOTES_MAX = -2  # of two pairs: one may be chance, as where a texture repeats
 Hides = Callable[[Array], NDArray[np.bool_]]
 
 
@@ -55,7 +55,7 @@ class SeenHere:
     """Points of older keyframes that a keyframe shows: serials and numbers in them (n,), raw pixels (n, 2) (right NaN
     where not shown)."""
 
-    serials: NDArray[np.int64]
+    keyframe_serials: NDArray[np.int64]
     indices: NDArray[np.int64]
     left_px: Array
     right_px: Array
@@ -74,7 +74,7 @@ class Keyframe:
     did to this pose.
     """
 
-    sight: Sight
+    image_pair: Sight
     T_vo_cam: Array
     places_left_px: Array
     places_right_px: Array
@@ -86,11 +86,11 @@ class Keyframe:
     points_vo: Array
     support_vo: Array
     covariances_vo: Array
-    failures: NDArray[np.int64]
-    votes: NDArray[np.int8]
+    search_failures: NDArray[np.int64]
+    motion_votes: NDArray[np.int8]
     serial: int = 0
-    counted: int = 0
-    mixing: dict[int, Array] = field(default_factory=dict)
+    n_searches: int = 0
+    keyframe_influence: dict[int, Array] = field(default_factory=dict)
     seen_here: "SeenHere | None" = None
     twist_gain: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
@@ -101,14 +101,16 @@ class Keyframe:
 
     def count_misses(self, indices: NDArray[np.int64], found: NDArray[np.bool_]) -> None:
         """Hold the misses of a pair against the points that were looked for; those given up get their turn."""
-        self.failures[indices] = np.clip(self.failures[indices] + np.where(found, -1, 1), 0, FAILURES_MAX)
-        self.counted += 1
-        turn = np.arange(self.counted % TURNS, self.n_points, TURNS)
-        self.failures[turn] = np.minimum(self.failures[turn], FAILURES_MAX - 1)
+        self.search_failures[indices] = np.clip(
+            self.search_failures[indices] + np.where(found, -1, 1), 0, SEARCH_FAILURES_MAX
+        )
+        self.n_searches += 1
+        turn = np.arange(self.n_searches % RETRY_INTERVAL_PAIRS, self.n_points, RETRY_INTERVAL_PAIRS)
+        self.search_failures[turn] = np.minimum(self.search_failures[turn], SEARCH_FAILURES_MAX - 1)
 
     def vote_on_motion(self, indices: NDArray[np.int64], signs: NDArray[np.int8]) -> None:
         """One more pair says that points (m,) went with the world (1), with the camera (-1), or neither (0)."""
-        self.votes[indices] = np.clip(self.votes[indices] + signs, -VOTES_MAX, VOTES_MAX)
+        self.motion_votes[indices] = np.clip(self.motion_votes[indices] + signs, -MOTION_VOTES_MAX, MOTION_VOTES_MAX)
 
     def place_points(self, T_vo_cam: Array, twist: Array, readout_s: float) -> None:
         """Put the map points where this pose, velocity (6,) and readout of the shutter say they are."""
@@ -171,7 +173,7 @@ def make_keyframe(
         support.append(points + np.column_stack([change, np.zeros(len(points))]))
     empty = np.zeros((0, 3))
     keyframe = Keyframe(
-        sight=sight,
+        image_pair=sight,
         T_vo_cam=T_vo_cam,
         places_left_px=found.left_px,
         places_right_px=found.right_px,
@@ -183,11 +185,11 @@ def make_keyframe(
         points_vo=empty,
         support_vo=empty,
         covariances_vo=empty,
-        failures=np.zeros(len(points), dtype=np.int64),
-        votes=np.zeros(len(points), dtype=np.int8),
+        search_failures=np.zeros(len(points), dtype=np.int64),
+        motion_votes=np.zeros(len(points), dtype=np.int8),
     )
     keyframe.serial = serial
-    keyframe.mixing = {serial: np.tile(np.eye(3), (len(points), 1, 1))}
+    keyframe.keyframe_influence = {serial: np.tile(np.eye(3), (len(points), 1, 1))}
     keyframe.place_points(T_vo_cam, twist, readout_s)
     return keyframe
 
@@ -204,7 +206,9 @@ def expect_points(
     T_cam_vo = inverse_pose(T_vo_cam)
     points_cam = transform_points(T_cam_vo, keyframe.points_vo)
     indices = np.flatnonzero(
-        (points_cam[:, 2] > DEPTH_MIN_M) & (keyframe.failures < FAILURES_MAX) & (keyframe.votes > OWN_VOTES)
+        (points_cam[:, 2] > DEPTH_MIN_M)
+        & (keyframe.search_failures < SEARCH_FAILURES_MAX)
+        & (keyframe.motion_votes > CAMERA_FIXED_VOTES_MAX)
     )
     left_px, right_px = project_stereo(camera, points_cam[indices])
     near = sight.may_show(left_px) & ~hides(left_px)

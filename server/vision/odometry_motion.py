@@ -8,18 +8,18 @@ from machine.poses import inverse_pose, pose
 from machine.rotations import rotation_from_rotvec, rotvec_from_rotation, skew
 from server.vision.contracts import Array
 
-RATIO_MAX = 4.0  # a longer gap than this many steps ends the motion's history
-GAP_MAX_NS = 400_000_000  # over a longer gap a mean velocity says nothing about the present one
-ACCELERATION = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3])  # typical [rad/s^2, m/s^2] of a boom that sways
-UNKNOWN_TWIST = np.array([0.1, 0.1, 0.1, 0.15, 0.15, 0.15])  # sigma [rad/s, m/s] where nothing is known
-LAG_FRAC = 0.25  # of acceleration times step: what extrapolation leaves of a velocity's lag
+GAP_STEP_RATIO_MAX = 4.0  # a longer gap than this many steps ends the motion's history
+FRAME_GAP_MAX_NS = 400_000_000  # over a longer gap a mean velocity says nothing about the present one
+TYPICAL_ACCELERATION = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3])  # typical [rad/s^2, m/s^2] of a boom that sways
+UNKNOWN_TWIST_SIGMA = np.array([0.1, 0.1, 0.1, 0.15, 0.15, 0.15])  # sigma [rad/s, m/s] where nothing is known
+VELOCITY_LAG_FRAC = 0.25  # of acceleration times step: what extrapolation leaves of a velocity's lag
 
 
 @dataclass(frozen=True, slots=True)
 class Twist:
     """Velocity of the camera in its own axes (6,): [rad/s], then [m/s]; and its sigma (6,)."""
 
-    value: Array
+    velocity: Array
     sigma: Array
 
 
@@ -29,38 +29,38 @@ class Motion:
 
     T_vo_cam: Array
     t_ns: int
-    step: Array
+    T_before_last: Array
     step_ns: int
     mean_before: Array | None  # mean velocity of the step before
     step_before_ns: int
 
     def predict_pose_at(self, t_ns: int) -> Array:
         """T_vo_cam at a time if the last motion goes on."""
-        return predict_pose(self.T_vo_cam, self.step, self.step_ns, t_ns - self.t_ns)
+        return predict_pose(self.T_vo_cam, self.T_before_last, self.step_ns, t_ns - self.t_ns)
 
     def is_gap(self, t_ns: int) -> bool:
         """Whether so long after the last pose no motion is carried on."""
         elapsed_ns = t_ns - self.t_ns
-        return elapsed_ns > GAP_MAX_NS or 0 < RATIO_MAX * self.step_ns < elapsed_ns
+        return elapsed_ns > FRAME_GAP_MAX_NS or 0 < GAP_STEP_RATIO_MAX * self.step_ns < elapsed_ns
 
     def moved_to(self, T_vo_cam: Array, t_ns: int) -> "Motion":
         """The motion after another pose became known."""
-        known = 0 < self.step_ns < GAP_MAX_NS
-        mean = mean_twist(self.step, self.step_ns) if known else None
+        known = 0 < self.step_ns < FRAME_GAP_MAX_NS
+        mean = mean_twist(self.T_before_last, self.step_ns) if known else None
         step = inverse_pose(self.T_vo_cam) @ T_vo_cam
         return Motion(T_vo_cam, t_ns, step, t_ns - self.t_ns, mean, self.step_ns)
 
     @property
     def is_velocity_known(self) -> bool:
         """Whether the velocity is well known: the last two steps were short enough to show it and its change."""
-        return 0 < self.step_ns < GAP_MAX_NS and self.mean_before is not None
+        return 0 < self.step_ns < FRAME_GAP_MAX_NS and self.mean_before is not None
 
     def twist(self) -> Twist:
         """Velocity at the last pose: the last step's mean, carried on by half a step with the change since before."""
-        if not 0 < self.step_ns < GAP_MAX_NS:
-            return Twist(np.zeros(6), UNKNOWN_TWIST)
-        mean = mean_twist(self.step, self.step_ns)
-        sigma = LAG_FRAC * 1e-9 * self.step_ns * ACCELERATION
+        if not 0 < self.step_ns < FRAME_GAP_MAX_NS:
+            return Twist(np.zeros(6), UNKNOWN_TWIST_SIGMA)
+        mean = mean_twist(self.T_before_last, self.step_ns)
+        sigma = VELOCITY_LAG_FRAC * 1e-9 * self.step_ns * TYPICAL_ACCELERATION
         if self.mean_before is None:
             return Twist(mean, 2.0 * sigma)
         change = (mean - self.mean_before) / (0.5 * (self.step_ns + self.step_before_ns))
@@ -68,13 +68,13 @@ class Motion:
 
     def twist_between(self, after: "Motion") -> Twist:
         """Velocity at this pose, now that the next one is known: the mean of both steps, each counted by the other."""
-        if not 0 < after.step_ns < GAP_MAX_NS:
+        if not 0 < after.step_ns < FRAME_GAP_MAX_NS:
             return self.twist()
-        following = mean_twist(after.step, after.step_ns)
-        sigma = LAG_FRAC * 1e-9 * after.step_ns * ACCELERATION
-        if not 0 < self.step_ns < GAP_MAX_NS:
+        following = mean_twist(after.T_before_last, after.step_ns)
+        sigma = VELOCITY_LAG_FRAC * 1e-9 * after.step_ns * TYPICAL_ACCELERATION
+        if not 0 < self.step_ns < FRAME_GAP_MAX_NS:
             return Twist(following, 2.0 * sigma)
-        before = mean_twist(self.step, self.step_ns)
+        before = mean_twist(self.T_before_last, self.step_ns)
         share = self.step_ns / (self.step_ns + after.step_ns)
         return Twist(share * following + (1.0 - share) * before, sigma)
 
@@ -95,7 +95,7 @@ def predict_pose(T_vo_cam: Array, step: Array, step_ns: int, elapsed_ns: int) ->
     Args:    T_vo_cam: last pose. step: last motion T_before_last, which took step_ns.
     """
     ratio = elapsed_ns / step_ns if step_ns > 0 and elapsed_ns > 0 else 0.0
-    if ratio > RATIO_MAX:
+    if ratio > GAP_STEP_RATIO_MAX:
         ratio = 0.0
     rotation = rotation_from_rotvec(ratio * rotvec_from_rotation(step[:3, :3]))
     return T_vo_cam @ pose(rotation, ratio * step[:3, 3])

@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 from machine.poses import transform_points
 from server.vision.contracts import Array
-from server.vision.odometry_features import N_CELLS, cell_numbers, covered_cell_count
+from server.vision.odometry_features import N_IMAGE_CELLS, cell_numbers, covered_cell_count
 from server.vision.odometry_motion import Twist
 from server.vision.odometry_observation import ObservedPoints
 from server.vision.odometry_pose import PoseFit, PoseProblem, minimise, normal_equations, rough_pose, settled_pose
 
-SAMPLE = 3  # points that determine a pose, seen by both eyes
-SAMPLE_ROUNDS = 5
-CONFIDENCE = 0.999  # that one sample held points of one motion only
-SAMPLES_MAX = 250  # for a share of 30 %
+RANSAC_SAMPLE_SIZE = 3  # points that determine a pose, seen by both eyes
+SAMPLE_FIT_ITERATIONS = 5
+RANSAC_CONFIDENCE = 0.999  # that one sample held points of one motion only
+RANSAC_SAMPLES_MAX = 250  # for a share of 30 %
 MOTIONS_MAX = 3
-QUADRATIC = -1e12  # Cauchy size at which every point of a sample counts fully
-STILL_ROUNDS = 5
+QUADRATIC_LOSS_LIMIT = -1e12  # Cauchy size at which every point of a sample counts fully
+STILL_SPLIT_ITERATIONS = 5
 Mask = NDArray[np.bool_]
 
 
@@ -39,15 +39,15 @@ class LocatedPose:
     one of them, without motion.
     """
 
-    observed: ObservedPoints
+    observed_points: ObservedPoints
     fit: PoseFit
     points_vo: Array
     twist: Twist
     rest_squares: Array
-    rival: PoseFit | None = None
-    doubt: str = ""
-    places: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    jumped: bool = False
+    rival_fit: PoseFit | None = None
+    doubt_reason: str = ""
+    lookalike_covariance_m2: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    jumped_to_lookalike: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +61,10 @@ class Scene:
 
     left_px: Array
     rest_squares: Array
-    votes: NDArray[np.int8]
+    motion_votes: NDArray[np.int8]
     points_vo: Array
-    noise: float
-    shape: tuple[int, int]
+    noise_factor: float
+    image_shape: tuple[int, int]
     count_good: int
     coverage_good: int
 
@@ -84,15 +84,26 @@ def _best_sample(
         if a in (b, c) or b == c:
             continue
         some = draws[k]
-        tried = minimise(rotation, position, points[some], rays[some], roots[some], shape, QUADRATIC, SAMPLE_ROUNDS)
+        tried = minimise(
+            rotation,
+            position,
+            points[some],
+            rays[some],
+            roots[some],
+            shape,
+            QUADRATIC_LOSS_LIMIT,
+            SAMPLE_FIT_ITERATIONS,
+        )
         _, _, cost, squares = normal_equations(tried[0], tried[1], points, rays, roots, shape, limit)
         if cost < best:
             best = cost
             found_rotation, found_position = tried[0], tried[1]
             share = (squares < limit).sum() / len(points)
             if share > 0.0:
-                wrong = max(1.0 - share**SAMPLE, 1e-12)
-                needed = min(needed, int(math.log(1.0 - CONFIDENCE) / math.log(wrong)) + 1) if wrong < 1.0 else needed
+                wrong = max(1.0 - share**RANSAC_SAMPLE_SIZE, 1e-12)
+                needed = (
+                    min(needed, int(math.log(1.0 - RANSAC_CONFIDENCE) / math.log(wrong)) + 1) if wrong < 1.0 else needed
+                )
     return found_rotation, found_position
 
 
@@ -103,14 +114,14 @@ def find_motions(problem: PoseProblem, first: PoseFit, needed: int) -> list[Pose
              samples of 3 points; the best sample is fitted to all points that agree with it.
     Source:  Torr and Zisserman 2000 (MSAC); Chum, Matas and Kittler 2003 (LO-RANSAC).
     """
-    found, left = [first], ~first.inliers & (problem.roots[:, 0, 0] > 0.0)
+    found, left = [first], ~first.inliers & (problem.whitening_matrices[:, 0, 0] > 0.0)
     rng = np.random.default_rng(1)
     while len(found) < MOTIONS_MAX and left.sum() >= needed:
         on = np.flatnonzero(left)
-        data = problem.points[on], problem.rays[on], problem.roots[on], problem.shape
+        data = problem.points[on], problem.rays[on], problem.whitening_matrices[on], problem.focal_and_baseline
         rotation = np.ascontiguousarray(first.T_cam_vo[:3, :3])
         position = np.ascontiguousarray(first.T_cam_vo[:3, 3])
-        draws = rng.integers(0, len(on), (SAMPLES_MAX, SAMPLE))
+        draws = rng.integers(0, len(on), (RANSAC_SAMPLES_MAX, RANSAC_SAMPLE_SIZE))
         fit = settled_pose(problem, *_best_sample(rotation, position, *data, problem.limit, draws))
         if fit is None or (fit.inliers & left).sum() < needed:
             break
@@ -136,23 +147,23 @@ def part_motions(problem: PoseProblem, fit: PoseFit, scene: Scene, needed: int) 
     at_rest = np.minimum(scene.rest_squares, problem.limit)
     if (at_rest < problem.limit).sum() < needed:
         return [], False
-    cells, moving = cell_numbers(scene.left_px, scene.shape), fit
-    on = (np.bincount(cells, at_rest - at_rest.mean(), N_CELLS) < 0.0)[cells]
-    squares = single = np.minimum(fit.squares, problem.limit)
-    for _ in range(STILL_ROUNDS):
+    cells, moving = cell_numbers(scene.left_px, scene.image_shape), fit
+    on = (np.bincount(cells, at_rest - at_rest.mean(), N_IMAGE_CELLS) < 0.0)[cells]
+    squares = single = np.minimum(fit.squared_residuals, problem.limit)
+    for _ in range(STILL_SPLIT_ITERATIONS):
         again = _fit_of(problem.without_points(on), fit.T_cam_vo)
         if again is None:
             return [], False
         moving, squares, before = again, np.minimum(problem.squares(again.T_cam_vo), problem.limit), on
-        on = (np.bincount(cells, squares - at_rest, N_CELLS) > 0.0)[cells]
+        on = (np.bincount(cells, squares - at_rest, N_IMAGE_CELLS) > 0.0)[cells]
         if (on == before).all():
             break
     resting = _fit_of(problem.without_points(~on), fit.T_cam_vo)
     if resting is None or min(resting.inliers.sum(), moving.inliers.sum()) < needed:
         return [], False
-    gained = (single.sum() - squares[~on].sum() - at_rest[on].sum()) / problem.noise**2
-    whole = [replace(part, squares=problem.squares(part.T_cam_vo)) for part in (moving, resting)]
-    return whole, bool(gained > 2.0 * np.log(2.0) * N_CELLS)
+    gained = (single.sum() - squares[~on].sum() - at_rest[on].sum()) / problem.noise_factor**2
+    whole = [replace(part, squared_residuals=problem.squares(part.T_cam_vo)) for part in (moving, resting)]
+    return whole, bool(gained > 2.0 * np.log(2.0) * N_IMAGE_CELLS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,27 +172,27 @@ class _MotionHypothesis:
     in the picture by less than the noise."""
 
     fit: PoseFit
-    count: int
-    spread: int
-    still: bool
-    vote: float
+    n_points: int
+    n_cells: int
+    is_still: bool
+    mean_vote: float
     depth_m: float
-    able: bool
+    may_be_world: bool
 
 
 def _evidence_for_fit(fit: PoseFit, other: PoseFit, scene: Scene) -> _MotionHypothesis:
     on = fit.inliers & ~other.inliers
-    count, spread = int(on.sum()), covered_cell_count(scene.left_px[on], scene.shape)
+    count, spread = int(on.sum()), covered_cell_count(scene.left_px[on], scene.image_shape)
     depths = transform_points(fit.T_cam_vo, scene.points_vo[on])[:, 2]
-    gained = np.sum(np.minimum(scene.rest_squares[on], fit.limit) - fit.squares[on])
+    gained = np.sum(np.minimum(scene.rest_squares[on], fit.inlier_limit) - fit.squared_residuals[on])
     return _MotionHypothesis(
         fit=fit,
-        count=count,
-        spread=spread,
-        still=count > 0 and bool(gained < 4.0 * count * scene.noise**2),
-        vote=float(np.sign(scene.votes[on]).mean()) if count else 0.0,
+        n_points=count,
+        n_cells=spread,
+        is_still=count > 0 and bool(gained < 4.0 * count * scene.noise_factor**2),
+        mean_vote=float(np.sign(scene.motion_votes[on]).mean()) if count else 0.0,
         depth_m=float(np.median(depths)) if count else 0.0,
-        able=count >= scene.count_good and spread >= scene.coverage_good,
+        may_be_world=count >= scene.count_good and spread >= scene.coverage_good,
     )
 
 
@@ -205,17 +216,18 @@ def _choose_world_motion(one: _MotionHypothesis, two: _MotionHypothesis, scene: 
     front of a world at rest. So where one side stands still the farther one is the world, in doubt where it spreads
     less. Where that does not decide, the larger spread wins, in doubt where the other is large enough to be the world.
     """
-    if abs(one.vote - two.vote) > 0.5:  # more than half of the points of either side are known
-        return (one.fit, two.fit, "") if one.vote > two.vote else (two.fit, one.fit, "")
-    large, small = (one, two) if (one.spread, one.count) >= (two.spread, two.count) else (two, one)
+    if abs(one.mean_vote - two.mean_vote) > 0.5:  # more than half of the points of either side are known
+        return (one.fit, two.fit, "") if one.mean_vote > two.mean_vote else (two.fit, one.fit, "")
+    large, small = (one, two) if (one.n_cells, one.n_points) >= (two.n_cells, two.n_points) else (two, one)
     before = small.depth_m < large.depth_m
-    if before if one.still != two.still else not small.able:
+    if before if one.is_still != two.is_still else not small.may_be_world:
         return large.fit, small.fit, ""
     return (
         large.fit,
         small.fit,
         (
-            f"two motions in the picture, {large.count} points in {large.spread} of 40 cells and {small.count} in "
-            f"{small.spread}; mask what moves with the camera, or clear the view"
+            f"two motions in the picture, {large.n_points} points in {large.n_cells} of 40 cells and {small.n_points} "
+            "in "
+            f"{small.n_cells}; mask what moves with the camera, or clear the view"
         ),
     )

@@ -9,18 +9,18 @@ from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, pose, transform_points
 from server.vision.contracts import Array
-from server.vision.odometry_align import CORRELATION_MIN
+from server.vision.odometry_align import PATCH_CORRELATION_MIN
 from server.vision.odometry_features import UNIQUE_RATIO_MAX
 from server.vision.odometry_keyframe import Keyframe
-from server.vision.odometry_motion import ACCELERATION, Motion
+from server.vision.odometry_motion import TYPICAL_ACCELERATION, Motion
 from server.vision.odometry_motions import LocatedPose
 from server.vision.odometry_pose import coarse_pose
 from server.vision.odometry_sight import Sight
 
-CLIMBS_MAX = 8  # from place to better place in one pair
+PLACE_STEPS_MAX = 8  # from place to better place in one pair
 
-NEIGHBOUR_MAX_PX = 60.0  # a recognised place takes the depth of the map point next to it
-RECOGNISED_PER_PAIR = 3  # keyframes; the rest has its turn with the next pair
+DEPTH_NEIGHBOUR_MAX_PX = 60.0  # a recognised place takes the depth of the map point next to it
+RECOGNITION_KEYFRAMES_MAX = 3  # keyframes; the rest has its turn with the next pair
 
 
 def by_flow(
@@ -29,7 +29,7 @@ def by_flow(
     """T_vo_cam by flow from earlier pairs, tried in this order: (pair, places (n, 2) [px], points (n, 3) in vo)."""
     for source, places_px, points_vo in sources:
         found = sight.flow_from(source, places_px)
-        T_vo_cam = _start(camera, points_vo[found.good], found.points_px[found.good], inliers_min)
+        T_vo_cam = _start(camera, points_vo[found.valid], found.points_px[found.valid], inliers_min)
         if T_vo_cam is not None:
             return T_vo_cam
     return None
@@ -42,10 +42,10 @@ def by_recognition(
 
     Model:   a recognised place of the keyframe lies on its ray at the depth of the nearest map point; PnP with RANSAC.
     """
-    n = min(RECOGNISED_PER_PAIR, len(keyframes))
+    n = min(RECOGNITION_KEYFRAMES_MAX, len(keyframes))
     for k in range(n):
         keyframe = keyframes[(turn * n + k) % len(keyframes)]
-        kept_px, here_px = sight.recognise(keyframe.sight)
+        kept_px, here_px = sight.recognise(keyframe.image_pair)
         if len(kept_px) == 0 or keyframe.n_points == 0:
             continue
         points_vo, near = _points_at(camera, keyframe, kept_px)
@@ -61,7 +61,7 @@ def _points_at(camera: StereoCamera, keyframe: Keyframe, places_px: Array) -> tu
     depth = keyframe.points_row[nearest, 2]
     rays = np.column_stack([undistort_to_rays(camera, places_px), np.ones(len(places_px))])
     points_vo = transform_points(keyframe.T_vo_cam, rays * depth[:, None])
-    return points_vo, np.asarray(away.min(axis=1) < NEIGHBOUR_MAX_PX)
+    return points_vo, np.asarray(away.min(axis=1) < DEPTH_NEIGHBOUR_MAX_PX)
 
 
 def _start(camera: StereoCamera, points_vo: Array, here_px: Array, inliers_min: int) -> Array | None:
@@ -85,7 +85,7 @@ def shifted_pose(camera: StereoCamera, located: LocatedPose, way_px: Array) -> A
 
 def dissimilarity(located: LocatedPose) -> float:
     """How unlike their kept patches the expected points look here: mean of 1 - correlation^2, a missed one at most."""
-    observed, worst = located.observed, 1.0 - CORRELATION_MIN**2
+    observed, worst = located.observed_points, 1.0 - PATCH_CORRELATION_MIN**2
     on = located.fit.inliers
     found = np.minimum(1.0 - observed.correlations[on] ** 2, worst)
     return float((found.sum() + worst * (observed.n_expected - len(found))) / max(observed.n_expected, 1))
@@ -98,7 +98,7 @@ def best_place(
     be excluded. `fit`: an accepted fit about a pose, or None."""
     best = located
     others: list[tuple[float, LocatedPose]] = []
-    for _ in range(CLIMBS_MAX):
+    for _ in range(PLACE_STEPS_MAX):
         found = [fit(shifted_pose(camera, best, way)) for way in ways_px]
         others = [
             (dissimilarity(fitted), fitted)
@@ -128,5 +128,5 @@ def _is_different_place(one: LocatedPose, other: LocatedPose, ways_px: Array, fo
 def travel_limit_m(motion: Motion, t_ns: int) -> float:
     """How far [m] the camera may have come since its last pose: at its speed and with a boom's acceleration."""
     elapsed_s = 1e-9 * (t_ns - motion.t_ns)
-    speed_m_s = float(np.linalg.norm(motion.twist().value[3:]))
-    return speed_m_s * elapsed_s + 0.5 * float(ACCELERATION[3]) * elapsed_s**2
+    speed_m_s = float(np.linalg.norm(motion.twist().velocity[3:]))
+    return speed_m_s * elapsed_s + 0.5 * float(TYPICAL_ACCELERATION[3]) * elapsed_s**2

@@ -12,14 +12,14 @@ from machine.rotations import nearest_rotation
 from server.vision.contracts import Array
 from server.vision.small_algebra import apply, rotated_by_rotvec, solve_positive
 
-RANSAC_PX = 2.5
-RANSAC_ROUNDS = 150
-ROUNDS_MAX = 20
-SETTLE_ROUNDS = 3  # after the robust fit, with the inliers' full weight
-CAUCHY_SQUARE = 8.0  # [sigma^2] over the four coordinates of a point
-INLIER_SQUARE = 20.0  # 99.95 % of chi2 with 4 degrees of freedom
-MAD_OF_NORMAL = 0.6745  # median absolute deviation of a normal distribution, in its sigmas
-ROW_FACTOR_MAX = 4.0  # images may be noisier than assumed, up to so many times
+RANSAC_INLIER_MAX_PX = 2.5
+RANSAC_ITERATIONS = 150
+ITERATIONS_MAX = 20
+FINAL_ITERATIONS = 3  # after the robust fit, with the inliers' full weight
+CAUCHY_SCALE_SQUARED = 8.0  # [sigma^2] over the four coordinates of a point
+INLIER_CHI2_MAX = 20.0  # 99.95 % of chi2 with 4 degrees of freedom
+NORMAL_MAD_SIGMAS = 0.6745  # median absolute deviation of a normal distribution, in its sigmas
+NOISE_FACTOR_MAX = 4.0  # images may be noisier than assumed, up to so many times
 NOISE_FACTOR_MIN = 0.4  # residuals may show better images, but not what a patch errs by in all pairs alike
 INLIERS_MIN = 6
 DEPTH_MIN_M = 0.05
@@ -38,7 +38,7 @@ class StereoPoints:
     sigma_px: float
     focal_px: float
     baseline_m: float
-    noise: Array | None = None
+    unit_noise_covariances: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +54,9 @@ class PoseFit:
     inliers: NDArray[np.bool_]
     rms_sigma: float
     information: Array
-    whiteners: Array
-    squares: Array
-    limit: float
+    whitening_matrices: Array
+    squared_residuals: Array
+    inlier_limit: float
 
     @property
     def noise_factor(self) -> float:
@@ -102,7 +102,7 @@ def coarse_pose(points_vo: Array, rays: Array, focal_px: float) -> CoarsePose | 
     if len(points_vo) < 8:
         return None
     try:
-        found = ransac_pose(points_vo, rays, RANSAC_PX / focal_px, RANSAC_ROUNDS)
+        found = ransac_pose(points_vo, rays, RANSAC_INLIER_MAX_PX / focal_px, RANSAC_ITERATIONS)
     except cv2.error:  # degenerate points
         return None
     if found is None or len(found[1]) < 8:
@@ -297,24 +297,26 @@ class PoseProblem:
 
     points: Array
     rays: Array
-    roots: Array
-    shape: Array
-    noise: float
+    whitening_matrices: Array
+    focal_and_baseline: Array
+    noise_factor: float
 
     @property
     def limit(self) -> float:
         """Squared whitened residual below which a point is an inlier."""
-        return INLIER_SQUARE * max(self.noise, 1.0) ** 2
+        return INLIER_CHI2_MAX * max(self.noise_factor, 1.0) ** 2
 
     def without_points(self, points: NDArray[np.bool_]) -> "PoseProblem":
         """The same without some of the points (n,): they agree with no pose."""
-        return replace(self, roots=np.where(points[:, None, None], 0.0, self.roots))
+        return replace(self, whitening_matrices=np.where(points[:, None, None], 0.0, self.whitening_matrices))
 
     def squares(self, T_cam_vo: Array, points: Array | None = None) -> Array:
         """Squared whitened residuals (n,) at a pose, of the problem's points or of others in their place (n, 3)."""
         rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
         places = self.points if points is None else np.ascontiguousarray(points)
-        return squared_residuals(rotation, position, places, self.rays, self.roots, self.shape)
+        return squared_residuals(
+            rotation, position, places, self.rays, self.whitening_matrices, self.focal_and_baseline
+        )
 
 
 def pose_problem(T_cam_vo: Array, seen: StereoPoints) -> PoseProblem:
@@ -324,7 +326,11 @@ def pose_problem(T_cam_vo: Array, seen: StereoPoints) -> PoseProblem:
     """
     rays, points = stacked_rays(seen), np.ascontiguousarray(seen.points_vo)
     shape = np.array([seen.focal_px, seen.baseline_m])
-    noise = np.tile(np.eye(2), (len(points), 2, 1, 1)) if seen.noise is None else seen.noise
+    noise = (
+        np.tile(np.eye(2), (len(points), 2, 1, 1))
+        if seen.unit_noise_covariances is None
+        else seen.unit_noise_covariances
+    )
     rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
     covariances = np.ascontiguousarray(seen.covariances_vo)
     roots = _whitening_matrices(rotation, position, points, covariances, rays, seen.sigma_px**2 * noise, shape)
@@ -341,8 +347,8 @@ def row_factor(seen: StereoPoints) -> float:
     apart = apart[np.isfinite(apart)]
     if len(apart) < INLIERS_MIN:
         return 1.0
-    factor = float(np.median(apart)) / (MAD_OF_NORMAL * np.sqrt(2.0) * seen.sigma_px)
-    return float(np.clip(factor, NOISE_FACTOR_MIN, ROW_FACTOR_MAX))
+    factor = float(np.median(apart)) / (NORMAL_MAD_SIGMAS * np.sqrt(2.0) * seen.sigma_px)
+    return float(np.clip(factor, NOISE_FACTOR_MIN, NOISE_FACTOR_MAX))
 
 
 def refine_camera(T_cam_vo: Array, seen: StereoPoints) -> PoseFit | None:
@@ -361,16 +367,18 @@ def refine_camera(T_cam_vo: Array, seen: StereoPoints) -> PoseFit | None:
 def rough_pose(problem: PoseProblem, T_cam_vo: Array) -> tuple[Array, Array]:
     """Rotation and position by the Cauchy cost of all points: the nearest of its minima."""
     rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
-    data = problem.points, problem.rays, problem.roots, problem.shape
-    found = minimise(rotation, position, *data, -CAUCHY_SQUARE * max(problem.noise, 1.0) ** 2, ROUNDS_MAX)
+    data = problem.points, problem.rays, problem.whitening_matrices, problem.focal_and_baseline
+    found = minimise(
+        rotation, position, *data, -CAUCHY_SCALE_SQUARED * max(problem.noise_factor, 1.0) ** 2, ITERATIONS_MAX
+    )
     return found[0], found[1]
 
 
 def settled_pose(problem: PoseProblem, rotation: Array, position: Array) -> PoseFit | None:
     """The fit of the inliers about a pose, at their full weight."""
     rays, limit = problem.rays, problem.limit
-    data = problem.points, rays, problem.roots, problem.shape
-    rotation, position, information, squares = minimise(rotation, position, *data, limit, SETTLE_ROUNDS)
+    data = problem.points, rays, problem.whitening_matrices, problem.focal_and_baseline
+    rotation, position, information, squares = minimise(rotation, position, *data, limit, FINAL_ITERATIONS)
     inliers = np.asarray(squares < limit)
     if inliers.sum() < INLIERS_MIN or np.linalg.cond(information) > 1e14:
         return None
@@ -383,9 +391,9 @@ def settled_pose(problem: PoseProblem, rotation: Array, position: Array) -> Pose
         inliers=inliers,
         rms_sigma=float(np.sqrt(mean_square)),
         information=information,
-        whiteners=problem.roots,
-        squares=squares,
-        limit=limit,
+        whitening_matrices=problem.whitening_matrices,
+        squared_residuals=squares,
+        inlier_limit=limit,
     )
 
 

@@ -15,7 +15,7 @@ from server.vision.odometry_pose import PoseFit, stacked_rays, white_rows
 from server.vision.small_algebra import apply
 
 Indices = NDArray[np.int64]
-SHARED = 12  # errors of a keyframe: its pose (6, left perturbation in vo), then its velocity (6, its own axes)
+N_SHARED_ERRORS = 12  # errors of a keyframe: its pose (6, left perturbation in vo), then its velocity (6, its own axes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Sensitivity:
     What the pair says of the readout itself: `readout_information` [1/s^2], and its best change `readout_step_s`.
     """
 
-    keyframes: tuple[int, ...]
+    keyframe_indices: tuple[int, ...]
     of_keyframes: Array
     of_twist: Array
     of_readout: Array
@@ -39,7 +39,7 @@ class Shutter:
     """What the shutter did to n points: where their rows lie in the readout, here and in their keyframes (n,); this
     camera's velocity (6,), and how long the readout may well be [s]."""
 
-    fractions: Array
+    row_fractions: Array
     fractions_key: Array
     twist: Array
     readout_s: float
@@ -154,7 +154,7 @@ def keyframe_mixture(keyframes: Sequence[Keyframe], hosts: Indices, indices: Ind
     serials = {keyframe.serial: number for number, keyframe in enumerate(keyframes)}
     used = {int(host) for host in np.unique(hosts)}
     for host in tuple(used):
-        used |= {serials[serial] for serial in keyframes[host].mixing if serial in serials}
+        used |= {serials[serial] for serial in keyframes[host].keyframe_influence if serial in serials}
     numbers = np.array(sorted(used), dtype=np.int64)
     mixings = np.zeros((len(hosts), len(numbers), 3, 3))
     for host in np.unique(hosts):
@@ -175,16 +175,16 @@ def fit_sensitivity(
     Args:    points_vo: as fitted (n, 3). keyframes: all, as `observed.keyframes` numbers them.
     """
     on = fit.inliers
-    hosts, indices, seen = observed.keyframes[on], observed.indices[on], observed.seen
+    hosts, indices, seen = observed.keyframe_indices[on], observed.indices[on], observed.stereo_points
     numbers, mixings = keyframe_mixture(keyframes, hosts, indices)
     keyed, moving, alone = _sensitivity_products(
         np.ascontiguousarray(fit.T_cam_vo[:3, :3]),
         np.ascontiguousarray(fit.T_cam_vo[:3, 3]),
         np.ascontiguousarray(points_vo[on]),
         stacked_rays(seen)[on],
-        fit.whiteners[on],
+        fit.whitening_matrices[on],
         np.array([seen.focal_px, seen.baseline_m]),
-        np.column_stack([shutter.fractions, shutter.fractions_key])[on],
+        np.column_stack([shutter.row_fractions, shutter.fractions_key])[on],
         shutter.twist,
         shutter.readout_s,
         np.searchsorted(numbers, hosts),
@@ -197,7 +197,7 @@ def fit_sensitivity(
     crossed = moving[:, 6]
     information = float(alone[0] - crossed @ inverse @ crossed)
     return Sensitivity(
-        keyframes=tuple(int(number) for number in numbers),
+        keyframe_indices=tuple(int(number) for number in numbers),
         of_keyframes=to_vo @ keyed,
         of_twist=to_vo @ moving[:, :6],
         of_readout=to_vo @ crossed,

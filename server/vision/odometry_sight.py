@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
-from server.vision.odometry_align import CORRELATION_MIN, HALF_PX, Alignment, align_reference_patches
+from server.vision.odometry_align import PATCH_CORRELATION_MIN, PATCH_HALF_PX, Alignment, align_reference_patches
 from server.vision.odometry_features import (
     UNIQUE_RATIO_MAX,
     inside_mask,
@@ -22,13 +22,13 @@ from server.vision.odometry_features import (
 
 EPIPOLAR_MAX_PX = 1.0
 DISPARITY_MIN_PX = 1.5
-SAMPLE = 40  # points that say which disparity is the right one where a texture repeats
-REPETITIONS_MAX = 8
+REPETITION_CHECK_POINTS = 40  # points that say which disparity is the right one where a texture repeats
+REPETITION_STEPS_MAX = 8
 
-WINDOW_PX = 21
-LEVELS = 4
-RETURN_MAX_PX = 0.7  # a point must come back to within this
-CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
+KLT_WINDOW_PX = 21
+KLT_PYRAMID_LEVELS = 4
+KLT_RETURN_ERROR_MAX_PX = 0.7  # a point must come back to within this
+KLT_TERMINATION_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Flow:
     """Points (n, 2) [px] in the second image, and which of them (n,) may be believed."""
 
     points_px: Array
-    good: NDArray[np.bool_]
+    valid: NDArray[np.bool_]
 
 
 def optical_flow(first: Image, second: Image, points_px: Array, guess_px: Array | None = None) -> Flow:
@@ -52,7 +52,7 @@ def optical_flow(first: Image, second: Image, points_px: Array, guess_px: Array 
     there, forward = _track_points_klt(first, second, start, guess)
     back, backward = _track_points_klt(second, first, there, start.copy())
     returned = np.linalg.norm((back - start).reshape(-1, 2), axis=1)
-    good = (forward.reshape(-1) == 1) & (backward.reshape(-1) == 1) & (returned < RETURN_MAX_PX)
+    good = (forward.reshape(-1) == 1) & (backward.reshape(-1) == 1) & (returned < KLT_RETURN_ERROR_MAX_PX)
     return Flow(there.reshape(-1, 2).astype(np.float64), good)
 
 
@@ -64,9 +64,9 @@ def _track_points_klt(
         second,
         points,
         guess.copy(),
-        winSize=(WINDOW_PX, WINDOW_PX),
-        maxLevel=LEVELS,
-        criteria=CRITERIA,
+        winSize=(KLT_WINDOW_PX, KLT_WINDOW_PX),
+        maxLevel=KLT_PYRAMID_LEVELS,
+        criteria=KLT_TERMINATION_CRITERIA,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=1e-5,
     )
@@ -81,7 +81,7 @@ class StereoMatches:
     left_px: Array
     right_px: Array
     texture_grey: float = float("inf")
-    unique: bool = True
+    disparity_unique: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,14 +163,14 @@ class ImageSight:
         corners = spread_corners(self.left, self.masks[0], count, occupied_px)
         found = optical_flow(self.left, self.right, corners)
         rays_left = undistort_to_rays(camera, corners)
-        right_px, good = found.points_px, plausible_match_mask(camera, rays_left, found.points_px, found.good)
+        right_px, good = found.points_px, plausible_match_mask(camera, rays_left, found.points_px, found.valid)
         if 0 < good.sum() < len(good):
             shift = np.median(right_px[good] - corners[good], axis=0)
             again = optical_flow(self.left, self.right, corners[~good], corners[~good] + shift)
             right_px = right_px.copy()
             right_px[~good] = again.points_px
             retried = good.copy()
-            retried[~good] = again.good
+            retried[~good] = again.valid
             good = plausible_match_mask(camera, rays_left, right_px, retried)
         right_px, unique = self._best_disparity(corners, right_px, good)
         good = plausible_match_mask(camera, rays_left, right_px, good) & inside_mask(self.masks[1], right_px)
@@ -179,24 +179,24 @@ class ImageSight:
     def _best_disparity(self, corners: Array, right_px: Array, good: NDArray[np.bool_]) -> tuple[Array, bool]:
         """Right places (n, 2), moved along the rows by as many repetitions of the texture as make both eyes most alike,
         and whether that is clearly better than one repetition more or less."""
-        some = np.flatnonzero(good)[:: max(1, int(good.sum()) // SAMPLE)]
+        some = np.flatnonzero(good)[:: max(1, int(good.sum()) // REPETITION_CHECK_POINTS)]
         ways = repeats(self.left, along_rows=True)
         if len(some) == 0 or len(ways) == 0:
             return right_px, True
         warps, offset = np.tile(np.eye(2), (len(some), 1, 1)), np.zeros(2)
-        border = np.array([2.0 * HALF_PX, 0.0])
+        border = np.array([2.0 * PATCH_HALF_PX, 0.0])
         size = np.array([self.left.shape[1], self.left.shape[0]])
-        worst = 1.0 - CORRELATION_MIN**2
+        worst = 1.0 - PATCH_CORRELATION_MIN**2
 
         def unlike(way: Array) -> Array:
             guesses = right_px[some] + way
             found = align_reference_patches(self.left, corners[some], warps, self.right, guesses)
             inside = ((guesses >= border) & (guesses < size - border)).all(axis=1)
-            least = np.where(found.good, 1.0 - found.correlation**2, worst)
+            least = np.where(found.valid, 1.0 - found.correlation**2, worst)
             return np.where(inside, least, np.nan)
 
         best, ratio = unlike(offset), 0.0
-        for _ in range(REPETITIONS_MAX):
+        for _ in range(REPETITION_STEPS_MAX):
             others = [unlike(offset + way) for way in ways]
             both = [np.minimum(best, other) < worst for other in others]  # NaN: not in the picture
             ratios = [
@@ -214,7 +214,7 @@ class ImageSight:
         moved = align_reference_patches(
             self.left, corners, np.tile(np.eye(2), (len(corners), 1, 1)), self.right, right_px + offset
         )
-        return np.where(moved.good[:, None], moved.points_px, np.nan), unique
+        return np.where(moved.valid[:, None], moved.points_px, np.nan), unique
 
     def find_points(self, kept: Sight, wanted: SearchPoints) -> tuple[Alignment, Alignment]:
         """Patches of the kept pair, warped, laid onto this one; what lies under a mask is not found."""
@@ -225,7 +225,7 @@ class ImageSight:
         right = align_reference_patches(
             kept.right, wanted.places_right_px, wanted.warps, self.right, wanted.guesses_right_px
         )
-        shown = right.good & inside_mask(self.masks[1], right.points_px)
+        shown = right.valid & inside_mask(self.masks[1], right.points_px)
         return left, Alignment(right.points_px, right.correlation, shown)
 
     def may_show(self, left_px: Array) -> NDArray[np.bool_]:
@@ -236,7 +236,7 @@ class ImageSight:
         """Pyramidal flow from the kept left image to this one."""
         kept = _require_image_sight(kept)
         found = optical_flow(kept.left, self.left, places_left_px)
-        return Flow(found.points_px, found.good & inside_mask(self.masks[0], found.points_px))
+        return Flow(found.points_px, found.valid & inside_mask(self.masks[0], found.points_px))
 
     def recognise(self, kept: Sight) -> tuple[Array, Array]:
         """Match a kept pair to this one by ORB features; pixels in both."""

@@ -7,20 +7,20 @@ import numpy as np
 from server.vision.contracts import Array, OdometryStatus
 from server.vision.odometry_features import covered_cell_count
 
-REFERENCE_PX2 = 1280 * 720  # `inliers_good` is of such a picture; a smaller one has room for fewer corners
+REFERENCE_IMAGE_AREA_PX2 = 1280 * 720  # `inliers_good` is of such a picture; a smaller one has room for fewer corners
 
 
 @dataclass(frozen=True, slots=True)
 class OdometrySettings:
     """How much is tracked, and when the result is believed."""
 
-    features: int = 400  # grid cells for new corners, one corner each
+    corner_cells: int = 400  # grid cells for new corners, one corner each
     points_max: int = 320  # map points laid onto each pair
     sigma_px: float = 0.08  # of one coordinate of a corner in one image
     aligned_min_frac: float = 0.5  # of the expected points; below, the prediction was wrong and flow must help
     keyframe_below_frac: float = 0.55  # of the last keyframe's points or coverage
     keyframes_max: int = 40
-    window: int = 6  # newest keyframes that are adjusted together when one is added
+    window_keyframes: int = 6  # newest keyframes that are adjusted together when one is added
     inliers_good: int = 60
     inliers_min: int = 15
     coverage_good: int = 10  # of 40 cells of the image
@@ -34,7 +34,7 @@ class OdometrySettings:
 
     def count_good(self, shape: tuple[int, int]) -> int:
         """From how many points on a pose is good, in pictures of this height and width."""
-        share = min(1.0, shape[0] * shape[1] / REFERENCE_PX2)
+        share = min(1.0, shape[0] * shape[1] / REFERENCE_IMAGE_AREA_PX2)
         return max(self.inliers_min, round(self.inliers_good * share))
 
 
@@ -50,7 +50,7 @@ class Evidence:
     texture_grey: float
     distance_m: float = 0.0
     right_frac: float = 1.0
-    doubt: str = ""
+    doubt_reason: str = ""
     unique_depth: bool = True
 
 
@@ -81,7 +81,7 @@ def odometry_verdict(settings: OdometrySettings, shape: tuple[int, int], found: 
             f"{100 * settings.right_good_frac:.0f} %); covered, frozen, out of step, or the eyes are swapped"
         )
     elif sigma_m > good_m:
-        why = found.doubt or "go slower or nearer"
+        why = found.doubt_reason or "go slower or nearer"
         reason = f"position only known to {1e3 * sigma_m:.1f} mm (good to {1e3 * good_m:.1f}); {why}"
     elif found.rms_sigma > settings.rms_good:
         reason = (

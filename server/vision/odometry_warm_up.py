@@ -26,13 +26,13 @@ def warm_up_bundle() -> None:
     problem = BundleProblem(
         Ts_vo_cam=Ts,
         points_vo=points,
-        frames=frames,
-        points=seen,
-        uv=np.column_stack([x / z, y / z, (x - 0.1) / z, y / z]),
+        frame_indices=frames,
+        point_indices=seen,
+        rays=np.column_stack([x / z, y / z, (x - 0.1) / z, y / z]),
         sigma_px=np.full((24, 2), 0.1),
         focal_px=(500.0, 500.0),
         baseline_m=0.1,
-        fixed=np.array([True, False]),
+        fixed_frames=np.array([True, False]),
     )
     adjust_bundle(problem)
 
@@ -62,7 +62,7 @@ def warm_up() -> None:
 def _dummy_keyframe() -> Keyframe:
     none, points, black = np.zeros((0, 2)), np.zeros((1, 3)), np.zeros((2, 2), np.uint8)
     return Keyframe(
-        sight=ImageSight(black, black, (black, black), 0),
+        image_pair=ImageSight(black, black, (black, black), 0),
         T_vo_cam=np.eye(4),
         places_left_px=none,
         places_right_px=none,
@@ -74,7 +74,7 @@ def _dummy_keyframe() -> Keyframe:
         points_vo=points,
         support_vo=points[:, None],
         covariances_vo=np.eye(3)[None],
-        failures=np.zeros(1, dtype=np.int64),
-        votes=np.zeros(1, dtype=np.int8),
-        mixing={0: np.eye(3)[None]},
+        search_failures=np.zeros(1, dtype=np.int64),
+        motion_votes=np.zeros(1, dtype=np.int8),
+        keyframe_influence={0: np.eye(3)[None]},
     )

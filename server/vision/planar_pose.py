@@ -12,7 +12,7 @@ from server.vision.contracts import Array
 from server.vision.quadrilateral import of_unit_square
 from server.vision.small_algebra import multiply, solve_positive
 
-FLAT_FRAC = 1e-3  # third extent over the first: flatter points are one plane
+FLATNESS_MAX_FRAC = 1e-3  # third extent over the first: flatter points are one plane
 POINTS_MIN = 4
 
 
@@ -38,9 +38,9 @@ def point_poses(rays: Array, points_object: Array) -> tuple[Array, ...]:
     if len(points_object) < POINTS_MIN:
         return ()
     extents = np.linalg.svd(points_object - points_object.mean(axis=0), compute_uv=False)
-    if extents[1] < FLAT_FRAC * extents[0]:
+    if extents[1] < FLATNESS_MAX_FRAC * extents[0]:
         return ()
-    flat = extents[2] < FLAT_FRAC * extents[0]
+    flat = extents[2] < FLATNESS_MAX_FRAC * extents[0]
     method = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
     try:
         count, rvecs, tvecs, _ = cv2.solvePnPGeneric(

@@ -48,11 +48,11 @@ class PointSighting:
 class SeenGroup:
     """Points of one sighting in one eye: rows `first` to `end` of the problem's arrays, which of them (n,) it sees."""
 
-    sighting: int
-    eye: int
-    first: int
-    end: int
-    seen: NDArray[np.bool_]
+    sighting_index: int
+    eye_index: int
+    first_row: int
+    end_row: int
+    seen_mask: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ class PoseProblem:
         """Whether each row belongs to one of these sightings (n,)."""
         rows = np.zeros(len(self.observations.points_object), dtype=bool)
         for group in self.groups:
-            rows[group.first : group.end] |= group.sighting in indices
+            rows[group.first_row : group.end_row] |= group.sighting_index in indices
         return rows
 
     def observations_of(self, indices: Sequence[int]) -> PointObservations:
@@ -81,9 +81,9 @@ class PoseProblem:
         """Points that both eyes see, undistorted (m, 2) [px], left and right."""
         pairs: dict[int, list[Array]] = {}
         for group in self.groups:
-            pixels = np.full((len(object_points(self.sightings[group.sighting])), 2), np.nan)
-            pixels[group.seen] = self.observations.seen_px[group.first : group.end]
-            pairs.setdefault(group.sighting, []).append(pixels)
+            pixels = np.full((len(object_points(self.sightings[group.sighting_index])), 2), np.nan)
+            pixels[group.seen_mask] = self.observations.seen_px[group.first_row : group.end_row]
+            pairs.setdefault(group.sighting_index, []).append(pixels)
         both = [pair for pair in pairs.values() if len(pair) == 2]
         if not both:
             return np.empty((0, 2)), np.empty((0, 2))
@@ -93,19 +93,19 @@ class PoseProblem:
 
     def starting_poses(self, indices: Sequence[int]) -> Array:
         """T_cam_object (k, 4, 4) by both planar solutions of every sighting in every eye."""
-        found = [start for group in self.groups if group.sighting in indices for start in self._starts_of(group)]
+        found = [start for group in self.groups if group.sighting_index in indices for start in self._starts_of(group)]
         return np.array(found) if found else np.empty((0, 4, 4))
 
     def _starts_of(self, group: SeenGroup) -> Iterator[Array]:
-        sighting, seen = self.sightings[group.sighting], self.observations
-        rays = seen.seen_px[group.first : group.end] / seen.focal_px
+        sighting, seen = self.sightings[group.sighting_index], self.observations
+        rays = seen.seen_px[group.first_row : group.end_row] / seen.focal_px
         if isinstance(sighting, Sighting):
             T_marker_object = inverse_pose(sighting.marker.T_on_marker)
             found = [T @ T_marker_object for T in planar_poses(rays, sighting.marker.side_m)]
         else:
-            found = list(point_poses(rays, seen.points_object[group.first : group.end]))
+            found = list(point_poses(rays, seen.points_object[group.first_row : group.end_row]))
         for start in found:
-            start[0, 3] += seen.eye_x_m[group.first]
+            start[0, 3] += seen.eye_x_m[group.first_row]
             yield start
 
 

@@ -12,7 +12,7 @@ from server.vision.small_algebra import rotated_by_rotvec, solve_positive
 
 DEPTH_MIN_M = 0.02  # nearer points are behind the glass: no pose puts them there
 ITERATIONS_MAX = 60
-GAIN_DONE = 1e-12  # of the sum of squares
+CONVERGED_GAIN_FRAC = 1e-12  # of the sum of squares
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +51,9 @@ class KernelArrays(NamedTuple):
     """`PointObservations` as the kernels take them: contiguous arrays."""
 
     points: Array
-    seen: Array
+    seen_px: Array
     eye_x: Array
-    focal: Array
+    focal_px: Array
     weights: Array
 
 
@@ -140,7 +140,7 @@ def _levenberg_marquardt(T: Array, given: KernelArrays) -> tuple[Array, Array, f
         new_position = position + step[3:]
         new_total = sum_squares(new_rotation, new_position, given)
         if new_total <= total:
-            small = np.abs(step).max() < 1e-11 or total - new_total < GAIN_DONE * total + 1e-20
+            small = np.abs(step).max() < 1e-11 or total - new_total < CONVERGED_GAIN_FRAC * total + 1e-20
             rotation, position, total, fresh = new_rotation, new_position, new_total, False
             damping = max(damping * 0.1, 1e-9)
             if small:

@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from server.vision.contracts import Array
 from server.vision.teach_contracts import TeachSettings, TeachStatus, TeachView
-from server.vision.teach_fit import PER_MARKER, Corners, LayoutFit, LayoutState, Priors, fit_layout
+from server.vision.teach_fit import UNKNOWNS_PER_MARKER, Corners, LayoutFit, LayoutState, Priors, fit_layout
 from server.vision.teach_start import SeenViews, groups_seen_together
 
-USUAL_TIMES = 6.0
-SUSPICIOUS_SIGMAS = 2.0  # residual in units of the corners' noise above which a reason is looked for
-EXPLAINED_TIMES = 2.0  # by which the residual must fall without a marker to blame it
-SPLITS_MAX = 7
-BAD_SHARE_MAX = 0.25  # of a marker's sightings, above which it is the marker and not the picture
-NOISE_SPREAD_TIMES = 3.5
+STRAY_RMS_FACTOR = 6.0
+SUSPICIOUS_RESIDUAL_SIGMAS = 2.0  # residual in units of the corners' noise above which a reason is looked for
+RESIDUAL_DROP_FACTOR_MIN = 2.0  # by which the residual must fall without a marker to blame it
+TIME_SPLITS_MAX = 7
+STRAY_SIGHTINGS_MAX_FRAC = 0.25  # of a marker's sightings, above which it is the marker and not the picture
+SIDE_ERROR_MAX_SIGMAS = 3.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ def check_input(views: Sequence[TeachView], wanted: Sequence[int]) -> Refusal | 
     missing = [
         marker_id
         for marker_id in wanted
-        if not any(marker_id in view.left or marker_id in view.right for view in views)
+        if not any(marker_id in view.left_corners_px or marker_id in view.right_corners_px for view in views)
     ]
     if missing:
         return Refusal(
@@ -54,7 +54,7 @@ def check_connected(seen: SeenViews) -> Refusal | None:
     groups = groups_seen_together(seen)
     if len(groups) == 1:
         return None
-    names = " and ".join(f"{{{_comma_separated([seen.ids[k] for k in group])}}}" for group in groups)
+    names = " and ".join(f"{{{_comma_separated([seen.marker_ids[k] for k in group])}}}" for group in groups)
     return Refusal(
         TeachStatus.NOT_CONNECTED,
         f"markers {names} are never seen together; take views that show markers of both groups together",
@@ -113,17 +113,17 @@ def sighting_rms_px(fit: LayoutFit, corners: Corners, n_views: int, n_markers: i
     """Rms per coordinate (v, m) [px] of every marker in every view; NaN where it was not seen."""
     n = n_views * n_markers
     squares = (fit.residuals_px**2).mean(axis=1)
-    total = np.bincount(corners.sighting, weights=squares, minlength=n)
-    count = np.bincount(corners.sighting, minlength=n)
+    total = np.bincount(corners.sighting_indices, weights=squares, minlength=n)
+    count = np.bincount(corners.sighting_indices, minlength=n)
     mean = np.divide(total, count, out=np.full(n, np.nan), where=count > 0)
     return np.sqrt(mean).reshape(n_views, n_markers)
 
 
 def stray_sightings(rms_px: Array, settings: TeachSettings) -> NDArray[np.bool_]:
     """Single sightings (v, m) that do not fit the others; a marker with many of them is left to `check_rigid`."""
-    bad = rms_px > max(settings.sighting_max_px, USUAL_TIMES * float(np.nanmedian(rms_px)))
+    bad = rms_px > max(settings.sighting_max_px, STRAY_RMS_FACTOR * float(np.nanmedian(rms_px)))
     share = bad.sum(axis=0) / np.maximum(np.isfinite(rms_px).sum(axis=0), 1)
-    return bad & (share <= BAD_SHARE_MAX)
+    return bad & (share <= STRAY_SIGHTINGS_MAX_FRAC)
 
 
 def check_rigid(
@@ -135,11 +135,11 @@ def check_rigid(
     before some moment and those after it do.
     """
     whole, again = rms_of(fit.residuals_px), "and take all views again"
-    if whole <= SUSPICIOUS_SIGMAS * settings.sigma_px:
+    if whole <= SUSPICIOUS_RESIDUAL_SIGMAS * settings.sigma_px:
         return None
     if len(ids) == 2:
         apart = _split_rms_px(fit, corners, priors)
-        if apart * EXPLAINED_TIMES < whole:
+        if apart * RESIDUAL_DROP_FACTOR_MIN < whole:
             return Refusal(
                 TeachStatus.CONTRADICTION,
                 f"markers {_comma_separated(ids)} moved against each other "
@@ -147,7 +147,7 @@ def check_rigid(
             )
     else:
         blamed, without = _worst_fitting_marker(fit, corners, priors, ids)
-        if without * EXPLAINED_TIMES < whole:
+        if without * RESIDUAL_DROP_FACTOR_MIN < whole:
             return Refusal(
                 TeachStatus.CONTRADICTION,
                 f"marker {ids[blamed]} moved between the views, or is not flat: {whole:.2f} px rms with it, "
@@ -166,8 +166,8 @@ def _worst_fitting_marker(fit: LayoutFit, corners: Corners, priors: Priors, ids:
     """The marker without which the others fit best, and their rms [px]."""
     trials = []
     for k in range(len(ids)):
-        rest = corners.without_rows(corners.marker == k)
-        if len(rest.view):
+        rest = corners.without_rows(corners.marker_indices == k)
+        if len(rest.view_indices):
             trials.append((rms_of(fit_layout(fit.state, rest, priors).residuals_px), k))
     rms, k = min(trials)
     return k, rms
@@ -176,8 +176,8 @@ def _worst_fitting_marker(fit: LayoutFit, corners: Corners, priors: Priors, ids:
 def _split_rms_px(fit: LayoutFit, corners: Corners, priors: Priors) -> float:
     """Rms [px] of the views before and after some moment, fitted apart; the least over some moments."""
     n_views, found = len(fit.state.Ts_cam_ref), [rms_of(fit.residuals_px)]
-    for moment in np.unique(np.linspace(2, n_views - 2, SPLITS_MAX).round()):
-        late = corners.view >= moment
+    for moment in np.unique(np.linspace(2, n_views - 2, TIME_SPLITS_MAX).round()):
+        late = corners.view_indices >= moment
         parts = [fit_layout(fit.state, corners.without_rows(drop), priors).residuals_px for drop in (late, ~late)]
         found.append(rms_of(np.concatenate(parts)))
     return min(found)
@@ -195,16 +195,16 @@ def check_sides(
         return None
     printed = np.array([printed_m[ids[k]] for k in rows])
     ratio = free.state.sides_m[rows] / printed
-    variance = np.diag(free.covariance)[[PER_MARKER * k + 6 for k in rows]] + settings.side_sigma_m**2
+    variance = np.diag(free.covariance)[[UNKNOWNS_PER_MARKER * k + 6 for k in rows]] + settings.side_sigma_m**2
     sigma = np.sqrt(variance) / printed
     common = float(np.median(ratio))
     against = np.sqrt(1.0 + 1.5 / len(rows))  # the median of the others has its own error
-    limit = np.maximum(settings.side_error_max_frac, NOISE_SPREAD_TIMES * against * sigma)
+    limit = np.maximum(settings.side_error_max_frac, SIDE_ERROR_MAX_SIGMAS * against * sigma)
     worst = int(np.argmax(np.abs(ratio - common) / limit))
     if abs(ratio[worst] - common) > limit[worst]:
         return _one_wrong(ids[rows[worst]], float(printed[worst]), float(ratio[worst]), common, float(sigma[worst]))
     sigma_all = float(np.hypot(sigma.min(), settings.baseline_sigma_frac))
-    limit_all = max(settings.side_error_max_frac, NOISE_SPREAD_TIMES * sigma_all)
+    limit_all = max(settings.side_error_max_frac, SIDE_ERROR_MAX_SIGMAS * sigma_all)
     if abs(common - 1.0) <= limit_all:
         return None
     return Refusal(

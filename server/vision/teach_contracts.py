@@ -25,8 +25,8 @@ class TeachStatus(Enum):
 class TeachView:
     """Markers in one stereo pair at rest: corners (4, 2) [raw px] by id in each eye."""
 
-    left: Mapping[int, Array]
-    right: Mapping[int, Array]
+    left_corners_px: Mapping[int, Array]
+    right_corners_px: Mapping[int, Array]
     repeated_ids: frozenset[int] = frozenset()  # ids seen at two places of one image
 
 

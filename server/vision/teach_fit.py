@@ -11,10 +11,10 @@ from server.vision.contracts import Array
 Indices = NDArray[np.intp]
 
 ITERATIONS_MAX = 60
-GAIN_DONE = 1e-10  # of the cost
+CONVERGED_GAIN_FRAC = 1e-10  # of the cost
 HUBER_SIGMAS = 3.0
 DEPTH_MIN_M = 0.02
-PER_MARKER = 7  # rotation vector, translation, side
+UNKNOWNS_PER_MARKER = 7  # rotation vector, translation, side
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +25,11 @@ class Corners:
     right (n,): 1 in the right eye, 0 in the left. sighting (n,): which marker in which view.
     """
 
-    view: Indices
-    marker: Indices
-    sighting: Indices
-    unit: Array
-    right: Array
+    view_indices: Indices
+    marker_indices: Indices
+    sighting_indices: Indices
+    unit_corners: Array
+    in_right_eye: Array
     seen_px: Array
     focal_px: Array
     baseline_m: float
@@ -39,11 +39,11 @@ class Corners:
         keep = ~dropped
         return replace(
             self,
-            view=self.view[keep],
-            marker=self.marker[keep],
-            sighting=self.sighting[keep],
-            unit=self.unit[keep],
-            right=self.right[keep],
+            view_indices=self.view_indices[keep],
+            marker_indices=self.marker_indices[keep],
+            sighting_indices=self.sighting_indices[keep],
+            unit_corners=self.unit_corners[keep],
+            in_right_eye=self.in_right_eye[keep],
             seen_px=self.seen_px[keep],
         )
 
@@ -85,14 +85,14 @@ class _ReducedNormalEquations:
     g: Array
     view_inverse: Array  # (v, 6, 6)
     view_gradient: Array  # (v, 6)
-    cross: Array  # (v, 6, k)
+    view_cross_blocks: Array  # (v, 6, k)
 
 
 def residuals_px(state: LayoutState, corners: Corners) -> Array:
     """Predicted minus seen (n, 2) [px]; infinite where a corner lies behind the glass."""
     p = _in_camera(state, corners)[0]
     z = np.where(p[:, 2] >= DEPTH_MIN_M, p[:, 2], np.nan)
-    eye_x = corners.right * corners.baseline_m * (1.0 + state.baseline_frac)
+    eye_x = corners.in_right_eye * corners.baseline_m * (1.0 + state.baseline_frac)
     rays = np.column_stack([(p[:, 0] - eye_x) / z, p[:, 1] / z])
     found = rays * corners.focal_px - corners.seen_px
     return np.where(np.isfinite(found), found, np.inf)
@@ -114,7 +114,7 @@ def fit_layout(start: LayoutState, corners: Corners, priors: Priors) -> LayoutFi
         trial = _solve_and_step(state, equations)
         trial_cost, _ = _robust_cost(trial, corners, priors, scale_px)
         if trial_cost <= cost:
-            done = cost - trial_cost <= GAIN_DONE * cost + 1e-12
+            done = cost - trial_cost <= CONVERGED_GAIN_FRAC * cost + 1e-12
             state, damping = trial, max(0.1 * damping, 1e-9)
             cost, scale_px = _robust_cost(state, corners, priors)
             if done:
@@ -128,8 +128,10 @@ def fit_layout(start: LayoutState, corners: Corners, priors: Priors) -> LayoutFi
 
 def _in_camera(state: LayoutState, corners: Corners) -> tuple[Array, Array, Array]:
     """Corners in the left camera (n, 3), arms R_cam_ref p_ref (n, 3), and R_ref_marker s c (n, 3)."""
-    T_marker, T_view = state.Ts_ref_marker[corners.marker], state.Ts_cam_ref[corners.view]
-    on_marker = np.einsum("nij,nj->ni", T_marker[:, :3, :3], state.sides_m[corners.marker, None] * corners.unit)
+    T_marker, T_view = state.Ts_ref_marker[corners.marker_indices], state.Ts_cam_ref[corners.view_indices]
+    on_marker = np.einsum(
+        "nij,nj->ni", T_marker[:, :3, :3], state.sides_m[corners.marker_indices, None] * corners.unit_corners
+    )
     arm = np.einsum("nij,nj->ni", T_view[:, :3, :3], on_marker + T_marker[:, :3, 3])
     return arm + T_view[:, :3, 3], arm, on_marker
 
@@ -153,19 +155,19 @@ def _robust_cost(
 def _residual_jacobians(state: LayoutState, corners: Corners) -> tuple[Array, Array, Array]:
     """d residual / d view (n, 2, 6), / d marker (n, 2, 7), / d baseline (n, 2)."""
     p, arm, on_marker = _in_camera(state, corners)
-    eye_x = corners.right * corners.baseline_m * (1.0 + state.baseline_frac)
+    eye_x = corners.in_right_eye * corners.baseline_m * (1.0 + state.baseline_frac)
     inverse = 1.0 / p[:, 2]
     P = np.zeros((len(p), 2, 3))
     P[:, 0, 0], P[:, 1, 1] = corners.focal_px[0] * inverse, corners.focal_px[1] * inverse
     P[:, 0, 2] = -P[:, 0, 0] * (p[:, 0] - eye_x) * inverse
     P[:, 1, 2] = -P[:, 1, 1] * p[:, 1] * inverse
-    R_view = state.Ts_cam_ref[corners.view][:, :3, :3]
-    R_marker = state.Ts_ref_marker[corners.marker][:, :3, :3]
+    R_view = state.Ts_cam_ref[corners.view_indices][:, :3, :3]
+    R_marker = state.Ts_ref_marker[corners.marker_indices][:, :3, :3]
     on_ref = P @ R_view
     J_view = np.concatenate([_cross_rows(P, arm), P], axis=2)
-    along_side = np.einsum("nij,njk,nk->ni", on_ref, R_marker, corners.unit)
+    along_side = np.einsum("nij,njk,nk->ni", on_ref, R_marker, corners.unit_corners)
     J_marker = np.concatenate([_cross_rows(on_ref, on_marker), on_ref, along_side[:, :, None]], axis=2)
-    J_baseline = -P[:, :, 0] * (corners.right * corners.baseline_m)[:, None]
+    J_baseline = -P[:, :, 0] * (corners.in_right_eye * corners.baseline_m)[:, None]
     return J_view, J_marker, J_baseline
 
 
@@ -178,26 +180,26 @@ def _normal_equations(
     state: LayoutState, corners: Corners, priors: Priors, scale_px: float, damping: float
 ) -> _ReducedNormalEquations:
     n_views, n_markers = len(state.Ts_cam_ref), len(state.Ts_ref_marker)
-    k = PER_MARKER * n_markers + 1
+    k = UNKNOWNS_PER_MARKER * n_markers + 1
     residual = residuals_px(state, corners)
     distance = np.linalg.norm(residual, axis=1)
     weight = np.minimum(1.0, HUBER_SIGMAS * scale_px / np.maximum(distance, 1e-12)) / priors.sigma_px**2
     J_view, J_marker, J_baseline = _residual_jacobians(state, corners)
     V, v = np.zeros((n_views, 6, 6)), np.zeros((n_views, 6))
-    C = np.zeros((n_views, n_markers, 6, PER_MARKER))
-    M, m = np.zeros((n_markers, PER_MARKER, PER_MARKER)), np.zeros((n_markers, PER_MARKER))
-    W, B = np.zeros((n_views, 6)), np.zeros((n_markers, PER_MARKER))
+    C = np.zeros((n_views, n_markers, 6, UNKNOWNS_PER_MARKER))
+    M, m = np.zeros((n_markers, UNKNOWNS_PER_MARKER, UNKNOWNS_PER_MARKER)), np.zeros((n_markers, UNKNOWNS_PER_MARKER))
+    W, B = np.zeros((n_views, 6)), np.zeros((n_markers, UNKNOWNS_PER_MARKER))
     weighted_view, weighted_marker = J_view * weight[:, None, None], J_marker * weight[:, None, None]
-    np.add.at(V, corners.view, np.einsum("nij,nik->njk", weighted_view, J_view))
-    np.add.at(v, corners.view, np.einsum("nij,ni->nj", weighted_view, residual))
-    np.add.at(C, (corners.view, corners.marker), np.einsum("nij,nik->njk", weighted_view, J_marker))
-    np.add.at(M, corners.marker, np.einsum("nij,nik->njk", weighted_marker, J_marker))
-    np.add.at(m, corners.marker, np.einsum("nij,ni->nj", weighted_marker, residual))
-    np.add.at(W, corners.view, np.einsum("nij,ni->nj", weighted_view, J_baseline))
-    np.add.at(B, corners.marker, np.einsum("nij,ni->nj", weighted_marker, J_baseline))
+    np.add.at(V, corners.view_indices, np.einsum("nij,nik->njk", weighted_view, J_view))
+    np.add.at(v, corners.view_indices, np.einsum("nij,ni->nj", weighted_view, residual))
+    np.add.at(C, (corners.view_indices, corners.marker_indices), np.einsum("nij,nik->njk", weighted_view, J_marker))
+    np.add.at(M, corners.marker_indices, np.einsum("nij,nik->njk", weighted_marker, J_marker))
+    np.add.at(m, corners.marker_indices, np.einsum("nij,ni->nj", weighted_marker, residual))
+    np.add.at(W, corners.view_indices, np.einsum("nij,ni->nj", weighted_view, J_baseline))
+    np.add.at(B, corners.marker_indices, np.einsum("nij,ni->nj", weighted_marker, J_baseline))
     A, g, cross = np.zeros((k, k)), np.zeros(k), np.zeros((n_views, 6, k))
     for i in range(n_markers):
-        rows = slice(PER_MARKER * i, PER_MARKER * (i + 1))
+        rows = slice(UNKNOWNS_PER_MARKER * i, UNKNOWNS_PER_MARKER * (i + 1))
         A[rows, rows], g[rows], A[rows, -1] = M[i], m[i], B[i]
         A[-1, rows], cross[:, :, rows] = B[i], C[:, i]
     A[-1, -1] = float(weight @ (J_baseline**2).sum(axis=1))
@@ -215,7 +217,7 @@ def _normal_equations(
 
 def _add_priors(A: Array, g: Array, state: LayoutState, priors: Priors) -> None:
     for i, (side, known, sigma) in enumerate(zip(state.sides_m, priors.sides_m, priors.side_sigmas_m, strict=True)):
-        row = PER_MARKER * i + 6
+        row = UNKNOWNS_PER_MARKER * i + 6
         A[row, row] += 1.0 / sigma**2
         g[row] += (side - known) / sigma**2
     A[-1, -1] += 1.0 / priors.baseline_sigma_frac**2
@@ -224,13 +226,13 @@ def _add_priors(A: Array, g: Array, state: LayoutState, priors: Priors) -> None:
 
 def free_rows(n_markers: int) -> Indices:
     """Which of the 7 m + 1 parameters are free: all but the six of the first marker, the reference."""
-    return np.arange(6, PER_MARKER * n_markers + 1)
+    return np.arange(6, UNKNOWNS_PER_MARKER * n_markers + 1)
 
 
 def stepped_state(state: LayoutState, step: Array) -> LayoutState:
     """The state after a step (7 m + 1) of markers and baseline; views stay."""
     n = len(state.Ts_ref_marker)
-    per_marker = step[:-1].reshape(n, PER_MARKER)
+    per_marker = step[:-1].reshape(n, UNKNOWNS_PER_MARKER)
     Ts = _all_moved(state.Ts_ref_marker, per_marker[:, :6])
     sides = state.sides_m + per_marker[:, 6]
     return replace(state, Ts_ref_marker=Ts, sides_m=sides, baseline_frac=state.baseline_frac + float(step[-1]))
@@ -240,7 +242,7 @@ def _solve_and_step(state: LayoutState, equations: _ReducedNormalEquations) -> L
     free = free_rows(len(state.Ts_ref_marker))
     step = np.zeros(len(equations.g))
     step[free] = _solve_scaled_system(equations.S[np.ix_(free, free)], -equations.g[free])
-    back = equations.view_gradient + np.einsum("vij,j->vi", equations.cross, step)
+    back = equations.view_gradient + np.einsum("vij,j->vi", equations.view_cross_blocks, step)
     views = -np.einsum("vij,vj->vi", equations.view_inverse, back)
     return replace(stepped_state(state, step), Ts_cam_ref=_all_moved(state.Ts_cam_ref, views))
 
@@ -265,7 +267,7 @@ def _solve_scaled_system(S: Array, right: Array) -> Array:
 def _layout_covariance(state: LayoutState, corners: Corners, priors: Priors) -> Array:
     """(7 m + 1, 7 m + 1), zero for what is held; infinite diagonal where nothing is determined."""
     n = len(state.Ts_ref_marker)
-    k = PER_MARKER * n + 1
+    k = UNKNOWNS_PER_MARKER * n + 1
     full, free = np.zeros((k, k)), free_rows(n)
     if not np.isfinite(residuals_px(state, corners)).all():
         return np.diag(np.full(k, np.inf))

@@ -17,32 +17,36 @@ from server.vision.teach_contracts import TeachView
 from server.vision.teach_fit import Corners, LayoutState
 
 UNIT_CORNERS = 0.5 * CORNER_SIGNS
-SAME_RAD = np.deg2rad(1.0)
-FAR_APART = 1.0  # distance at which two candidates have nothing in common
+SAME_POSE_ANGLE_MAX_RAD = np.deg2rad(1.0)
+POSE_DISTANCE_MAX = 1.0  # distance at which two candidates have nothing in common
 ANGLE_UNIT_RAD, LENGTH_UNIT_FRAC = np.deg2rad(10.0), 0.1  # of the marker's side: what counts as one unit apart
 CANDIDATES_MAX = 3
-VIEW_STARTS_MAX = 12
+START_VIEWS_MAX = 12
 
 
 @dataclass(frozen=True, slots=True)
 class SeenViews:
     """Views with the wanted markers only: ids in order, per view the places of the markers that it shows."""
 
-    ids: tuple[int, ...]
+    marker_ids: tuple[int, ...]
     views: tuple[TeachView, ...]
 
     def markers_in_view(self, view: int) -> list[int]:
         """Places (in `ids`) of the markers in one view, by either eye."""
         one = self.views[view]
-        return [k for k, marker_id in enumerate(self.ids) if marker_id in one.left or marker_id in one.right]
+        return [
+            k
+            for k, marker_id in enumerate(self.marker_ids)
+            if marker_id in one.left_corners_px or marker_id in one.right_corners_px
+        ]
 
 
 def corners_of(seen: SeenViews, camera: StereoCamera) -> Corners:
     """All corners as rows, undistorted once."""
     view, marker, right, pixels = [], [], [], []
     for v, shot in enumerate(seen.views):
-        for k, marker_id in enumerate(seen.ids):
-            for eye, found in enumerate((shot.left, shot.right)):
+        for k, marker_id in enumerate(seen.marker_ids):
+            for eye, found in enumerate((shot.left_corners_px, shot.right_corners_px)):
                 if marker_id in found:
                     view.append(v)
                     marker.append(k)
@@ -52,11 +56,11 @@ def corners_of(seen: SeenViews, camera: StereoCamera) -> Corners:
     rays = undistort_to_rays(camera, np.concatenate(pixels))
     views, markers = np.repeat(view, 4), np.repeat(marker, 4)
     return Corners(
-        view=views,
-        marker=markers,
-        sighting=views * len(seen.ids) + markers,
-        unit=np.tile(UNIT_CORNERS, (len(view), 1)),
-        right=np.repeat(np.array(right, dtype=float), 4),
+        view_indices=views,
+        marker_indices=markers,
+        sighting_indices=views * len(seen.marker_ids) + markers,
+        unit_corners=np.tile(UNIT_CORNERS, (len(view), 1)),
+        in_right_eye=np.repeat(np.array(right, dtype=float), 4),
         seen_px=rays * focal,
         focal_px=focal,
         baseline_m=camera.baseline_m,
@@ -76,11 +80,13 @@ def side_by_stereo(left_px: Array, right_px: Array, camera: StereoCamera) -> flo
 def first_sides(seen: SeenViews, printed_m: Mapping[int, float], camera: StereoCamera) -> Array:
     """Side (m,) [m] of each marker: as printed, else the median by stereo; NaN where no view shows it to both eyes."""
     sides = []
-    for marker_id in seen.ids:
+    for marker_id in seen.marker_ids:
         by_stereo = [
-            side_by_stereo(np.asarray(shot.left[marker_id]), np.asarray(shot.right[marker_id]), camera)
+            side_by_stereo(
+                np.asarray(shot.left_corners_px[marker_id]), np.asarray(shot.right_corners_px[marker_id]), camera
+            )
             for shot in seen.views
-            if marker_id in shot.left and marker_id in shot.right
+            if marker_id in shot.left_corners_px and marker_id in shot.right_corners_px
         ]
         finite = [side for side in by_stereo if np.isfinite(side)]
         sides.append(printed_m.get(marker_id, float(np.median(finite)) if finite else float("nan")))
@@ -89,7 +95,7 @@ def first_sides(seen: SeenViews, printed_m: Mapping[int, float], camera: StereoC
 
 def groups_seen_together(seen: SeenViews) -> list[list[int]]:
     """Markers (places in `ids`) that hang together through views that show two of them, largest group first."""
-    group = list(range(len(seen.ids)))
+    group = list(range(len(seen.marker_ids)))
     for view in range(len(seen.views)):
         shown = seen.markers_in_view(view)
         joined = {group[k] for k in shown}
@@ -105,7 +111,7 @@ def start_of(seen: SeenViews, sides_m: Array, camera: StereoCamera) -> LayoutSta
              along the pairs seen together most often; each view by its best start over all its markers.
     """
     alone = [
-        {k: _pose_candidates(shot, seen.ids[k], sides_m[k], camera) for k in seen.markers_in_view(v)}
+        {k: _pose_candidates(shot, seen.marker_ids[k], sides_m[k], camera) for k in seen.markers_in_view(v)}
         for v, shot in enumerate(seen.views)
     ]
     Ts = _chain_marker_poses(alone, sides_m)
@@ -121,14 +127,16 @@ def start_of(seen: SeenViews, sides_m: Array, camera: StereoCamera) -> LayoutSta
 def _pose_candidates(view: TeachView, marker_id: int, side_m: float, camera: StereoCamera) -> list[Array]:
     """T_cam_marker by this marker alone: its distinct minima, the best first."""
     marker = Marker(marker_id, float(side_m), "ooi", np.eye(4))
-    problem = pose_problem([Sighting(marker, view.left.get(marker_id), view.right.get(marker_id))], camera)
-    minima = distinct_minima(problem.starting_poses([0]), problem.observations, SAME_RAD)
+    problem = pose_problem(
+        [Sighting(marker, view.left_corners_px.get(marker_id), view.right_corners_px.get(marker_id))], camera
+    )
+    minima = distinct_minima(problem.starting_poses([0]), problem.observations, SAME_POSE_ANGLE_MAX_RAD)
     return [minimum.T_cam_object for minimum in minima[:CANDIDATES_MAX]]
 
 
 def _pose_distance(one: Array, other: Array, length_m: float) -> float:
     angle = geodesic_angle(one[:3, :3], other[:3, :3]) / ANGLE_UNIT_RAD
-    return min(angle + float(np.linalg.norm(one[:3, 3] - other[:3, 3])) / length_m, FAR_APART)
+    return min(angle + float(np.linalg.norm(one[:3, 3] - other[:3, 3])) / length_m, POSE_DISTANCE_MAX)
 
 
 def _consensus_pose(by_view: Sequence[Sequence[Array]], length_m: float) -> Array:
@@ -156,7 +164,7 @@ def _chain_marker_poses(alone: Sequence[Mapping[int, list[Array]]], sides_m: Arr
 def _relative_pose_candidates(alone: Sequence[Mapping[int, list[Array]]], a: int, b: int) -> list[list[Array]]:
     """Candidates of T_a_b by view."""
     both = [(candidates[a], candidates[b]) for candidates in alone if candidates.get(a) and candidates.get(b)]
-    return [[inverse_pose(T_a) @ T_b for T_a in first for T_b in second] for first, second in both[:VIEW_STARTS_MAX]]
+    return [[inverse_pose(T_a) @ T_b for T_a in first for T_b in second] for first, second in both[:START_VIEWS_MAX]]
 
 
 def _view_pose(
@@ -165,12 +173,14 @@ def _view_pose(
     one = seen.views[view]
     sightings = [
         Sighting(
-            Marker(seen.ids[k], float(sides_m[k]), "ooi", Ts[k]), one.left.get(seen.ids[k]), one.right.get(seen.ids[k])
+            Marker(seen.marker_ids[k], float(sides_m[k]), "ooi", Ts[k]),
+            one.left_corners_px.get(seen.marker_ids[k]),
+            one.right_corners_px.get(seen.marker_ids[k]),
         )
         for k in alone
     ]
     starts = [T_cam_marker @ inverse_pose(Ts[k]) for k, found in alone.items() for T_cam_marker in found]
     if not starts:
         return None
-    minima = distinct_minima(np.array(starts), pose_problem(sightings, camera).observations, SAME_RAD)
+    minima = distinct_minima(np.array(starts), pose_problem(sightings, camera).observations, SAME_POSE_ANGLE_MAX_RAD)
     return minima[0].T_cam_object if minima else None

@@ -15,10 +15,10 @@ from server.vision.pose_problem import Sighting, pose_problem
 from server.vision.pose_refinement import distinct_minima
 from server.vision.teach_contracts import TeachSettings, TeachView
 
-REST_MAX_PX = 0.4  # median motion of the corners from pair to pair
-REST_PAIRS = 3  # that must rest, one after the other
-SAME_RAD = np.deg2rad(1.0)
-GUESSED_SIDE_M = 0.1  # where no side is known: directions do not depend on it
+REST_MOTION_MAX_PX = 0.4  # median motion of the corners from pair to pair
+REST_PAIRS_MIN = 3  # that must rest, one after the other
+SAME_POSE_ANGLE_MAX_RAD = np.deg2rad(1.0)
+ASSUMED_MARKER_SIDE_M = 0.1  # where no side is known: directions do not depend on it
 
 
 class OfferedView(Enum):
@@ -51,14 +51,17 @@ def _in_eye(
     twice = frozenset(marker_id for marker_id, found in places.items() if len(found) > 1)
     single = [found[0] for found in places.values() if len(found) == 1]
     fitted = [refined_marker(marker, image, dictionary, camera) for marker in single]
-    return {marker.marker_id: marker.corners_px for marker in fitted if marker.fit is SideFit.CLEAN}, twice
+    return {marker.marker_id: marker.corners_px for marker in fitted if marker.side_fit is SideFit.CLEAN}, twice
 
 
 def motion_px(one: TeachView, other: TeachView) -> float:
     """Median way of the corners between two pairs [px]; infinite where they share no marker."""
     ways = [
         np.linalg.norm(np.asarray(found[k]) - np.asarray(before[k]), axis=1)
-        for found, before in ((one.left, other.left), (one.right, other.right))
+        for found, before in (
+            (one.left_corners_px, other.left_corners_px),
+            (one.right_corners_px, other.right_corners_px),
+        )
         for k in found.keys() & before.keys()
     ]
     return float(np.median(np.concatenate(ways))) if ways else float("inf")
@@ -67,13 +70,13 @@ def motion_px(one: TeachView, other: TeachView) -> float:
 def camera_in_markers(view: TeachView, camera: StereoCamera) -> dict[int, Array]:
     """Place of the left camera (3,) in the axes of each marker, in units of an unknown length common to that marker."""
     places = {}
-    for marker_id in view.left.keys() | view.right.keys():
-        marker = Marker(marker_id, GUESSED_SIDE_M, "ooi", np.eye(4))
-        eye = {"left_px": view.left.get(marker_id), "right_px": None}
+    for marker_id in view.left_corners_px.keys() | view.right_corners_px.keys():
+        marker = Marker(marker_id, ASSUMED_MARKER_SIDE_M, "ooi", np.eye(4))
+        eye = {"left_px": view.left_corners_px.get(marker_id), "right_px": None}
         if eye["left_px"] is None:
-            eye = {"left_px": None, "right_px": view.right[marker_id]}
+            eye = {"left_px": None, "right_px": view.right_corners_px[marker_id]}
         problem = pose_problem([Sighting(marker, **eye)], camera)  # one eye: two would want the true side
-        minima = distinct_minima(problem.starting_poses([0]), problem.observations, SAME_RAD)
+        minima = distinct_minima(problem.starting_poses([0]), problem.observations, SAME_POSE_ANGLE_MAX_RAD)
         if minima:
             places[marker_id] = inverse_pose(minima[0].T_cam_object)[:3, 3]
     return places
@@ -93,12 +96,12 @@ class ViewKeeper:
 
     def keep_if_new(self, view: TeachView) -> OfferedView:
         """Keep the view if the camera rests and it differs from all that are kept."""
-        if len(view.left.keys() | view.right.keys()) < self._markers_min:
+        if len(view.left_corners_px.keys() | view.right_corners_px.keys()) < self._markers_min:
             self._last, self._resting = None, 0
             return OfferedView.TOO_FEW_MARKERS
-        still = self._last is not None and motion_px(view, self._last) < REST_MAX_PX
+        still = self._last is not None and motion_px(view, self._last) < REST_MOTION_MAX_PX
         self._last, self._resting = view, self._resting + 1 if still else 1
-        if self._resting < REST_PAIRS:
+        if self._resting < REST_PAIRS_MIN:
             return OfferedView.MOVING
         places = camera_in_markers(view, self._camera)
         if any(self._is_similar_view(places, other) for other in self._places):

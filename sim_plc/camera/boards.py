@@ -31,7 +31,7 @@ _SHANK_TILT_RAD = np.deg2rad(-65.0)  # runs down and back from the plate's lower
 class Board:
     """A flat rectangle of equal grey cells: x right, y up, z out of the print; cell (0, 0) at the top left."""
 
-    cells: Grey
+    cell_greys: Grey
     cell_x_m: float
     cell_y_m: float
     T_object_board: Array  # object: ooi or tcp
@@ -39,8 +39,8 @@ class Board:
     @property
     def outline(self) -> Array:
         """The four corners (4, 3) [m] on the board."""
-        half_x = 0.5 * self.cells.shape[1] * self.cell_x_m
-        half_y = 0.5 * self.cells.shape[0] * self.cell_y_m
+        half_x = 0.5 * self.cell_greys.shape[1] * self.cell_x_m
+        half_y = 0.5 * self.cell_greys.shape[0] * self.cell_y_m
         return np.array([[-half_x, half_y, 0], [half_x, half_y, 0], [half_x, -half_y, 0], [-half_x, -half_y, 0]])
 
 
@@ -91,7 +91,7 @@ def _cells_of(ratio: float, modules: int) -> tuple[int, int]:
 
 def shank_board(plate: Board) -> Board:
     """The dark bar that carries a tool plate, below it in the picture."""
-    half_plate = 0.5 * plate.cells.shape[0] * plate.cell_y_m
+    half_plate = 0.5 * plate.cell_greys.shape[0] * plate.cell_y_m
     hinge = pose(rotation_about("x", _SHANK_TILT_RAD), np.array([0.0, -half_plate, -0.001]))
     middle = pose(np.eye(3), np.array([0.0, -0.5 * _SHANK_LENGTH_M, 0.0]))
     T_object_shank = plate.T_object_board @ hinge @ middle
@@ -214,4 +214,4 @@ def paint_board(out: Grey, eye: EyeRays, board: Board, Ts_object_cam: Array, sup
     half_x, half_y = board.outline[1, 0], board.outline[1, 1]
     size = np.array([half_x, half_y, 1.0 / board.cell_x_m, 1.0 / board.cell_y_m])
     back = -1 if Ts_board_cam[0, 2, 3] > 0.0 else BACK_GREY
-    _paint_board(out, eye.corners, Ts_board_cam, board.cells, size, back, roi, supersample)
+    _paint_board(out, eye.pixel_corner_rays, Ts_board_cam, board.cell_greys, size, back, roi, supersample)

@@ -10,7 +10,7 @@ from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from machine.rotations import Array
 
-NODE_STEP_PX = 8  # spacing of the sparse rays; the map between them is bilinear
+RAY_NODE_STEP_PX = 8  # spacing of the sparse rays; the map between them is bilinear
 _SPLINE_STEP_PX = 16  # the corners' rays are cubic splines through exact rays of this spacing, good to 1e-7
 _FOLD_RADIUS = 1.8  # beyond this |ray| the lens polynomial is no longer trusted to be one to one
 
@@ -24,9 +24,9 @@ class EyeRays:
     """
 
     camera: StereoCamera
-    nodes: Array
+    node_rays: Array
     step_px: int
-    corners: NDArray[np.float32]
+    pixel_corner_rays: NDArray[np.float32]
 
 
 def can_project_all(points_cam: Array) -> bool:
@@ -55,7 +55,7 @@ def _corner_rays(camera: StereoCamera) -> NDArray[np.float32]:
     return np.stack(both, axis=-1).astype(np.float32)
 
 
-def eye_rays(camera: StereoCamera, step_px: int = NODE_STEP_PX) -> EyeRays:
+def eye_rays(camera: StereoCamera, step_px: int = RAY_NODE_STEP_PX) -> EyeRays:
     """All the rays one eye needs; nodes reach one step beyond the picture's edges.
 
     Raises: ValueError: the picture's sides are no multiples of the step.

@@ -24,25 +24,25 @@ if TYPE_CHECKING:
 
 PictureFault = Callable[[Grey, Grey, int], tuple[Grey, Grey]]
 
-COVERED_FRAC = 0.8
-BLUR_PX = 3.0
-SMEAR_PX = (14.0, 5.0)
-FOCAL_FRAC = 0.4125  # of the width
-ZOOM = 1.25  # so that the bowed picture is filled but for its very corners
+COVERED_WIDTH_FRAC = 0.8
+FAULT_BLUR_SIGMA_PX = 3.0
+MOTION_SMEAR_PX = (14.0, 5.0)
+FOCAL_LENGTH_WIDTH_FRAC = 0.4125  # of the width
+DISTORTION_FILL_ZOOM = 1.25  # so that the bowed picture is filled but for its very corners
 OTHER_K1, OTHER_K2 = -0.10, 0.010  # more than the nominal lens; such cameras' raw pictures have up to -0.17
 ROLL_RAD, PITCH_RAD = np.deg2rad(0.3), np.deg2rad(0.35)
-BUMP_RAD = np.deg2rad(0.5)
-FLICKER_FRAC = 0.15
-MAINS_STEP_RAD = 2.4  # from picture to picture, of a lamp at 100 Hz and a camera that is not in step with it
-MAINS_PER_READOUT_RAD = 2.0 * np.pi * 1.1  # 11 ms of readout
-SPOT_FRAC = (0.62, 0.35)
+BUMPED_EYE_ROTATION_RAD = np.deg2rad(0.5)
+FLICKER_AMPLITUDE_FRAC = 0.15
+FLICKER_PHASE_STEP_RAD = 2.4  # from picture to picture, of a lamp at 100 Hz and a camera that is not in step with it
+FLICKER_PHASE_PER_READOUT_RAD = 2.0 * np.pi * 1.1  # 11 ms of readout
+LENS_SPOT_POSITION_FRAC = (0.62, 0.35)
 SPOT_RADIUS_FRAC, SPOT_DEPTH = 0.045, 0.55
 
 
 def partly_covered(image: Grey) -> Grey:
     """Most of the picture covered from the left; what is covered keeps a little noise."""
     out = image.copy()
-    edge = int(COVERED_FRAC * image.shape[1])
+    edge = int(COVERED_WIDTH_FRAC * image.shape[1])
     out[:, :edge] = image[:, :edge] // 32
     return out
 
@@ -55,12 +55,12 @@ def saturated(image: Grey) -> Grey:
 
 def blurred(image: Grey) -> Grey:
     """Out of focus."""
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR_PX), np.uint8)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), FAULT_BLUR_SIGMA_PX), np.uint8)
 
 
 def smeared(image: Grey) -> Grey:
     """Moved by 15 px during the exposure."""
-    return motion_blur(image, np.array(SMEAR_PX))
+    return motion_blur(image, np.array(MOTION_SMEAR_PX))
 
 
 def _rotate_and_distort(
@@ -68,7 +68,7 @@ def _rotate_and_distort(
 ) -> Grey:
     """The picture as an eye with this lens, turned by this rotation vector [rad], sees it."""
     height, width = image.shape
-    focal = FOCAL_FRAC * width
+    focal = FOCAL_LENGTH_WIDTH_FRAC * width
     camera = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
     grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float32)
     zoomed = camera * np.array([[zoom, 1.0, 1.0], [1.0, zoom, 1.0], [1.0, 1.0, 1.0]])
@@ -83,14 +83,14 @@ def _rotate_and_distort(
 def other_lens(left: Grey, right: Grey) -> tuple[Grey, Grey]:
     """Raw pictures of a lens that bows more, its eyes not aligned, where pictures of the camera file's are expected."""
     return (
-        _rotate_and_distort(left, (0.5 * PITCH_RAD, 0.0, 0.5 * ROLL_RAD), OTHER_K1, OTHER_K2, ZOOM),
-        _rotate_and_distort(right, (-0.5 * PITCH_RAD, 0.0, -0.5 * ROLL_RAD), OTHER_K1, OTHER_K2, ZOOM),
+        _rotate_and_distort(left, (0.5 * PITCH_RAD, 0.0, 0.5 * ROLL_RAD), OTHER_K1, OTHER_K2, DISTORTION_FILL_ZOOM),
+        _rotate_and_distort(right, (-0.5 * PITCH_RAD, 0.0, -0.5 * ROLL_RAD), OTHER_K1, OTHER_K2, DISTORTION_FILL_ZOOM),
     )
 
 
 def tilted_upward(image: Grey) -> Grey:
     """The eye turned up by half a degree."""
-    return _rotate_and_distort(image, (BUMP_RAD, 0.0, 0.0), 0.0, 0.0)
+    return _rotate_and_distort(image, (BUMPED_EYE_ROTATION_RAD, 0.0, 0.0), 0.0, 0.0)
 
 
 def _scale_brightness(image: Grey, gain: float | np.ndarray) -> Grey:
@@ -99,32 +99,38 @@ def _scale_brightness(image: Grey, gain: float | np.ndarray) -> Grey:
 
 def flickering(image: Grey, number: int) -> Grey:
     """Picture `number` under a lamp that flickers."""
-    return _scale_brightness(image, 1.0 + FLICKER_FRAC * np.sin(MAINS_STEP_RAD * number))
+    return _scale_brightness(image, 1.0 + FLICKER_AMPLITUDE_FRAC * np.sin(FLICKER_PHASE_STEP_RAD * number))
 
 
 def with_flicker_bands(image: Grey, number: int) -> Grey:
     """The same with a rolling shutter: rows in bands, which wander."""
     rows = np.arange(image.shape[0])[:, None] / image.shape[0]
-    return _scale_brightness(image, 1.0 + FLICKER_FRAC * np.sin(MAINS_PER_READOUT_RAD * rows + MAINS_STEP_RAD * number))
+    return _scale_brightness(
+        image,
+        1.0 + FLICKER_AMPLITUDE_FRAC * np.sin(FLICKER_PHASE_PER_READOUT_RAD * rows + FLICKER_PHASE_STEP_RAD * number),
+    )
 
 
 def spotted(image: Grey) -> Grey:
     """Dirt close to the lens: a dark spot with soft edges."""
     height, width = image.shape
     radius = SPOT_RADIUS_FRAC * width
-    distance = np.hypot(np.arange(width) - SPOT_FRAC[0] * width, (np.arange(height) - SPOT_FRAC[1] * height)[:, None])
+    distance = np.hypot(
+        np.arange(width) - LENS_SPOT_POSITION_FRAC[0] * width,
+        (np.arange(height) - LENS_SPOT_POSITION_FRAC[1] * height)[:, None],
+    )
     cover = SPOT_DEPTH / (1.0 + np.exp((distance - radius) / (0.15 * radius)))
     soft = cv2.GaussianBlur(image, (0, 0), 6.0)
     return np.clip(image * (1.0 - cover) + cover * 0.25 * soft, 0.0, 255.0).astype(np.uint8)
 
 
 STAMP_AHEAD_NS = 700_000_000
-STAMP_BACK_NS = 300_000_000
-MOVED_M = 0.008
-MOVED_RAD = np.deg2rad(3.0)
-SECOND_PRINT_M = (-0.35, 0.25, 0.0)  # from the OOI's middle: next to and above its markers, on the open wall
-RECODED_QUALITIES = (95, 93, 96, 94, 97)
-GARBAGE_FROM_FRAC = 0.4  # of the bytes
+STAMP_STEP_BACK_NS = 300_000_000
+MARKER_SHIFT_M = 0.008
+MARKER_ROTATION_RAD = np.deg2rad(3.0)
+DUPLICATE_MARKER_OFFSET_M = (-0.35, 0.25, 0.0)  # from the OOI's middle: next to and above its markers, on the open wall
+REENCODED_JPEG_QUALITIES = (95, 93, 96, 94, 97)
+GARBAGE_START_FRAC = 0.4  # of the bytes
 
 
 class FaultKind(Enum):
@@ -222,7 +228,7 @@ class FaultSwitch:
         if self.kind is FaultKind.STAMP_AHEAD:
             return t_exposure_ns + STAMP_AHEAD_NS
         if self.kind is FaultKind.STAMP_BACK:
-            return t_exposure_ns - STAMP_BACK_NS
+            return t_exposure_ns - STAMP_STEP_BACK_NS
         if before is not None and self.kind is FaultKind.STAMP_STANDS:
             return before
         if before is not None and self.kind is FaultKind.STAMP_REVERSED:
@@ -237,7 +243,7 @@ class FaultSwitch:
             return None
         if self.kind is FaultKind.FREEZE_RECODED:
             picture = _decode_jpeg(_encode_jpeg(picture, quality))  # what the frozen memory holds
-            quality = RECODED_QUALITIES[self._number % len(RECODED_QUALITIES)]
+            quality = REENCODED_JPEG_QUALITIES[self._number % len(REENCODED_JPEG_QUALITIES)]
         jpeg = _encode_jpeg(picture, quality)
         if self.kind is FaultKind.GARBAGE:
             return _with_lost_bytes(jpeg, self._number)
@@ -251,11 +257,11 @@ def faulty_scene(kind: FaultKind, scene: "SceneTruth") -> "SceneTruth":
     """The scene as a fault of the markers leaves it; the same scene for every other kind."""
     *others, last = scene.ooi_markers
     if kind is FaultKind.MARKER_MOVED:
-        turn = rotation_from_rotvec(np.array([0.0, 0.0, MOVED_RAD]))
-        moved = replace(last, T_on_marker=last.T_on_marker @ pose(turn, np.array([MOVED_M, 0.0, 0.0])))
+        turn = rotation_from_rotvec(np.array([0.0, 0.0, MARKER_ROTATION_RAD]))
+        moved = replace(last, T_on_marker=last.T_on_marker @ pose(turn, np.array([MARKER_SHIFT_M, 0.0, 0.0])))
         return replace(scene, ooi_markers=(*others, moved))
     if kind is FaultKind.MARKER_TWICE:
-        second = replace(last, T_on_marker=pose(np.eye(3), np.array(SECOND_PRINT_M)))
+        second = replace(last, T_on_marker=pose(np.eye(3), np.array(DUPLICATE_MARKER_OFFSET_M)))
         return replace(scene, ooi_markers=(*scene.ooi_markers, second))
     return scene
 
@@ -287,6 +293,6 @@ def with_flipped_bits(jpeg: bytes, n_bits: int, rng: np.random.Generator) -> byt
 def _with_lost_bytes(jpeg: bytes, number: int) -> bytes:
     """A stretch of the entropy-coded data is missing, as when packets are lost; the end is there."""
     rng = np.random.default_rng(number)
-    start = int(len(jpeg) * (GARBAGE_FROM_FRAC + 0.1 * rng.random()))
+    start = int(len(jpeg) * (GARBAGE_START_FRAC + 0.1 * rng.random()))
     lost = int(rng.integers(200, 3000))
     return jpeg[:start] + jpeg[start + lost :]

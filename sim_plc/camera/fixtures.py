@@ -11,16 +11,16 @@ from sim_plc.camera.boards import Board
 from sim_plc.camera.texture import Grey, value_noise
 from sim_plc.world import FixtureTruth
 
-CELL_M = 0.001
-PLATE_M = (0.46, 0.36)  # width, height
+FIXTURE_CELL_SIZE_M = 0.001
+BOLT_PLATE_SIZE_M = (0.46, 0.36)  # width, height
 BLOCK_M, BLOCKS, BLOCK_HEIGHTS_M = (0.09, 0.07), 4, (0.02, 0.05)
 BOLTS, BOLT_M = (4, 3), 0.013  # across and down, radius of a bolt's head
-BOLT_PLACE_M = 0.012  # by which a bolt of the same kind of plate may sit elsewhere
+BOLT_OFFSET_MAX_M = 0.012  # by which a bolt of the same kind of plate may sit elsewhere
 SPLASHES_PER_M2, SCRATCHES_PER_M2 = 6e3, 4e2
-SHEET_HEIGHT_M = 0.07
+COVER_SHEET_HEIGHT_M = 0.07
 STEEL_GREY, RUST_GREY = 125.0, 30.0
-ROW_MOVED_M = 0.015
-SCALED = 1.03
+BOLT_ROW_SHIFT_M = 0.015
+SCALED_FIXTURE_FACTOR = 1.03
 
 
 def fixture_boards(fixture: FixtureTruth) -> tuple[Board, ...]:
@@ -31,7 +31,7 @@ def fixture_boards(fixture: FixtureTruth) -> tuple[Board, ...]:
     """
     rng = np.random.default_rng([fixture.seed, fixture.variant == "other"])
     face = _plate_front_image(rng, fixture.variant == "row")
-    scale = SCALED if fixture.variant == "scaled" else 1.0
+    scale = SCALED_FIXTURE_FACTOR if fixture.variant == "scaled" else 1.0
     boards = [_board_from_cells(face, pose(np.eye(3), np.zeros(3)))]
     for corner in range(BLOCKS):
         sides = np.array([1.0 if corner % 2 else -1.0, 1.0 if corner < 2 else -1.0])
@@ -49,11 +49,11 @@ def fixture_boards(fixture: FixtureTruth) -> tuple[Board, ...]:
 def _cover_sheet_board(fixture: FixtureTruth) -> Board:
     """A dirty sheet over a share of the plate, from its left or right edge."""
     rng = np.random.default_rng([fixture.seed, 0x7368656574])
-    width_m = fixture.cover_frac * PLATE_M[0]
+    width_m = fixture.cover_frac * BOLT_PLATE_SIZE_M[0]
     side = float(rng.choice([-1.0, 1.0]))
-    cells = _painted_steel_image(rng, (width_m, 1.1 * PLATE_M[1]))
+    cells = _painted_steel_image(rng, (width_m, 1.1 * BOLT_PLATE_SIZE_M[1]))
     return _board_from_cells(
-        cells, pose(np.eye(3), np.array([side * 0.5 * (PLATE_M[0] - width_m), 0.0, SHEET_HEIGHT_M]))
+        cells, pose(np.eye(3), np.array([side * 0.5 * (BOLT_PLATE_SIZE_M[0] - width_m), 0.0, COVER_SHEET_HEIGHT_M]))
     )
 
 
@@ -65,12 +65,12 @@ def _place_and_scale_board(board: Board, fixture: FixtureTruth, scale: float) ->
 
 
 def _board_from_cells(cells: Grey, T_fixture_board: np.ndarray) -> Board:
-    return Board(cells, CELL_M, CELL_M, T_fixture_board)
+    return Board(cells, FIXTURE_CELL_SIZE_M, FIXTURE_CELL_SIZE_M, T_fixture_board)
 
 
 def _painted_steel_image(rng: np.random.Generator, size_m: tuple[float, float]) -> Grey:
     """Painted steel with rust, dirt splashes and scratches."""
-    cols, rows = round(size_m[0] / CELL_M), round(size_m[1] / CELL_M)
+    cols, rows = round(size_m[0] / FIXTURE_CELL_SIZE_M), round(size_m[1] / FIXTURE_CELL_SIZE_M)
     side = max(cols, rows)
     grey = STEEL_GREY + 10.0 * value_noise(rng, side, side, side // 20, side // 20)
     rust = value_noise(rng, side, side, side // 9, side // 9)
@@ -88,17 +88,17 @@ def _painted_steel_image(rng: np.random.Generator, size_m: tuple[float, float]) 
 
 def _plate_front_image(rng: np.random.Generator, row_moved: bool) -> Grey:
     """The plate's front: paint, bolts on an uneven grid, and a stencilled number."""
-    face = _painted_steel_image(rng, PLATE_M)
+    face = _painted_steel_image(rng, BOLT_PLATE_SIZE_M)
     rows, cols = face.shape
     _draw_stencil_text(face, f"LR-{rng.integers(100, 1000)}", 1.6)
     spread = np.array([0.40, 0.30]) / (np.array(BOLTS) - 1)
     for j in range(BOLTS[1]):
         for i in range(BOLTS[0]):
-            place = (np.array([i, j]) * spread - [0.20, 0.15]) + rng.uniform(-BOLT_PLACE_M, BOLT_PLACE_M, 2)
-            _draw_bolt(face, np.array([0.5 * cols, 0.5 * rows]) + place / CELL_M, rng)
+            place = (np.array([i, j]) * spread - [0.20, 0.15]) + rng.uniform(-BOLT_OFFSET_MAX_M, BOLT_OFFSET_MAX_M, 2)
+            _draw_bolt(face, np.array([0.5 * cols, 0.5 * rows]) + place / FIXTURE_CELL_SIZE_M, rng)
     if row_moved:
         top, height = 0, rows // 3
-        shift = np.array([[1.0, 0.0, ROW_MOVED_M / CELL_M], [0.0, 1.0, 0.0]], np.float32)
+        shift = np.array([[1.0, 0.0, BOLT_ROW_SHIFT_M / FIXTURE_CELL_SIZE_M], [0.0, 1.0, 0.0]], np.float32)
         band = cv2.warpAffine(face[top : top + height], shift, (cols, height), borderMode=cv2.BORDER_WRAP)
         face[top : top + height] = band
     return face
@@ -106,7 +106,7 @@ def _plate_front_image(rng: np.random.Generator, row_moved: bool) -> Grey:
 
 def _draw_bolt(face: Grey, middle: np.ndarray, rng: np.random.Generator) -> None:
     """A hexagon head on its washer."""
-    radius = BOLT_M / CELL_M
+    radius = BOLT_M / FIXTURE_CELL_SIZE_M
     cv2.circle(face, _round_to_pixel(middle), round(1.35 * radius), 165, -1, cv2.LINE_AA)
     angles = rng.uniform(0.0, np.pi / 3.0) + np.arange(6) * np.pi / 3.0
     corners = middle + radius * np.column_stack([np.cos(angles), np.sin(angles)])

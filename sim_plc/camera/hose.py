@@ -13,7 +13,7 @@ from sim_plc.camera.texture import Grey
 class HoseInEye:
     """Centre line in the picture from the tool on: pixels (n, 2), radii (n,) [px], rows of the skin (n,)."""
 
-    pixels: Array
+    centre_line_px: Array
     radius_px: Array
     skin_row: Array
 

@@ -15,7 +15,7 @@ from starlette.routing import Route
 from sim_plc.camera.faults import FaultKind, FaultSwitch
 from sim_plc.camera.frames import Frame, FrameHub
 
-BOUNDARY = "longreach-frame"
+MULTIPART_BOUNDARY = "longreach-frame"
 
 
 # When to expose and when to hand over: the grid of exposures, the rate it can hold, true time on the PC's clock.
@@ -61,13 +61,13 @@ class ExposureGrid:
 
     t_next_ns: int
     rate_hz: float
-    skipped: int = 0
+    n_skipped: int = 0
 
     def next_exposure(self, t_now_ns: int) -> int:
         """The next exposure: the earliest on the grid that is not more than one period old."""
         period_ns = round(1e9 / self.rate_hz)
         late = max(0, (t_now_ns - self.t_next_ns) // period_ns)
-        self.skipped += late
+        self.n_skipped += late
         t_mid_ns = self.t_next_ns + late * period_ns
         self.t_next_ns = t_mid_ns + period_ns
         return t_mid_ns
@@ -106,7 +106,7 @@ def multipart_part(frame: Frame) -> bytes:
     """One part of the stream: boundary, headers, picture."""
     headers = {"Content-Type": "image/jpeg", "Content-Length": str(len(frame.jpeg)), **frame_headers(frame)}
     lines = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
-    return f"--{BOUNDARY}\r\n{lines}\r\n".encode() + frame.jpeg + b"\r\n"
+    return f"--{MULTIPART_BOUNDARY}\r\n{lines}\r\n".encode() + frame.jpeg + b"\r\n"
 
 
 async def multipart_stream(hub: FrameHub) -> AsyncIterator[bytes]:
@@ -114,14 +114,14 @@ async def multipart_stream(hub: FrameHub) -> AsyncIterator[bytes]:
     with hub.subscribe() as subscriber:
         while (frame := await subscriber.next_frame()) is not None:
             yield multipart_part(frame)
-    yield f"--{BOUNDARY}--\r\n".encode()
+    yield f"--{MULTIPART_BOUNDARY}--\r\n".encode()
 
 
 def camera_app(hub: FrameHub, health: Callable[[], dict[str, Any]], faults: FaultSwitch | None) -> Starlette:
     """The application. `health`: the state, its key "status" is "ok" once pictures flow. `faults` None: refused."""
 
     async def stream(_request: Request) -> Response:
-        media_type = f"multipart/x-mixed-replace; boundary={BOUNDARY}"
+        media_type = f"multipart/x-mixed-replace; boundary={MULTIPART_BOUNDARY}"
         return StreamingResponse(multipart_stream(hub), media_type=media_type, headers={"Cache-Control": "no-store"})
 
     async def snapshot(_request: Request) -> Response:

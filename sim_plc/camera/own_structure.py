@@ -25,8 +25,8 @@ from sim_plc.camera.texture import Grey
 class FixedPatch:
     """Boards as one eye always sees them: picture = ink + see_through * what lies behind."""
 
-    roi: tuple[int, int, int, int]  # u0, v0, u1, v1
-    ink: NDArray[np.float32]
+    roi_px: tuple[int, int, int, int]  # u0, v0, u1, v1
+    own_grey: NDArray[np.float32]
     see_through: NDArray[np.float32]
 
 
@@ -49,8 +49,8 @@ def fixed_patch(rays: EyeRays, boards: Sequence[Board], T_tcp_cam: Array) -> Fix
 
 def paint_patch(image: Grey, patch: FixedPatch) -> None:
     """Lay it over a picture, in place."""
-    u0, v0, u1, v1 = patch.roi
-    _lay_over(image[v0:v1, u0:u1], patch.ink, patch.see_through)
+    u0, v0, u1, v1 = patch.roi_px
+    _lay_over(image[v0:v1, u0:u1], patch.own_grey, patch.see_through)
 
 
 @njit(cache=True, nogil=True)
@@ -74,7 +74,7 @@ class EyeView:
 
     rays: EyeRays
     T_tcp_cam: Array
-    tool: FixedPatch | None
+    tool_patch: FixedPatch | None
 
 
 @lru_cache(maxsize=4)
@@ -118,8 +118,8 @@ class OwnStructure:
             paint_patch(image, fixed)
         if self._truth is not None:
             _paint_hoses(image, view, self._truth, T_base_tcp, self._skin)
-        if view.tool is not None:
-            paint_patch(image, view.tool)
+        if view.tool_patch is not None:
+            paint_patch(image, view.tool_patch)
 
     def own_masks(self, T_base_tcp: Array) -> tuple[Mask, Mask]:
         """Where own structure, tool included, covers at least half of a pixel: left, right; (height, width) bool.
@@ -137,7 +137,7 @@ def _paint_hoses(image: Grey, view: EyeView, truth: "StructureTruth", T_base_tcp
     for curve in hoses_at(truth, T_base_tcp):
         hose = hose_in_eye(view.rays, view.T_tcp_cam, curve)
         if hose is not None:
-            paint_hose(image, hose.pixels, hose.radius_px, hose.skin_row, skin)
+            paint_hose(image, hose.centre_line_px, hose.radius_px, hose.skin_row, skin)
 
 
 def _own_structure_mask(
@@ -147,8 +147,8 @@ def _own_structure_mask(
     if truth is not None:
         _paint_hoses(cover, view, truth, T_base_tcp, np.full((2, 1), 255, np.uint8))
     mask = np.asarray(cover > 127)
-    for patch in (fixed, view.tool):
+    for patch in (fixed, view.tool_patch):
         if patch is not None:
-            u0, v0, u1, v1 = patch.roi
+            u0, v0, u1, v1 = patch.roi_px
             mask[v0:v1, u0:u1] |= patch.see_through < 0.5
     return mask

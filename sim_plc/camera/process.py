@@ -37,19 +37,19 @@ _SHUTDOWN_S = 1
 # 42 cells in one row at the top: a white and a black one to find grey levels by, then 40 bits of the exposure on the
 # monotonic clock, in units of 0.1 ms, the highest first; wraps after 30 h.
 
-BITS = 40
-CELLS = BITS + 2
-UNIT_NS = 100_000
-HEIGHT_FRAC = 24.0 / 720.0
+TIME_CODE_BITS = 40
+TIME_CODE_CELLS = TIME_CODE_BITS + 2
+TIME_CODE_UNIT_NS = 100_000
+TIME_CODE_HEIGHT_FRAC = 24.0 / 720.0
 
 
 def paint_time_code(image: Grey, t_mono_ns: int) -> Grey:
     """A copy of the picture with its code over the full width."""
     out = image.copy()
-    height = max(4, round(HEIGHT_FRAC * image.shape[0]))
-    code = (t_mono_ns // UNIT_NS) % (1 << BITS)
-    levels = [1, 0, *((code >> (BITS - 1 - i)) & 1 for i in range(BITS))]
-    edges = np.linspace(0, image.shape[1], CELLS + 1).round().astype(int)
+    height = max(4, round(TIME_CODE_HEIGHT_FRAC * image.shape[0]))
+    code = (t_mono_ns // TIME_CODE_UNIT_NS) % (1 << TIME_CODE_BITS)
+    levels = [1, 0, *((code >> (TIME_CODE_BITS - 1 - i)) & 1 for i in range(TIME_CODE_BITS))]
+    edges = np.linspace(0, image.shape[1], TIME_CODE_CELLS + 1).round().astype(int)
     for level, start, end in zip(levels, edges[:-1], edges[1:], strict=True):
         out[:height, start:end] = 235 if level else 16
     return out
@@ -83,7 +83,7 @@ class CameraLoop:
     @property
     def skipped_count(self) -> int:
         """Exposures left out because rendering was behind."""
-        return 0 if self._grid is None else self._grid.skipped
+        return 0 if self._grid is None else self._grid.n_skipped
 
     def fps(self) -> float:
         """Pictures per second over the last two seconds."""

@@ -186,9 +186,9 @@ class StereoRenderer:
         image = np.empty((camera.height_px, camera.width_px), np.uint8)
         relief = self._relief
         flat = self._scene.wall_relief_m == 0.0
-        points = node_map(rays.nodes, rays.step_px, camera.height_px, keys, relief.heights, relief.mean_z_m, flat)
+        points = node_map(rays.node_rays, rays.step_px, camera.height_px, keys, relief.heights_m, relief.mean_z_m, flat)
         level = self._levels[best_level(self._levels, self._wall_pixel_size_m(camera, keys[len(keys) // 2]))]
-        paint_map(texel_map(points, level), rays.step_px, level.image, image)
+        paint_map(texel_map(points, level), rays.step_px, level.grey_image, image)
         for mark in self._marks:
             paint_mark(image, rays, mark, keys, relief)
         return image

@@ -67,7 +67,7 @@ def draw_marks(seed: int, count: int, relief: Relief) -> tuple[RoundMark, ...]:
 
 def _on_relief(relief: Relief, x: float, y: float, radius_m: float) -> Array:
     """T_ooi_mark: mean and plane of the rim that a cylinder along the mark's normal cuts from the rock."""
-    T = pose(np.eye(3), np.array([x, y, relief.mean_z_m + height_at(relief.heights, x, y)]))
+    T = pose(np.eye(3), np.array([x, y, relief.mean_z_m + height_at(relief.heights_m, x, y)]))
     angle = np.linspace(0.0, 2.0 * np.pi, _RIM, endpoint=False)
     circle = radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
     for _ in range(3):  # rim and normal depend on each other; slopes are small, so this converges
@@ -75,7 +75,7 @@ def _on_relief(relief: Relief, x: float, y: float, radius_m: float) -> Array:
         for dx, dy in circle:
             origin = transform_points(T, np.array([[dx, dy, 0.5]]))[0]
             rx, ry, rz = (float(part) for part in -T[:3, 2])
-            px, py, h = wall_hit(relief.heights, relief.mean_z_m, T[2, 3] - relief.mean_z_m, origin, rx, ry, rz, 20)
+            px, py, h = wall_hit(relief.heights_m, relief.mean_z_m, T[2, 3] - relief.mean_z_m, origin, rx, ry, rz, 20)
             rim.append((px, py, relief.mean_z_m + h))
         points = np.array(rim)
         middle = points.mean(axis=0)
@@ -92,7 +92,7 @@ class DrawnMark:
     """A mark with what is drawn of it once: noise (angles, depths) and the radius of its rim by angle [m]."""
 
     mark: RoundMark
-    noise: Field
+    texture_noise: Field
     rim_m: Array
 
 
@@ -126,7 +126,8 @@ def paint_mark(image: Grey, eye: EyeRays, drawn: DrawnMark, Ts_ooi_cam: Array, r
     light = mark.T_ooi_mark[:3, :3].T @ mark.light_ooi
     T_mark_ooi = np.ascontiguousarray(inverse_pose(mark.T_ooi_mark)[:3])
     _paint_mark_pixels(
-        image, eye.corners, Ts_ooi_cam, relief.heights, relief.mean_z_m, T_mark_ooi, figures, light, drawn.noise,
+        image, eye.pixel_corner_rays, Ts_ooi_cam, relief.heights_m, relief.mean_z_m, T_mark_ooi, figures, light,
+            drawn.texture_noise,
         drawn.rim_m, roi,
     )  # fmt: skip
 

@@ -22,7 +22,7 @@ from sim_plc.camera.texture import Grey, value_noise
 if TYPE_CHECKING:
     from sim_plc.world import StructureTruth
 
-WRIST_TCP_M = np.array([0.0, 0.0, 0.55])  # wrist centre, nominal
+WRIST_CENTRE_TCP_M = np.array([0.0, 0.0, 0.55])  # wrist centre, nominal
 _BOOM_REST_TCP = np.array([0.6, 0.0, 0.8])  # wrist to elbow with the wrist bent by 37 deg: where the cover is measured
 _DOWN_REST_TCP = np.array([-1.0, 0.0, 0.0])  # tool level
 
@@ -126,7 +126,7 @@ def hose_curves(boom_tcp: Array, down_tcp: Array) -> tuple[Array, Array]:
     side = side / max(float(np.linalg.norm(side)), 1e-6)
     curves = []
     for sign in (1.0, -1.0):
-        start = WRIST_TCP_M + _BOOM_CLAMP_M * boom_tcp + sign * _BOOM_CLAMP_SIDE_M * side
+        start = WRIST_CENTRE_TCP_M + _BOOM_CLAMP_M * boom_tcp + sign * _BOOM_CLAMP_SIDE_M * side
         end = _TOOL_CLAMP_TCP_M * [1.0, sign, 1.0]
         chord = float(np.linalg.norm(end - start))
         bulge_m = np.sqrt(max(0.0, 3.0 * chord * (_HOSE_LENGTH_M - chord) / 8.0))
@@ -140,7 +140,7 @@ def hoses_at(truth: "StructureTruth", T_base_tcp: Array) -> tuple[Array, Array]:
     """The hoses' centre lines at one pose of the tool; at rest they hang as with the tool level."""
     if not truth.hoses_move:
         return hose_curves(_BOOM_REST_TCP, _DOWN_REST_TCP)
-    R, wrist = T_base_tcp[:3, :3], transform_points(T_base_tcp, WRIST_TCP_M[None])[0]
+    R, wrist = T_base_tcp[:3, :3], transform_points(T_base_tcp, WRIST_CENTRE_TCP_M[None])[0]
     boom = R.T @ (truth.elbow_base_m - wrist)
     return hose_curves(boom / max(float(np.linalg.norm(boom)), 1e-6), R.T @ truth.down_base)
 
@@ -178,7 +178,7 @@ def _share_at(share: float, eyes: "Sequence[tuple[EyeRays, Array]]", hidden: "Se
     covered = 0.0
     boards = _beam_and_housing_faces(share, 0.0, 0)
     for (rays, T_tcp_cam), already in zip(eyes, hidden, strict=True):
-        nodes = rays.nodes[1:-2, 1:-2].reshape(-1, 2)
+        nodes = rays.node_rays[1:-2, 1:-2].reshape(-1, 2)
         hit = already.ravel().copy()
         for board in boards:
             hit |= _rays_hitting_board(nodes, board, T_tcp_cam)

@@ -31,7 +31,7 @@ class TextureLevel:
     size: all levels share the outer edge of their first texel.
     """
 
-    image: Grey
+    grey_image: Grey
     texel_x_m: float
     texel_y_m: float
 

@@ -20,7 +20,7 @@ _FIRST_STEPS = 5  # at the start of a row, where no neighbour gives a first gues
 class Relief:
     """Height of the rock over the mean plane, periodic, bilinear; `heights` (grid + 1, grid + 1) [m], rows along y."""
 
-    heights: Array
+    heights_m: Array
     mean_z_m: float
 
 
@@ -160,6 +160,6 @@ def paint_map(nodes_texel: Array, step: int, image: Grey, out: Grey) -> None:
 def texel_map(points: Array, level: TextureLevel) -> Array:
     """Columns and rows of a level for wall points (rows, cols, 2) [m], shifted by whole periods near zero."""
     texel = points * [1.0 / level.texel_x_m, -1.0 / level.texel_y_m] - 0.5
-    size = [level.image.shape[1] - 1, level.image.shape[0] - 1]
+    size = [level.grey_image.shape[1] - 1, level.grey_image.shape[0] - 1]
     texel -= np.floor(texel[texel.shape[0] // 2, texel.shape[1] // 2] / size) * size
     return texel

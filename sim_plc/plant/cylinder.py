@@ -7,7 +7,7 @@ from numba import njit
 
 from machine.rotations import Array
 
-TABLE_POINTS = 361
+N_LEVER_TABLE_POINTS = 361
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +76,9 @@ def lever_table(geometry: TriangleCylinder | FourBarCylinder | None, low: float,
     Args:    geometry: None for a rotary actuator (y = q - low, lever 1). low, high: first and last angle [rad].
     Returns: y (n,) [m or rad], lever dy/dq (n,) [m/rad or 1], n = TABLE_POINTS.
     """
-    q = np.linspace(low, high, TABLE_POINTS)
+    q = np.linspace(low, high, N_LEVER_TABLE_POINTS)
     if geometry is None:
-        return q - low, np.ones(TABLE_POINTS)
+        return q - low, np.ones(N_LEVER_TABLE_POINTS)
 
     def length(angles: Array) -> Array:
         if isinstance(geometry, TriangleCylinder):

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-VAPOUR_PA = 2e3  # absolute: the oil cannot be pulled below this
+OIL_VAPOUR_PRESSURE_PA = 2e3  # absolute: the oil cannot be pulled below this
 
 
 @njit(cache=True, error_model="numpy")

@@ -9,10 +9,17 @@ from numpy.typing import NDArray
 from machine.rotations import Array
 from sim_plc.plant.aba import aba
 from sim_plc.plant.cylinder import interpolate_table
-from sim_plc.plant.hydraulics import VAPOUR_PA, play_operator, pump_flow, spool_opening, spool_step, valve_flows
+from sim_plc.plant.hydraulics import (
+    OIL_VAPOUR_PRESSURE_PA,
+    play_operator,
+    pump_flow,
+    spool_opening,
+    spool_step,
+    valve_flows,
+)
 
 SUBSTEPS = 4
-STEP_S = 1e-3 / SUBSTEPS
+INTEGRATION_STEP_S = 1e-3 / SUBSTEPS
 STOP_STIFFNESS_NM_RAD = 2e6  # end stops [A]: a 10 kN m push goes 0.3 deg in
 STOP_DAMPING_NM_S_RAD = 2e4
 
@@ -69,19 +76,19 @@ class Parameters(NamedTuple):
 
     tree_R: Array
     tree_p: Array
-    mass: Array
-    com: Array
-    inertia: Array
-    armature: Array
-    gravity: Array
-    motors: NDArray[np.int64]
-    flexes: NDArray[np.int64]
+    mass_kg: Array
+    com_m: Array
+    inertia_kg_m2: Array
+    armature_kg_m2: Array
+    gravity_m_s2: Array
+    motor_joints: NDArray[np.int64]
+    flex_joints: NDArray[np.int64]
     flex_k: Array
     flex_c: Array
-    joint: Array  # (6, 24)
+    joint_parameters: Array  # (6, 24)
     table_y: Array
     table_lever: Array
-    oil: Array
+    oil_parameters: Array
 
 
 class State(NamedTuple):
@@ -89,39 +96,47 @@ class State(NamedTuple):
 
     q: Array  # (11,)
     qd: Array
-    joint: Array  # (6, 7)
-    shared: Array
-    tau: Array  # scratch
+    joint_states: Array  # (6, 7)
+    shared_states: Array
+    torque_nm: Array  # scratch
     qdd: Array
-    work: Array
+    aba_workspace: Array
 
 
 @njit(cache=True, error_model="numpy")
 def _actuator_step(j: int, q: float, qd: float, u: float, p_supply: float, par: Parameters, state: State) -> float:
     """Step valve, chambers and friction of joint j: torque into state.tau, returns its flow out of the supply."""
-    c, s = par.joint[j], state.joint[j]
+    c, s = par.joint_parameters[j], state.joint_states[j]
     s[HELD_COMMAND] = play_operator(s[HELD_COMMAND], u, c[HYSTERESIS])
-    s[SPOOL], s[SPOOL_RATE] = spool_step(s[SPOOL], s[SPOOL_RATE], s[HELD_COMMAND], c[OMEGA], c[ZETA], c[RATE], STEP_S)
+    s[SPOOL], s[SPOOL_RATE] = spool_step(
+        s[SPOOL], s[SPOOL_RATE], s[HELD_COMMAND], c[OMEGA], c[ZETA], c[RATE], INTEGRATION_STEP_S
+    )
     y = interpolate_table(par.table_y[j], c[TABLE_Q0], c[TABLE_STEP], q)
     lever = interpolate_table(par.table_lever[j], c[TABLE_Q0], c[TABLE_STEP], q)
     yd = lever * qd
     flow_a, flow_b, drawn = valve_flows(
-        spool_opening(s[SPOOL], c[DEAD_BAND]), c[FLOW_GAIN], s[P_A], s[P_B], p_supply, par.oil[P_TANK], par.oil[LAMINAR]
+        spool_opening(s[SPOOL], c[DEAD_BAND]),
+        c[FLOW_GAIN],
+        s[P_A],
+        s[P_B],
+        p_supply,
+        par.oil_parameters[P_TANK],
+        par.oil_parameters[LAMINAR],
     )
     leak = c[LEAKAGE] * (s[P_A] - s[P_B])
-    rate_a = par.oil[BULK] / (c[DEAD_A] + c[AREA_A] * y) * (flow_a - c[AREA_A] * yd - leak)
-    rate_b = par.oil[BULK] / (c[DEAD_B] + c[AREA_B] * (c[STROKE] - y)) * (flow_b + c[AREA_B] * yd + leak)
-    s[P_A] = max(s[P_A] + STEP_S * rate_a, VAPOUR_PA)
-    s[P_B] = max(s[P_B] + STEP_S * rate_b, VAPOUR_PA)
+    rate_a = par.oil_parameters[BULK] / (c[DEAD_A] + c[AREA_A] * y) * (flow_a - c[AREA_A] * yd - leak)
+    rate_b = par.oil_parameters[BULK] / (c[DEAD_B] + c[AREA_B] * (c[STROKE] - y)) * (flow_b + c[AREA_B] * yd + leak)
+    s[P_A] = max(s[P_A] + INTEGRATION_STEP_S * rate_a, OIL_VAPOUR_PRESSURE_PA)
+    s[P_B] = max(s[P_B] + INTEGRATION_STEP_S * rate_b, OIL_VAPOUR_PRESSURE_PA)
     s[BRISTLE], friction = lugre_step(
-        s[BRISTLE], yd, c[COULOMB], c[STATIC], c[VISCOUS], c[STRIBECK], c[BRISTLE_K], c[BRISTLE_D], STEP_S
+        s[BRISTLE], yd, c[COULOMB], c[STATIC], c[VISCOUS], c[STRIBECK], c[BRISTLE_K], c[BRISTLE_D], INTEGRATION_STEP_S
     )
     torque = lever * (s[P_A] * c[AREA_A] - s[P_B] * c[AREA_B] - friction)
     if q < c[STOP_LOW]:
         torque += STOP_STIFFNESS_NM_RAD * (c[STOP_LOW] - q) - STOP_DAMPING_NM_S_RAD * min(qd, 0.0)
     elif q > c[STOP_HIGH]:
         torque += STOP_STIFFNESS_NM_RAD * (c[STOP_HIGH] - q) - STOP_DAMPING_NM_S_RAD * max(qd, 0.0)
-    state.tau[par.motors[j]] = torque
+    state.torque_nm[par.motor_joints[j]] = torque
     return drawn
 
 
@@ -131,32 +146,32 @@ def advance(par: Parameters, state: State, command: Array, n_ms: int) -> None:
 
     Args:    command: (6,) fraction of full command; clipped to -1..1.
     """
-    oil, shared, q, qd = par.oil, state.shared, state.q, state.qd
+    oil, shared, q, qd = par.oil_parameters, state.shared_states, state.q, state.qd
     for _ in range(n_ms * SUBSTEPS):
         ripple = oil[RIPPLE] * np.sin(oil[RIPPLE_OMEGA] * shared[TIME] + oil[RIPPLE_PHASE])
         p_supply = shared[P_SUPPLY] + ripple
         drawn = 0.0
-        for j in range(par.motors.shape[0]):
-            i = int(par.motors[j])
+        for j in range(par.motor_joints.shape[0]):
+            i = int(par.motor_joints[j])
             u = min(max(command[j], -1.0), 1.0)
             drawn += _actuator_step(j, q[i], qd[i], u, p_supply, par, state)
-        for k in range(par.flexes.shape[0]):
-            i = par.flexes[k]
-            state.tau[i] = -par.flex_k[k] * q[i] - par.flex_c[k] * qd[i]
+        for k in range(par.flex_joints.shape[0]):
+            i = par.flex_joints[k]
+            state.torque_nm[i] = -par.flex_k[k] * q[i] - par.flex_c[k] * qd[i]
         aba(
-            par.tree_R, par.tree_p, par.mass, par.com, par.inertia, par.armature, par.gravity,
-            q, qd, state.tau, state.work, state.qdd,
+            par.tree_R, par.tree_p, par.mass_kg, par.com_m, par.inertia_kg_m2, par.armature_kg_m2, par.gravity_m_s2,
+            q, qd, state.torque_nm, state.aba_workspace, state.qdd,
         )  # fmt: skip
         for i in range(q.shape[0]):
-            qd[i] += STEP_S * state.qdd[i]
-            q[i] += STEP_S * qd[i]
-        for j in range(par.motors.shape[0]):
-            state.joint[j, OUTPUT] = play_operator(
-                state.joint[j, OUTPUT], q[int(par.motors[j])], par.joint[j, HALF_PLAY]
+            qd[i] += INTEGRATION_STEP_S * state.qdd[i]
+            q[i] += INTEGRATION_STEP_S * qd[i]
+        for j in range(par.motor_joints.shape[0]):
+            state.joint_states[j, OUTPUT] = play_operator(
+                state.joint_states[j, OUTPUT], q[int(par.motor_joints[j])], par.joint_parameters[j, HALF_PLAY]
             )
         pumped = pump_flow(shared[P_SUPPLY], oil[P_SET], oil[DROOP], oil[FLOW_MAX])
-        shared[P_SUPPLY] = max(shared[P_SUPPLY] + STEP_S * (pumped - drawn) / oil[ACCUMULATOR], oil[P_TANK])
-        shared[TIME] += STEP_S
+        shared[P_SUPPLY] = max(shared[P_SUPPLY] + INTEGRATION_STEP_S * (pumped - drawn) / oil[ACCUMULATOR], oil[P_TANK])
+        shared[TIME] += INTEGRATION_STEP_S
 
 
 @njit(cache=True, error_model="numpy")
@@ -165,12 +180,14 @@ def advance_rigid(par: Parameters, state: State, command: Array, n_ms: int) -> N
     machine file gives any, lies behind it.
     """
     for _ in range(n_ms * SUBSTEPS):
-        for j in range(par.motors.shape[0]):
-            c, s, i = par.joint[j], state.joint[j], par.motors[j]
+        for j in range(par.motor_joints.shape[0]):
+            c, s, i = par.joint_parameters[j], state.joint_states[j], par.motor_joints[j]
             u = min(max(command[j], -1.0), 1.0)
-            s[SPOOL_RATE] += STEP_S * (c[OMEGA] ** 2 * (u - s[SPOOL]) - 2.0 * c[ZETA] * c[OMEGA] * s[SPOOL_RATE])
-            s[SPOOL] += STEP_S * s[SPOOL_RATE]
+            s[SPOOL_RATE] += INTEGRATION_STEP_S * (
+                c[OMEGA] ** 2 * (u - s[SPOOL]) - 2.0 * c[ZETA] * c[OMEGA] * s[SPOOL_RATE]
+            )
+            s[SPOOL] += INTEGRATION_STEP_S * s[SPOOL_RATE]
             state.qd[i] = c[GAIN] * s[SPOOL]
-            state.q[i] = min(max(state.q[i] + STEP_S * state.qd[i], c[STOP_LOW]), c[STOP_HIGH])
+            state.q[i] = min(max(state.q[i] + INTEGRATION_STEP_S * state.qd[i], c[STOP_LOW]), c[STOP_HIGH])
             s[OUTPUT] = play_operator(s[OUTPUT], state.q[int(i)], c[HALF_PLAY])
-        state.shared[TIME] += STEP_S
+        state.shared_states[TIME] += INTEGRATION_STEP_S

@@ -13,7 +13,7 @@ from sim_plc.plant.statics import (
     resting_pressures,
     static_equilibrium_angles,
 )
-from sim_plc.plant.tree import FLEXES, MOTORS, N_JOINTS, Tree, build_tree
+from sim_plc.plant.tree import FLEX_JOINT_INDICES, MOTOR_JOINT_INDICES, N_TREE_JOINTS, Tree, build_tree
 from sim_plc.plant.truth import PlantTruth
 
 # From the truth to the arrays of the compiled loop.
@@ -24,7 +24,7 @@ def flex_damping(truth: PlantTruth, tree: Tree, q: Array) -> Array:
 
     Model:   c = 2 zeta sqrt(k I), I = moment of inertia outboard of the joint at q.
     """
-    inertia = outboard_inertias(tree, q)[FLEXES]
+    inertia = outboard_inertias(tree, q)[FLEX_JOINT_INDICES]
     return 2.0 * truth.flex.damping_ratio * np.sqrt(truth.flex.stiffness_nm_rad * inertia)
 
 
@@ -64,19 +64,19 @@ def parameters_of(truth: PlantTruth, tree: Tree, q: Array) -> Parameters:
     return Parameters(
         tree_R=contiguous(tree.tree_R),
         tree_p=contiguous(tree.tree_p),
-        mass=tree.mass,
-        com=tree.com,
-        inertia=tree.inertia,
-        armature=tree.armature,
-        gravity=contiguous(truth.inertia.gravity_base_m_s2, dtype=float),
-        motors=MOTORS.copy(),
-        flexes=FLEXES.copy(),
+        mass_kg=tree.mass_kg,
+        com_m=tree.com_m,
+        inertia_kg_m2=tree.inertia_kg_m2,
+        armature_kg_m2=tree.armature_kg_m2,
+        gravity_m_s2=contiguous(truth.inertia.gravity_base_m_s2, dtype=float),
+        motor_joints=MOTOR_JOINT_INDICES.copy(),
+        flex_joints=FLEX_JOINT_INDICES.copy(),
         flex_k=contiguous(truth.flex.stiffness_nm_rad, dtype=float),
         flex_c=flex_damping(truth, tree, q),
-        joint=_joint_rows(truth),
+        joint_parameters=_joint_rows(truth),
         table_y=contiguous(actuator.table_y),
         table_lever=contiguous(actuator.table_lever),
-        oil=oil,
+        oil_parameters=oil,
     )
 
 
@@ -94,8 +94,8 @@ class Plant:
         q_start = np.asarray(q_start, dtype=float)
         if q_start.shape != (6,) or not np.all(np.isfinite(q_start)):
             raise ValueError(f"q_start must be 6 finite angles [rad], got shape {q_start.shape}")
-        q = np.zeros(N_JOINTS)
-        q[MOTORS] = q_start
+        q = np.zeros(N_TREE_JOINTS)
+        q[MOTOR_JOINT_INDICES] = q_start
         if not truth.rigid:
             q = static_equilibrium_angles(
                 self.tree, truth.inertia.gravity_base_m_s2, q_start, truth.flex.stiffness_nm_rad
@@ -107,12 +107,17 @@ class Plant:
     def _resting_state(self, q: Array) -> kernel.State:
         truth = self.truth
         joint = np.zeros((6, 7))
-        joint[:, kernel.OUTPUT] = q[MOTORS] + 0.5 * truth.kinematics.backlash_rad * truth.kinematics.play_start_frac
-        holding = -gravity_torques(self.tree, truth.inertia.gravity_base_m_s2, q)[MOTORS]
+        joint[:, kernel.OUTPUT] = (
+            q[MOTOR_JOINT_INDICES] + 0.5 * truth.kinematics.backlash_rad * truth.kinematics.play_start_frac
+        )
+        holding = -gravity_torques(self.tree, truth.inertia.gravity_base_m_s2, q)[MOTOR_JOINT_INDICES]
         for j in range(6):
-            row = self.parameters.joint[j]
+            row = self.parameters.joint_parameters[j]
             lever = kernel.interpolate_table(
-                self.parameters.table_lever[j], row[kernel.TABLE_Q0], row[kernel.TABLE_STEP], float(q[MOTORS[j]])
+                self.parameters.table_lever[j],
+                row[kernel.TABLE_Q0],
+                row[kernel.TABLE_STEP],
+                float(q[MOTOR_JOINT_INDICES[j]]),
             )
             joint[j, kernel.P_A], joint[j, kernel.P_B] = resting_pressures(
                 holding[j] / lever,
@@ -121,9 +126,9 @@ class Plant:
                 truth.supply.pressure_pa,
                 truth.supply.tank_pa,
             )
-        zeros = np.zeros(N_JOINTS)
+        zeros = np.zeros(N_TREE_JOINTS)
         shared = np.array([truth.supply.pressure_pa, 0.0])
-        return kernel.State(q.copy(), zeros.copy(), joint, shared, zeros.copy(), zeros.copy(), aba_work(N_JOINTS))
+        return kernel.State(q.copy(), zeros.copy(), joint, shared, zeros.copy(), zeros.copy(), aba_work(N_TREE_JOINTS))
 
     def step(self, valve_command: Array, n_ms: int = 1) -> None:
         """Advance by n_ms milliseconds with the commands (6,) [fraction of full command, clipped to -1..1] held.
@@ -138,27 +143,27 @@ class Plant:
     @property
     def t_s(self) -> float:
         """Simulated time since the start [s]."""
-        return float(self.state.shared[kernel.TIME])
+        return float(self.state.shared_states[kernel.TIME])
 
     @property
     def q_encoder_rad(self) -> Array:
         """Encoder readings (6,) [rad]: motor angles before flexible joints and play, quantised."""
-        return np.round(self.state.q[MOTORS] / self._resolution) * self._resolution
+        return np.round(self.state.q[MOTOR_JOINT_INDICES] / self._resolution) * self._resolution
 
     @property
     def qd_rad_s(self) -> Array:
         """Motor speeds (6,) [rad/s], as a drive with a fast counter would report them."""
-        return self.state.qd[MOTORS]
+        return self.state.qd[MOTOR_JOINT_INDICES]
 
     @property
     def pressures_pa(self) -> Array:
         """Chamber pressures A, B of every joint, (6, 2) [Pa]."""
-        return self.state.joint[:, kernel.P_A : kernel.P_B + 1].copy()
+        return self.state.joint_states[:, kernel.P_A : kernel.P_B + 1].copy()
 
     @property
     def supply_pressure_pa(self) -> float:
         """Supply pressure without ripple [Pa]."""
-        return float(self.state.shared[kernel.P_SUPPLY])
+        return float(self.state.shared_states[kernel.P_SUPPLY])
 
     @property
     def oil_temperature_c(self) -> float:
@@ -168,17 +173,17 @@ class Plant:
     @property
     def q_output_rad(self) -> Array:
         """True joint angles behind the play (6,) [rad]."""
-        return self.state.joint[:, kernel.OUTPUT].copy()
+        return self.state.joint_states[:, kernel.OUTPUT].copy()
 
     @property
     def q_flex_rad(self) -> Array:
         """True angles of the flexible joints (5,) [rad]: lift (vertical, lateral), tilt (same), wrist mount."""
-        return self.state.q[FLEXES]
+        return self.state.q[FLEX_JOINT_INDICES]
 
     def T_base_tcp(self) -> Array:
         """True pose of the tcp in base (4, 4): through the true DH table, play and bending."""
         q = self.state.q.copy()
-        q[MOTORS] = self.state.joint[:, kernel.OUTPUT]
+        q[MOTOR_JOINT_INDICES] = self.state.joint_states[:, kernel.OUTPUT]
         R, p = frames(self.tree, q)
         T_base_last = np.eye(4)
         T_base_last[:3, :3], T_base_last[:3, 3] = R[-1], p[-1]

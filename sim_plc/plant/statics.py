@@ -4,12 +4,12 @@ import numpy as np
 
 from machine.rotations import Array, skew
 from sim_plc.plant.aba import joint_frames
-from sim_plc.plant.tree import FLEXES, MOTORS, N_JOINTS, Tree
+from sim_plc.plant.tree import FLEX_JOINT_INDICES, MOTOR_JOINT_INDICES, N_TREE_JOINTS, Tree
 
 
 def frames(tree: Tree, q: Array) -> tuple[Array, Array]:
     """Orientations (11, 3, 3) and origins (11, 3) [m] of the joint frames in base at joint angles q (11,) [rad]."""
-    R, p = np.zeros((N_JOINTS, 3, 3)), np.zeros((N_JOINTS, 3))
+    R, p = np.zeros((N_TREE_JOINTS, 3, 3)), np.zeros((N_TREE_JOINTS, 3))
     joint_frames(tree.tree_R, tree.tree_p, q, R, p)
     return R, p
 
@@ -20,20 +20,20 @@ def gravity_torques(tree: Tree, gravity: Array, q: Array) -> Array:
     Model:   t_i = z_i . sum_k>=i (c_k - p_i) x m_k g = z_i . (sum_k>=i m_k c_k - p_i sum_k>=i m_k) x g.
     """
     R, p = frames(tree, q)
-    coms = p + np.einsum("nij,nj->ni", R, tree.com)
-    outboard = np.cumsum(tree.mass[::-1])[::-1]
-    moments = np.cumsum((tree.mass[:, None] * coms)[::-1], axis=0)[::-1] - outboard[:, None] * p
+    coms = p + np.einsum("nij,nj->ni", R, tree.com_m)
+    outboard = np.cumsum(tree.mass_kg[::-1])[::-1]
+    moments = np.cumsum((tree.mass_kg[:, None] * coms)[::-1], axis=0)[::-1] - outboard[:, None] * p
     return np.einsum("ni,ni->n", R[:, :, 2], moments @ skew(gravity))
 
 
 def static_equilibrium_angles(tree: Tree, gravity: Array, q_motor: Array, stiffness: Array) -> Array:
     """Joint angles (11,) [rad] at rest with the motors held at q_motor (6,): k q_f = gravity torque at each spring."""
-    q = np.zeros(N_JOINTS)
-    q[MOTORS] = q_motor
+    q = np.zeros(N_TREE_JOINTS)
+    q[MOTOR_JOINT_INDICES] = q_motor
     for _ in range(30):
-        bent = gravity_torques(tree, gravity, q)[FLEXES] / stiffness
-        settled = np.array_equal(bent, q[FLEXES])
-        q[FLEXES] = bent
+        bent = gravity_torques(tree, gravity, q)[FLEX_JOINT_INDICES] / stiffness
+        settled = np.array_equal(bent, q[FLEX_JOINT_INDICES])
+        q[FLEX_JOINT_INDICES] = bent
         if settled:
             break
     return q
@@ -42,11 +42,11 @@ def static_equilibrium_angles(tree: Tree, gravity: Array, q_motor: Array, stiffn
 def outboard_inertias(tree: Tree, q: Array) -> Array:
     """Moment of inertia of everything outboard of each joint about that joint's axis, shape (11,) [kg m2]."""
     R, p = frames(tree, q)
-    result = np.zeros(N_JOINTS)
-    for i in range(N_JOINTS):
-        for k in range(i, N_JOINTS):
-            arm = skew(p[k] + R[k] @ tree.com[k] - p[i])
-            moments = R[k] @ tree.inertia[k] @ R[k].T - tree.mass[k] * arm @ arm
+    result = np.zeros(N_TREE_JOINTS)
+    for i in range(N_TREE_JOINTS):
+        for k in range(i, N_TREE_JOINTS):
+            arm = skew(p[k] + R[k] @ tree.com_m[k] - p[i])
+            moments = R[k] @ tree.inertia_kg_m2[k] @ R[k].T - tree.mass_kg[k] * arm @ arm
             result[i] += R[i, :, 2] @ moments @ R[i, :, 2]
     return result
 

@@ -9,9 +9,9 @@ from machine.rotations import Array, rotation_about
 from sim_plc.plant.truth import InertiaTruth, KinematicTruth
 
 # From the base: slew, lift, lift vertical, lift lateral, tilt, tilt vertical, tilt lateral, wrist mount, wrist 1, 2, 3
-MOTORS = np.array([0, 1, 4, 8, 9, 10])
-FLEXES = np.array([2, 3, 5, 6, 7])
-N_JOINTS = 11
+MOTOR_JOINT_INDICES = np.array([0, 1, 4, 8, 9, 10])
+FLEX_JOINT_INDICES = np.array([2, 3, 5, 6, 7])
+N_TREE_JOINTS = 11
 _BODY_OF_LINK = (
     0,
     3,
@@ -29,10 +29,10 @@ class Tree:
     tree_R: Array  # (11, 3, 3)
     tree_p: Array  # (11, 3)
     T_last_tcp: Array
-    mass: Array
-    com: Array
-    inertia: Array
-    armature: Array
+    mass_kg: Array
+    com_m: Array
+    inertia_kg_m2: Array
+    armature_kg_m2: Array
 
 
 def _axis_rotation_pose(axis: str, angle_rad: float) -> Array:
@@ -73,20 +73,20 @@ def build_tree(kinematics: KinematicTruth, inertia: InertiaTruth) -> Tree:
         rest[4] @ zero[5],
     ]
     links = [rest[0], inverse_pose(to_y) @ rest[1], inverse_pose(to_x) @ rest[2], wrist_rest, rest[4], rest[5]]
-    mass, com, moments = np.zeros(N_JOINTS), np.zeros((N_JOINTS, 3)), np.zeros((N_JOINTS, 3, 3))
+    mass, com, moments = np.zeros(N_TREE_JOINTS), np.zeros((N_TREE_JOINTS, 3)), np.zeros((N_TREE_JOINTS, 3, 3))
     for link, (body, T_joint_link) in enumerate(zip(_BODY_OF_LINK, links, strict=True)):
         rotation = T_joint_link[:3, :3]
         mass[body] = inertia.mass_kg[link]
         com[body] = rotation @ inertia.com_m[link] + T_joint_link[:3, 3]
         moments[body] = rotation @ inertia.inertia_com_kg_m2[link] @ rotation.T
-    armature = np.zeros(N_JOINTS)
-    armature[MOTORS] = inertia.armature_kg_m2
+    armature = np.zeros(N_TREE_JOINTS)
+    armature[MOTOR_JOINT_INDICES] = inertia.armature_kg_m2
     return Tree(
         tree_R=np.array([step[:3, :3] for step in steps]),
         tree_p=np.array([step[:3, 3] for step in steps]),
         T_last_tcp=rest[5] @ kinematics.T_flange_tcp,
-        mass=mass,
-        com=com,
-        inertia=moments,
-        armature=armature,
+        mass_kg=mass,
+        com_m=com,
+        inertia_kg_m2=moments,
+        armature_kg_m2=armature,
     )

@@ -8,9 +8,9 @@ from protocol.codes import CommandFlag, RejectCode
 from protocol.limits import LimitTable
 from protocol.messages import Axes, Command, Knot
 from protocol.objection import Objection, first_of, object_to, object_to_knot
-from protocol.timeouts import FROZEN_NS
+from protocol.timeouts import FROZEN_KNOT_LEAD_NS
 from sim_plc.plc.knot_checks import check_knot, check_rest, check_start, check_step
-from sim_plc.plc.path import SIZE
+from sim_plc.plc.path import RING_SIZE_KNOTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +18,7 @@ class PlaybackView:
     """Where the playback stands, as far as the ring must know it."""
 
     q_ref: Axes
-    playing: int = 0
+    knot_playing: int = 0
     t_play_ns: int = 0
 
 
@@ -28,9 +28,9 @@ class KnotRing:
     def __init__(self, table: LimitTable) -> None:
         n = len(table.axes)
         self._table = table
-        self._kept: list[Knot | None] = [None] * SIZE
-        self.times = np.zeros(SIZE)
-        self.knots = np.zeros((SIZE, 3, n))
+        self._kept: list[Knot | None] = [None] * RING_SIZE_KNOTS
+        self.times = np.zeros(RING_SIZE_KNOTS)
+        self.knots = np.zeros((RING_SIZE_KNOTS, 3, n))
         self.traj_id, self.first, self.last, self.end = 0, 0, -1, -1
 
     def clear(self) -> None:
@@ -44,7 +44,7 @@ class KnotRing:
 
     def knot(self, index: int) -> Knot | None:
         """The knot of that index, if the ring holds it."""
-        return self._kept[index % SIZE] if self.first <= index <= self.last else None
+        return self._kept[index % RING_SIZE_KNOTS] if self.first <= index <= self.last else None
 
     def check(self, command: Command, view: PlaybackView) -> Objection | None:
         """Why this command's knots may not be taken; None if they may. Changes nothing."""
@@ -62,12 +62,12 @@ class KnotRing:
         for index, knot in enumerate(command.knots, start=command.knot_first):
             if index == self.last + 1:
                 self._store_knot(index, knot)
-        self.first = max(self.first, view.playing, self.last - SIZE + 1)
+        self.first = max(self.first, view.knot_playing, self.last - RING_SIZE_KNOTS + 1)
         if CommandFlag.LAST_IS_END in command.cmd_flags:
             self.end = command.knot_first + len(command.knots) - 1
 
     def _store_knot(self, index: int, knot: Knot) -> None:
-        slot, n = index % SIZE, len(self._table.axes)
+        slot, n = index % RING_SIZE_KNOTS, len(self._table.axes)
         self._kept[slot] = knot
         self.times[slot] = knot.t_ns * 1e-9
         self.knots[slot] = knot.q[:n], knot.qd[:n], knot.qdd[:n]
@@ -88,7 +88,7 @@ class KnotRing:
         past_last = command.knot_first + count
         if command.knot_first > self.last + 1:
             return object_to(RejectCode.KNOT_GAP, "knot_first")
-        if past_last - max(view.playing, self.first) > SIZE:
+        if past_last - max(view.knot_playing, self.first) > RING_SIZE_KNOTS:
             return object_to(RejectCode.RING_FULL, "knot_first")
         replaced = self._first_replaced(command)
         if replaced is not None and not self._may_replace(command, replaced, view):
@@ -124,8 +124,8 @@ class KnotRing:
         return (
             CommandFlag.TAIL_REPLACES in command.cmd_flags
             and held is not None
-            and min(held.t_ns, command.knots[index - command.knot_first].t_ns) >= view.t_play_ns + FROZEN_NS
-            and index > view.playing + 1
+            and min(held.t_ns, command.knots[index - command.knot_first].t_ns) >= view.t_play_ns + FROZEN_KNOT_LEAD_NS
+            and index > view.knot_playing + 1
         )
 
     def _check_numbers(self, command: Command, fresh: int) -> Objection | None:

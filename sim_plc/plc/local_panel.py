@@ -13,7 +13,7 @@ class LocalPanel:
     `panel`: a person must give it, and after the last disarming: an enable left on does not arm the machine again.
     """
 
-    mode: EnableMode = "auto"
+    enable_mode: EnableMode = "auto"
     enabled: bool = False
     lever_taken: bool = False
     estop_pressed: bool = False
@@ -34,9 +34,9 @@ class LocalPanel:
     @property
     def may_arm(self) -> bool:
         """Whether the enable was given since the last disarming."""
-        return self.mode == "auto" or (self.enabled and self._fresh)
+        return self.enable_mode == "auto" or (self.enabled and self._fresh)
 
     @property
     def is_enable_withdrawn(self) -> bool:
         """Whether an armed machine must stop because its enable is gone."""
-        return self.mode == "panel" and not self.enabled
+        return self.enable_mode == "panel" and not self.enabled

@@ -20,7 +20,7 @@ from sim_plc.plc.monitor import Monitor
 from sim_plc.plc.reference import Motion, Reference
 from sim_plc.plc.sample import PlantSample, with_finite_readings
 from sim_plc.plc.servo import check_target
-from sim_plc.plc.settings import CYCLES_LOST, REST_SPEED_RAD_S, plc_settings
+from sim_plc.plc.settings import ARMING_SPEED_MAX_RAD_S, LOST_CYCLES_MAX, plc_settings
 from sim_plc.plc.status import JointControl, PlcCounters, status_of
 
 
@@ -42,11 +42,11 @@ class PlcLogic:
     ) -> None:
         self.settings = plc_settings(machine)
         self.panel = LocalPanel() if panel is None else panel
-        self._mask = axis_mask(self.settings.table)
+        self._mask = axis_mask(self.settings.limit_table)
         self._dry_run = dry_run
-        link_settings = PlcLinkSettings(cfg_id(self.settings.table), simulation=True, key=key)
+        link_settings = PlcLinkSettings(cfg_id(self.settings.limit_table), simulation=True, key=key)
         self.link = PlcLink(link_settings, framing, draw_nonce, self._check)
-        self.ring = KnotRing(self.settings.table)
+        self.ring = KnotRing(self.settings.limit_table)
         self.reference = Reference(self.settings, self.ring)
         self.monitor = Monitor(self.settings)
         self._control = JointControl(self.settings)
@@ -82,7 +82,7 @@ class PlcLogic:
     @property
     def underruns(self) -> int:
         """How often the knots ran out before the end of a trajectory."""
-        return self._counters.underruns
+        return self._counters.n_underruns
 
     def receive(self, datagram: bytes, t_plc_ns: int, source: Hashable = None) -> list[PlcLinkEvent]:
         """Take one datagram; any bytes may come. Returns what it led to, for the shell's log."""
@@ -90,7 +90,7 @@ class PlcLogic:
 
     def run_cycle(self, t_plc_ns: int, sample: PlantSample) -> Array:
         """One cycle: valve commands (n,) [fraction of full command]; a view that the next cycle changes."""
-        self._counters.cycles += 1
+        self._counters.n_cycles += 1
         self._sample = sample = with_finite_readings(sample)
         if self.link.state is PlcState.BOOT:
             self._apply_link_event(PlcEvent.BOOTED, t_plc_ns)
@@ -140,7 +140,7 @@ class PlcLogic:
         if self.state in ARMED_STATES:
             if self.panel.is_enable_withdrawn:
                 faults |= FaultBit.LOCAL_ENABLE_LOST
-            if before is not None and t_plc_ns - before > CYCLES_LOST * self.settings.cycle_ns:
+            if before is not None and t_plc_ns - before > LOST_CYCLES_MAX * self.settings.cycle_ns:
                 faults |= FaultBit.CYCLE_OVERRUN
         return faults
 
@@ -159,8 +159,8 @@ class PlcLogic:
                 reference.follow_joints(sample.q_rad)
             return
         if reference.starving():
-            self._counters.starved = True
-            self._counters.underruns += 1
+            self._counters.trajectory_starved = True
+            self._counters.n_underruns += 1
             reference.stop_along_path()
             self._apply_link_event(PlcEvent.SOFT_STOP, t_plc_ns)
         played = reference.motion in (Motion.PLAY, Motion.SERVO)
@@ -223,7 +223,7 @@ class PlcLogic:
     def _load(self, command: Command) -> None:
         if command.traj_id != self.ring.traj_id:
             self.reference.rewind()
-            self._counters.starved = False
+            self._counters.trajectory_starved = False
         self.ring.load_knots(command, self._view())
         self.reference.speed_override = command.speed_override
         if self.state is PlcState.RUN and self.reference.motion is Motion.HOLD:
@@ -234,7 +234,7 @@ class PlcLogic:
             self.ring.clear()
             self.ring.traj_id = command.traj_id
             self.reference.rewind()
-            self._counters.starved = False
+            self._counters.trajectory_starved = False
         self.reference.servo.load_target(command, t_plc_ns)
         self.reference.speed_override = command.speed_override
         if self.state is PlcState.RUN and self.reference.motion is Motion.HOLD:
@@ -271,7 +271,9 @@ class PlcLogic:
             return object_to(RejectCode.FAULT_PRESENT, "mode")
         if np.any(sample.q_rad < settings.q_min) or np.any(sample.q_rad > settings.q_max):
             return object_to(RejectCode.LIMIT_Q, "mode")
-        resting = self.reference.motion is Motion.FOLLOW and float(np.abs(sample.qd_rad_s).max()) <= REST_SPEED_RAD_S
+        resting = (
+            self.reference.motion is Motion.FOLLOW and float(np.abs(sample.qd_rad_s).max()) <= ARMING_SPEED_MAX_RAD_S
+        )
         return None if resting else object_to(RejectCode.LAG, "mode")
 
     def _check_motion(self, command: Command, state: PlcState) -> Objection | None:

@@ -8,12 +8,12 @@ import numpy as np
 from numba import njit
 
 from machine.rotations import Array
-from protocol.timeouts import RING_KNOTS
+from protocol.timeouts import KNOT_RING_CAPACITY
 
-SIZE = RING_KNOTS
+RING_SIZE_KNOTS = KNOT_RING_CAPACITY
 _STILL = 1e-9  # rad/s: a joint this slow bounds nothing
 _UNBOUNDED = 1e12
-AT_REST = 1e-6  # rad/s: the speed at the end of a path, up to rounding
+REST_SPEED_MAX_RAD_S = 1e-6  # rad/s: the speed at the end of a path, up to rounding
 
 
 @njit(cache=True)
@@ -24,7 +24,7 @@ def path_point(times: Array, knots: Array, k: int, sigma: float, out: Array) -> 
              of both knots met: position, speed and acceleration are continuous over knots.
     Returns: out[0] = q, out[1] = dq/dsigma, out[2] = d2q/dsigma2 [rad, s].
     """
-    a, b = k % SIZE, (k + 1) % SIZE
+    a, b = k % RING_SIZE_KNOTS, (k + 1) % RING_SIZE_KNOTS
     T = times[b] - times[a]
     x = (sigma - times[a]) / T
     for j in range(knots.shape[2]):
@@ -73,8 +73,8 @@ def _next_rate(point: Array, qd: Array, rate: float, target: float, dt: float, q
 @njit(cache=True)
 def _advance_path_position(times: Array, last: int, k: int, sigma: float, ahead: float) -> tuple[int, float]:
     """Segment and path time `ahead` [s] further on, not past knot `last`."""
-    sigma = min(sigma + ahead, times[last % SIZE])
-    while k + 1 < last and sigma >= times[(k + 1) % SIZE]:
+    sigma = min(sigma + ahead, times[last % RING_SIZE_KNOTS])
+    while k + 1 < last and sigma >= times[(k + 1) % RING_SIZE_KNOTS]:
         k += 1
     return k, sigma
 
@@ -120,14 +120,14 @@ def stop_time(
     """Time to rest along the path, braking as hard as the joints allow [s]; -1: longer than limit_s, or off its end."""
     out = np.empty((3, knots.shape[2]))
     elapsed = 0.0
-    end = times[last % SIZE]
+    end = times[last % RING_SIZE_KNOTS]
     while rate > 0.0:
         if elapsed > limit_s:
             return -1.0
         k, sigma, rate = advance(times, knots, last, k, sigma, rate, 0.0, dt, qdd_max, out)
         elapsed += dt
         if sigma >= end and rate > 0.0:
-            return elapsed if np.abs(out[1]).max() < AT_REST else -1.0
+            return elapsed if np.abs(out[1]).max() < REST_SPEED_MAX_RAD_S else -1.0
     return elapsed
 
 
@@ -147,7 +147,7 @@ def is_short_of_knots(
     """Whether one more cycle towards the target rate would leave too little path to come to rest on."""
     out = np.empty((3, knots.shape[2]))
     k, sigma, rate = advance(times, knots, last, k, sigma, rate, target, dt, qdd_max, out)
-    if sigma >= times[last % SIZE]:
+    if sigma >= times[last % RING_SIZE_KNOTS]:
         return True
     return stop_time(times, knots, last, k, sigma, rate, dt, qdd_max, limit_s) < 0.0
 
@@ -170,7 +170,12 @@ def ramp_down(out: Array, decel: Array, dt: float) -> bool:
 def warm_up(qdd_max: Array) -> None:
     """Compile the loops for the joints of `qdd_max` (n,), or load them from the cache, before a clock counts."""
     n = len(qdd_max)
-    times, knots, out, decel = np.zeros(SIZE), np.zeros((SIZE, 3, n)), np.zeros((3, n)), np.ones(n)
+    times, knots, out, decel = (
+        np.zeros(RING_SIZE_KNOTS),
+        np.zeros((RING_SIZE_KNOTS, 3, n)),
+        np.zeros((3, n)),
+        np.ones(n),
+    )
     times[1] = 1.0
     advance(times, knots, 1, 0, 0.0, 1.0, 1.0, 1e-3, qdd_max, out)
     stop_time(times, knots, 1, 0, 0.0, 1.0, 1e-3, qdd_max, 1.0)

@@ -5,9 +5,9 @@ from enum import Enum
 import numpy as np
 
 from machine.rotations import Array
-from protocol.timeouts import FADE_SPEED_FACTOR
+from protocol.timeouts import PLAUSIBLE_SPEED_FACTOR
 from sim_plc.plc.knot_ring import KnotRing
-from sim_plc.plc.path import AT_REST, SIZE, advance, is_short_of_knots, ramp_down, stop_time
+from sim_plc.plc.path import REST_SPEED_MAX_RAD_S, RING_SIZE_KNOTS, advance, is_short_of_knots, ramp_down, stop_time
 from sim_plc.plc.servo import Servo
 from sim_plc.plc.settings import PlcSettings
 
@@ -34,7 +34,7 @@ class Reference:
         self._decel = np.zeros(settings.n)
         self._k, self._sigma, self._rate = 0, 0.0, 0.0
         # Longer than this no joint needs to stop, so a buffer this deep needs no look ahead
-        slowest = max(axis.qd_max / axis.qdd_max for axis in settings.table.axes)
+        slowest = max(axis.qd_max / axis.qdd_max for axis in settings.limit_table.axes)
         self._look_ahead_s = 2.0 * slowest
         self.servo = Servo(settings)
         self.fade = 1.0  # share of the controllers' output: goes to 0 over a ramp, so that the joints do not catch up
@@ -73,7 +73,7 @@ class Reference:
     def path_left_s(self) -> float:
         """Trajectory time in the ring ahead of the playback [s]."""
         ring = self._ring
-        return max(float(ring.times[ring.last % SIZE]) - self._sigma, 0.0) if ring.last >= 0 else 0.0
+        return max(float(ring.times[ring.last % RING_SIZE_KNOTS]) - self._sigma, 0.0) if ring.last >= 0 else 0.0
 
     @property
     def buffer_s(self) -> float:
@@ -186,7 +186,7 @@ class Reference:
         if self.motion is Motion.JOINT_STOP:
             return not ramp_down(self._out, self._decel, self._settings.cycle_s)
         self._advance_along_path(0.0)
-        if self._rate > 0.0 and self._at_path_end() and float(np.abs(self.qd).max()) > AT_REST:
+        if self._rate > 0.0 and self._at_path_end() and float(np.abs(self.qd).max()) > REST_SPEED_MAX_RAD_S:
             self._stop_straight()  # a path that was cut short under the brake
             return False
         return self._rate == 0.0 or self._at_path_end()
@@ -203,7 +203,7 @@ class Reference:
 
     def _begin_fade(self) -> None:
         """Fade the controllers out over the time that reference and joints need, or faster if they fade already."""
-        believed = np.minimum(np.abs(self.qd_joints), FADE_SPEED_FACTOR * self._settings.qd_max)  # one raw reading
+        believed = np.minimum(np.abs(self.qd_joints), PLAUSIBLE_SPEED_FACTOR * self._settings.qd_max)  # one raw reading
         joints_s = float(np.max(believed / self._settings.qdd_stop))
         step = self._settings.cycle_s / max(self._stop_bound_s(), joints_s, self._settings.cycle_s)
         self._fade_step = step if self.fade == 1.0 else max(step, self._fade_step)

@@ -7,7 +7,7 @@ from machine.rotations import Array
 from protocol.codes import CommandFlag, Interp, RejectCode
 from protocol.messages import Axes, Command
 from protocol.objection import Objection, object_to, object_to_knot
-from protocol.timeouts import SERVO_REACH_S, SERVO_STALE
+from protocol.timeouts import SERVO_STALE_TIMEOUT, SERVO_TARGET_LEAD_MAX_S
 from sim_plc.plc.knot_checks import check_unused
 from sim_plc.plc.settings import PlcSettings
 
@@ -86,16 +86,16 @@ class Servo:
         self._target[:] = knot.q[:n]
         self._speed[:] = knot.qd[:n]
         self._t_target_ns = t_plc_ns
-        self.left_s = SERVO_STALE.ns * 1e-9
+        self.left_s = SERVO_STALE_TIMEOUT.duration_ns * 1e-9
         self.ending = CommandFlag.LAST_IS_END in command.cmd_flags
 
     def step(self, out: Array, share: float, t_plc_ns: int) -> bool:
         """Move the reference on by one cycle; whether it rests on a last target."""
         s = self._settings
         age_ns = t_plc_ns - self._t_target_ns
-        age_s = min(age_ns, SERVO_STALE.ns) * 1e-9
-        self.left_s = max(SERVO_STALE.ns - age_ns, 0) * 1e-9
-        stale = age_ns >= SERVO_STALE.ns or self.ending
+        age_s = min(age_ns, SERVO_STALE_TIMEOUT.duration_ns) * 1e-9
+        self.left_s = max(SERVO_STALE_TIMEOUT.duration_ns - age_ns, 0) * 1e-9
+        stale = age_ns >= SERVO_STALE_TIMEOUT.duration_ns or self.ending
         for j in range(s.n):
             reach = self._target[j] + self._speed[j] * age_s
             self._at[j] = min(max(reach, s.q_min[j]), s.q_max[j])
@@ -112,7 +112,7 @@ def check_target(command: Command, q_ref: Axes, settings: PlcSettings) -> Object
         return object_to(RejectCode.INTERP, "interp")
     if len(command.knots) != 1:
         return object_to(RejectCode.VALUE, "knot_count")
-    knot, table = command.knots[0], settings.table
+    knot, table = command.knots[0], settings.limit_table
     unused = check_unused(knot, 0, table)
     if unused is not None:
         return unused
@@ -121,6 +121,6 @@ def check_target(command: Command, q_ref: Axes, settings: PlcSettings) -> Object
             return object_to_knot(RejectCode.LIMIT_QD, 0, "qd", j)
         if not axis.q_min - _ROUNDING <= knot.q[j] <= axis.q_max + _ROUNDING:
             return object_to_knot(RejectCode.LIMIT_Q, 0, "q", j)
-        if not abs(knot.q[j] - q_ref[j]) <= axis.qd_max * SERVO_REACH_S:
+        if not abs(knot.q[j] - q_ref[j]) <= axis.qd_max * SERVO_TARGET_LEAD_MAX_S:
             return object_to_knot(RejectCode.IMPLIED_SPEED, 0, "q", j)
     return None

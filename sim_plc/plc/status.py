@@ -29,9 +29,9 @@ _BY_OVERRIDE = (Motion.HOLD, Motion.SERVO)
 class PlcCounters:
     """Counted since the start; `starved` refers to the present trajectory."""
 
-    cycles: int = 0
-    underruns: int = 0
-    starved: bool = False
+    n_cycles: int = 0
+    n_underruns: int = 0
+    trajectory_starved: bool = False
 
 
 def status_of(
@@ -48,9 +48,9 @@ def status_of(
 
     An encoder that jumped keeps that bit until RESET.
     """
-    warnings = monitor.warnings | (WarnBit.UNDERRUN if counters.starved else WarnBit(0))
+    warnings = monitor.warnings | (WarnBit.UNDERRUN if counters.trajectory_starved else WarnBit(0))
     return PlcStatus(
-        plc_cycle=counters.cycles & 0xFFFF_FFFF,
+        plc_cycle=counters.n_cycles & 0xFFFF_FFFF,
         plc_cycle_us=settings.cycle_ns // 1000,
         mode_active=_MODES[reference.motion],
         axis_mask=(1 << settings.n) - 1,
@@ -61,7 +61,7 @@ def status_of(
         knot_last=max(ring.last, 0),
         t_play_ns=reference.t_play_ns,
         buffer_us=round(reference.buffer_s * 1e6),
-        underruns=counters.underruns,
+        underruns=counters.n_underruns,
         q=_finite_axis_values(sample.q_rad),
         qd=_finite_axis_values(sample.qd_rad_s),
         q_ref=_finite_axis_values(reference.q),
@@ -130,5 +130,5 @@ class JointControl:
     def control(self, q_ref: Array, q: Array, fade: float) -> Array:
         """Valve commands of this cycle, times fade; a view that the next cycle changes."""
         settings = self._settings
-        valve_commands(q_ref, q, settings.kp, settings.pt1_share, fade, self._lagged, self.valves)
+        valve_commands(q_ref, q, settings.kp_frac_per_rad, settings.pt1_share, fade, self._lagged, self.valves)
         return self.valves

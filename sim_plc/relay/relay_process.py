@@ -29,7 +29,7 @@ class RelayFigures:
 
     to_plc: FaultCounts
     to_pc: FaultCounts
-    pcs: int
+    n_pcs: int
 
 
 class _PcConnection:

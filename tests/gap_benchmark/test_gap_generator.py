@@ -53,7 +53,7 @@ def test_a_case_is_the_same_again_and_has_sizes_about_the_limit() -> None:
 def test_the_generators_arm_bends_as_the_catalogue_defines(one: Injected, parameters: dict) -> None:
     q = np.array([0.3, 0.6, -1.5])
     tree_q = np.zeros(11)
-    tree_q[behind.MOTORS] = np.concatenate([q, own.WRIST_RAD])
+    tree_q[behind.MOTOR_JOINT_INDICES] = np.concatenate([q, own.WRIST_RAD])
     structure = behind.structure_of(faults_of((one,), own.N))
     links = behind.link_frames(structure, *behind.bodies_at(structure, tree_q))
     effect = effect_named(one.name)

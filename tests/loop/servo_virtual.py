@@ -103,7 +103,7 @@ class VirtualCell:
         settings = {"position": {"closed_loop": True}, "closed_loop": {"silence_max_ms": 100.0, **changed}}
         R = rotation_from_rotvec(np.deg2rad([0.6, -0.5, 0.4])) @ self.T_tcp_cam[:3, :3]
         known = Knowledge()
-        known.mount = CameraRotationEstimate(
+        known.mount_rotation_estimate = CameraRotationEstimate(
             CalibrationStatus.OK, "", "test", R, np.eye(3) * 1e-4, -self.latency_s, 0.5, 1.0, 50, 0.2, 1.0
         )
         return PlanContext(self.machine, chain_of(self.machine), ServerSettings.model_validate(settings), known)
@@ -193,11 +193,11 @@ class VirtualCell:
     def _next(self, request: NextPair) -> PairSeen:
         while True:
             arrived = [frame for frame in self.frames[-20:] if frame.t_arrival_ns <= self.t_ns]
-            if arrived and arrived[-1].number > request.after:
+            if arrived and arrived[-1].number > request.after_number:
                 self.t_arrival_ns = arrived[-1].t_arrival_ns
                 return self._seen(arrived[-1], "")
             if self.t_ns - self.t_arrival_ns > request.silence_max_s * 1e9:
-                return self._seen(request.after, f"no pair for {1e3 * request.silence_max_s:.0f} ms")
+                return self._seen(request.after_number, f"no pair for {1e3 * request.silence_max_s:.0f} ms")
             self.step(1)
 
     def _seen(self, frame: Frame | int, fault: str) -> PairSeen:
@@ -220,7 +220,7 @@ class VirtualCell:
     def _correct(self, request: Correct) -> None:
         self.step(self.thinking_ms)
         knots = knots_from(knots_of(request.trajectory, 6))
-        refusals = self.virtual.client.request_tail(self.traj_id, request.first, knots, self.t_ns)
+        refusals = self.virtual.client.request_tail(self.traj_id, request.first_knot, knots, self.t_ns)
         self.tail, self.tail_text = ("refused", refusals[0].as_line) if refusals else ("pending", "")
 
     def _end(self) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from longreach.export_command import plc_parameters, st_sources
 from protocol.twincat.bundle import project
-from protocol.twincat.solution import NAME, solution_files
+from protocol.twincat.solution import PLC_PROJECT_NAME, solution_files
 from server.settings import read_machine
 
 pytestmark = [
@@ -32,7 +32,7 @@ def written(folder: Path, files: Iterable[str]) -> Path:
     for path, data in (chosen | solution_files(PARAMETERS, chosen)).items():
         (folder / path).parent.mkdir(exist_ok=True)
         (folder / path).write_bytes(data)
-    return folder / f"{NAME}.plcproj"
+    return folder / f"{PLC_PROJECT_NAME}.plcproj"
 
 
 def shortened(data: bytes) -> bytes:

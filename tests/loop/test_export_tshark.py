@@ -94,10 +94,10 @@ def test_byte_slices_find_sequence_mode_and_first_knot(folder: Path) -> None:
 def test_every_number_of_header_and_bodies_is_the_payloads(folder: Path, capture: str) -> None:
     """Each scalar field against struct at the offset of docs/offsets.md."""
     for chosen, size, blocks in (
-        ("hmlink.magic == 0x31434d48", 1304, (layout.HEADER, layout.COMMAND_BODY)),
-        ("hmlink.magic == 0x31534d48", 568, (layout.HEADER, layout.STATE_BODY)),
+        ("hmlink.magic == 0x31434d48", 1304, (layout.HEADER_LAYOUT, layout.COMMAND_BODY_LAYOUT)),
+        ("hmlink.magic == 0x31534d48", 568, (layout.HEADER_LAYOUT, layout.STATE_BODY_LAYOUT)),
     ):
-        fields = [field for block in blocks for field in block.fields if field.count == 1]
+        fields = [field for block in blocks for field in block.fields if field.array_length == 1]
         rows = columns(folder, capture, *(f"hmlink.{field.name}" for field in fields), chosen=chosen)
         payloads = [golden.payload for golden in GOLDENS.values() if len(golden.payload) == size]
         for row, payload in zip(rows, payloads, strict=True):

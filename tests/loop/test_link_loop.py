@@ -134,8 +134,8 @@ def test_hello_arm_run_reach(eap: bool) -> None:
     ended = loop.run().ended(within_s=4)
     assert (ended.traj_id, ended.reached, ended.reason) == (1, True, "reached")
     assert loop.plc.q_ref == GOAL
-    assert loop.pc.clock.offset_ns is not None
-    assert abs(loop.pc.clock.offset_ns + 1_000_000 * MS) < 1 * MS
+    assert loop.pc.clock_offset.offset_ns is not None
+    assert abs(loop.pc.clock_offset.offset_ns + 1_000_000 * MS) < 1 * MS
     assert loop.pc.phase(loop.t_ns) is ClientPhase.ARMED
 
 
@@ -161,7 +161,7 @@ def test_under_heavy_loss_the_reference_is_bit_identical(seed: int) -> None:
     assert ended.reached, ended.reason
     clean = undisturbed()
     assert dict(loop.plc.track) == clean
-    assert loop.plc.link._counters.trips == 0
+    assert loop.plc.link._counters.watchdog_trips == 0
 
 
 def test_ten_lost_commands_in_a_row_cost_nothing() -> None:

@@ -259,7 +259,7 @@ async def test_a_steered_motion_goes_on_by_its_pairs_and_not_past_a_stall(raw_pl
         while time.monotonic() < until_s:
             camera.pair()
             seen = await steering.next_pair(NextPair(number, 0.6, 0.0))
-            assert (seen.fault, seen.ended) == ("", False)
+            assert (seen.fault, seen.motion_ended) == ("", False)
             number = seen.number
             await asyncio.sleep(0.05)
         assert raw_plc.plc.link.state is PlcState.RUN

@@ -95,7 +95,7 @@ def test_it_passes_bytes_both_ways_and_keeps_pcs_apart(bench: Callable[..., Benc
     assert b.pcs[1].recvfrom(100) == (b"for two", b.relay.address)
     assert b.nothing_at(b.pcs[0])
     figures = b.relay.counts
-    assert figures.pcs == 2
+    assert figures.n_pcs == 2
     assert figures.to_plc == FaultCounts(taken=2, delivered=2)
     assert figures.to_pc == FaultCounts(taken=1, delivered=1)
 

@@ -23,19 +23,19 @@ JOINTS = st.tuples(*[st.floats(0.0, 1.0)] * 6).map(lambda s: CHAIN.q_min + np.ar
 def test_any_pose_gives_a_solution_or_a_reason(rotvec, position, q_near):
     T = pose(rotation_from_rotvec(rotvec), position)
     for branch in inverse_all(CHAIN, T, q_near):
-        assert np.abs(tcp_pose(CHAIN, branch.q) - T).max() < 2e-9
+        assert np.abs(tcp_pose(CHAIN, branch.q_rad) - T).max() < 2e-9
     found = inverse_nearest(CHAIN, T, q_near)
-    assert (found.q is None) == (found.status in (InverseStatus.OUT_OF_REACH, InverseStatus.JOINT_LIMIT))
+    assert (found.q_rad is None) == (found.status in (InverseStatus.OUT_OF_REACH, InverseStatus.JOINT_LIMIT))
     assert bool(found.reason) == (found.status is not InverseStatus.OK)
-    if found.q is not None:
-        assert np.all(found.q >= CHAIN.q_min - 1e-9)
-        assert np.all(found.q <= CHAIN.q_max + 1e-9)
+    if found.q_rad is not None:
+        assert np.all(found.q_rad >= CHAIN.q_min - 1e-9)
+        assert np.all(found.q_rad <= CHAIN.q_max + 1e-9)
 
 
 @given(JOINTS, JOINTS)
 def test_any_posture_is_reached_from_any_other(q, q_near):
     """The nearest branch never lies further away than the posture itself, but where a joint may be chosen freely."""
     found = inverse_nearest(CHAIN, tcp_pose(CHAIN, q), q_near)
-    assert found.q is not None
-    nearest = np.abs(found.q - q_near).max() <= np.abs(q - q_near).max() + 1e-6
+    assert found.q_rad is not None
+    nearest = np.abs(found.q_rad - q_near).max() <= np.abs(q - q_near).max() + 1e-6
     assert nearest or found.status is InverseStatus.SINGULAR

@@ -148,7 +148,7 @@ def story(pc: Pc, pair: Pair, datagrams: int) -> Script:
     """Chapters at random until the pair has seen that many datagrams."""
     yield from pc.silent(2)
     while pair.tally.datagrams < datagrams:
-        if pair.panel.mode == "panel" and pc.rng.random() < 0.8 and not pc.is_in(PlcState.HOLD):
+        if pair.panel.enable_mode == "panel" and pc.rng.random() < 0.8 and not pc.is_in(PlcState.HOLD):
             pair.panel.release_enable()  # a key that stays on does not arm again
             yield from pc.beat(1)
             pair.panel.press_enable()

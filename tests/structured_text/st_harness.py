@@ -15,7 +15,7 @@ from machine.description import Machine, parse_machine_toml
 from protocol import layout
 from protocol.codec import decode_state
 from protocol.errors import FramingError
-from protocol.framing import EAP_OVERHEAD, EapFraming, RawFraming
+from protocol.framing import EAP_OVERHEAD_BYTES, EapFraming, RawFraming
 from protocol.limits import LimitTable, limits_of
 from protocol.messages import Command, State
 from protocol.plc_events import CommandRejected
@@ -122,7 +122,7 @@ class Tally:
 def state_fields(payload: bytes) -> dict[str, object]:
     """Every field of a state datagram by name, arrays element by element."""
     found: dict[str, object] = {}
-    for block in (layout.HEADER, layout.STATE_BODY):
+    for block in (layout.HEADER_LAYOUT, layout.STATE_BODY_LAYOUT):
         for f in block.fields:
             values = struct.unpack_from("<" + f.format, payload, f.offset)
             names = [f.name] if len(values) == 1 else [f"{f.name}[{i}]" for i in range(len(values))]
@@ -165,7 +165,7 @@ class Pair:
         ids = ("192.168.0.1.1.1", "192.168.0.2.1.1")
         self._plc_end = EapFraming.for_plc(*ids) if eap else RawFraming()
         self._pc_end = EapFraming.for_client(*ids) if eap else RawFraming()
-        self._overhead = EAP_OVERHEAD if eap else 0
+        self._overhead = EAP_OVERHEAD_BYTES if eap else 0
         self.key = key
         self.plc = PlcLogic(MACHINE, self._plc_end, lambda: self._entropy, self.panel, key, dry_run)
         self.t_ns = 40_000 * MS

@@ -236,24 +236,30 @@ class Driver:
             self._silent_until = pair.t_ns + int(rng.integers(100, 1500)) * MS
         if rng.random() < trouble.override:
             self._override = float(rng.choice(_OVERRIDES)) if rng.random() < 0.7 else float(rng.random())
-        if rng.random() < trouble.correct and playback.splice is None:
+        if rng.random() < trouble.correct and playback.splice_knot_index is None:
             playback = self._corrected(playback)
         window = playback.window(pair.state())
         base = self._base(Mode.TRAJECTORY)
         command = replace(
-            base, interp=Interp.QUINTIC, knot_first=window.knot_first, knots=window.knots, cmd_flags=window.flags
+            base,
+            interp=Interp.QUINTIC,
+            knot_first=window.knot_first,
+            knots=window.knots,
+            cmd_flags=window.command_flags,
         )
         if rng.random() < trouble.spoil:
             pair.deliver(spoilt(command, rng))
         if pair.t_ns < self._silent_until or rng.random() < trouble.lose:
             return playback
         return self._answered(
-            playback, pair.deliver(command), playback.splice is not None and window.holds_knot(playback.splice)
+            playback,
+            pair.deliver(command),
+            playback.splice_knot_index is not None and window.holds_knot(playback.splice_knot_index),
         )
 
     def _answered(self, playback: Playback, code: RejectCode, covered: bool) -> Playback:
         """What the PC does about a correction that was taken, or refused."""
-        if playback.splice is None or not covered:
+        if playback.splice_knot_index is None or not covered:
             return playback
         self.pair.seen.events[f"correction: {code.name}"] += 1
         return playback.with_splice_accepted() if code is RejectCode.NONE else self._uncorrected

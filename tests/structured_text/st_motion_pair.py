@@ -88,7 +88,7 @@ class MotionPair:
 
     def __init__(self, st: StMotion, settings: PlcSettings) -> None:
         self.st, self.settings, self.seen = st, settings, Seen()
-        self.ring = KnotRing(settings.table)
+        self.ring = KnotRing(settings.limit_table)
         self.reference = Reference(settings, self.ring)
         self.t_ns = 1000 * MS
         self._spent = False
@@ -134,7 +134,7 @@ class MotionPair:
         servo = command.mode is Mode.SERVO
         mine = self._check(command)
         code = mine.code if mine else RejectCode.NONE
-        assert self.st.check(payload, servo) == (code, mine.offset if mine else 0), command
+        assert self.st.check(payload, servo) == (code, mine.field_offset if mine else 0), command
         self.seen.rejects[code.name] += 1
         if mine is None and self._is_wanted(command):
             self._take(command, payload, servo)

@@ -16,8 +16,12 @@ COMMAND_TAG = 1280
 STATE_TAG = 544
 NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 _PATCH = {"UINT": "<H", "UDINT": "<I", "ULINT": "<Q", "USINT": "<B", "LREAL": "<d"}
-_FIELDS = {f.name: f for block in (layout.HEADER, layout.COMMAND_BODY, layout.COMMAND_TAIL) for f in block.fields}
-_KNOT_FIELDS = {f.name: f for f in layout.KNOT.fields}
+_FIELDS = {
+    f.name: f
+    for block in (layout.HEADER_LAYOUT, layout.COMMAND_BODY_LAYOUT, layout.COMMAND_TAIL_LAYOUT)
+    for f in block.fields
+}
+_KNOT_FIELDS = {f.name: f for f in layout.KNOT_LAYOUT.fields}
 
 
 def sealed(payload: bytes, key: bytes = b"") -> bytes:
@@ -34,7 +38,7 @@ def patched(payload: bytes, field: str, value: float) -> bytes:
     """One field of header, body or tail set; nothing made right."""
     found = _FIELDS[field]
     body = bytearray(payload)
-    struct.pack_into(_PATCH[found.iec], body, found.offset, value)
+    struct.pack_into(_PATCH[found.iec_type], body, found.offset, value)
     return bytes(body)
 
 
@@ -43,21 +47,21 @@ def knot_patched(payload: bytes, k: int, field: str, value: float, axis: int = 0
     found = _KNOT_FIELDS[field]
     body = bytearray(payload)
     at = layout.KNOTS_OFFSET + k * layout.KNOT_SIZE + found.offset + 8 * axis
-    struct.pack_into(_PATCH[found.iec], body, at, value)
+    struct.pack_into(_PATCH[found.iec_type], body, at, value)
     return bytes(body)
 
 
 def field_of(payload: bytes, field: str) -> int | float:
     """One field of header, body or tail."""
     found = _FIELDS[field]
-    return struct.unpack_from(_PATCH[found.iec], payload, found.offset)[0]
+    return struct.unpack_from(_PATCH[found.iec_type], payload, found.offset)[0]
 
 
 def knot_field_of(payload: bytes, k: int, field: str, axis: int = 0) -> int | float:
     """One number of the k-th knot."""
     found = _KNOT_FIELDS[field]
     at = layout.KNOTS_OFFSET + k * layout.KNOT_SIZE + found.offset + 8 * axis
-    return struct.unpack_from(_PATCH[found.iec], payload, at)[0]
+    return struct.unpack_from(_PATCH[found.iec_type], payload, at)[0]
 
 
 @dataclass(frozen=True, slots=True)

@@ -171,7 +171,7 @@ def test_the_frozen_horizon_is_exact() -> None:
 
 @pytest.mark.parametrize("j", [0, 3, 5])
 def test_limits_are_the_same_to_the_last_bit(j: int) -> None:
-    pair, axis = pair_at(), SETTINGS.table.axes[j]
+    pair, axis = pair_at(), SETTINGS.limit_table.axes[j]
     rounding, numbers = 1.0 + 1e-9, itertools.count(1)
     for top, field in ((axis.qd_max * rounding, "qd"), (axis.qdd_max * rounding, "qdd"), (axis.q_max + 1e-9, "q")):
         for value, inside in ((top, True), (np.nextafter(top, 9.0), False)):

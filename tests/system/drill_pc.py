@@ -81,7 +81,7 @@ def main(port):
         datagram = link.send(now_ns)
         if datagram:
             udp.sendto(datagram, ("127.0.0.1", port))
-        deadline_ns += COMMAND_PERIOD.ns
+        deadline_ns += COMMAND_PERIOD.duration_ns
         time.sleep(max(0, deadline_ns - mono_ns()) * 1e-9)
 
 

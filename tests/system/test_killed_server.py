@@ -38,7 +38,7 @@ def bench(tmp_path_factory):
 def start_server(folder, sim, relay) -> Stack:
     free = StackPorts.free()
     ports = StackPorts(http=free.http, plc=relay.port, plc_local=free.plc_local, camera=sim.ports.camera)
-    server = Stack(ports, runs=folder / "runs", log_folder=folder / f"server-{ports.http}")
+    server = Stack(ports, runs_folder=folder / "runs", log_folder=folder / f"server-{ports.http}")
     server.start_server()
     with JobClient(server.url) as client:
         client.wait_ready(120.0)

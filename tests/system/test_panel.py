@@ -32,7 +32,9 @@ PATH = "/site/crane-3"
 @pytest.fixture(scope="module")
 def stack(tmp_path_factory):
     folder = tmp_path_factory.mktemp("panel")
-    stack = Stack(StackPorts.free(), seed=1, runs=folder / "runs", log_folder=folder / "logs", camera_rate_hz=10.0)
+    stack = Stack(
+        StackPorts.free(), seed=1, runs_folder=folder / "runs", log_folder=folder / "logs", camera_rate_hz=10.0
+    )
     with stack, JobClient(stack.url) as client:
         client.wait_ready(READY_S)
         yield stack

@@ -40,7 +40,9 @@ def disk(tmp_path_factory):
 def stack(tmp_path_factory, disk):
     logs = tmp_path_factory.mktemp("logs")
     ports = StackPorts.free()
-    stack = Stack(ports, seed=1, runs=disk[0], log_folder=logs, camera_rate_hz=10.0, sim_options=("--camera-faults",))
+    stack = Stack(
+        ports, seed=1, runs_folder=disk[0], log_folder=logs, camera_rate_hz=10.0, sim_options=("--camera-faults",)
+    )
     with stack, JobClient(stack.url) as client:
         client.wait_ready(180.0)
         yield stack

@@ -33,7 +33,7 @@ def stack(tmp_path):
     made = Stack(
         StackPorts.free(),
         seed=1,
-        runs=tmp_path / "runs",
+        runs_folder=tmp_path / "runs",
         log_folder=tmp_path / "logs",
         camera_rate_hz=5.0,
         settings_file=settings,

@@ -30,7 +30,7 @@ def served(folder, settings_text=""):
     return Stack(
         StackPorts.free(),
         seed=1,
-        runs=folder / "runs",
+        runs_folder=folder / "runs",
         log_folder=folder / "logs",
         camera_rate_hz=1.0,  # a jog needs no picture, and pictures take the time in which a page must prove its hold
         settings_file=settings,

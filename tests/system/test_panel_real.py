@@ -29,7 +29,12 @@ def stack(tmp_path_factory):
     settings.write_text('mode = "REAL"\n', encoding="utf-8")
     ports = StackPorts.free()
     stack = Stack(
-        ports, seed=1, runs=folder / "runs", log_folder=folder / "logs", camera_rate_hz=5.0, settings_file=settings
+        ports,
+        seed=1,
+        runs_folder=folder / "runs",
+        log_folder=folder / "logs",
+        camera_rate_hz=5.0,
+        settings_file=settings,
     )
     with stack, JobClient(stack.url) as client:
         client.wait_ready(180.0)

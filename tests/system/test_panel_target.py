@@ -27,7 +27,7 @@ def stack(tmp_path_factory):
     folder = tmp_path_factory.mktemp("target")
     ports, options = StackPorts.free(), ("--bare-rock",)
     stack = Stack(
-        ports, seed=1, runs=folder / "runs", log_folder=folder / "logs", camera_rate_hz=5.0, sim_options=options
+        ports, seed=1, runs_folder=folder / "runs", log_folder=folder / "logs", camera_rate_hz=5.0, sim_options=options
     )
     with stack, JobClient(stack.url) as client:
         client.wait_ready(READY_S)

@@ -23,7 +23,7 @@ def positioned(folder):
         seed=3,
         camera_rate_hz=10.0,
         truth_log=folder / "truth",
-        runs=folder / "runs",
+        runs_folder=folder / "runs",
         log_folder=folder / "logs",
     )
     with stack, JobClient(stack.url) as client:
@@ -62,7 +62,7 @@ def wait_started(url):
 
 
 def test_without_plc_and_camera_it_says_so_and_nothing_starts(tmp_path):
-    stack = Stack(StackPorts.free(), runs=tmp_path / "runs", log_folder=tmp_path / "logs")
+    stack = Stack(StackPorts.free(), runs_folder=tmp_path / "runs", log_folder=tmp_path / "logs")
     stack.start_server()
     try:
         with JobClient(stack.url) as client:

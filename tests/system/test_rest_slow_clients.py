@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time]
     "said", [b"", b"GET /v1/state HTTP/1.1\r\nHost: 127.0", b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /he"]
 )
 def test_half_a_head_is_closed_and_holds_nobody_up(tmp_path, monkeypatch, said):
-    monkeypatch.setattr(connection_limit, "HEADER_S", 0.3)
+    monkeypatch.setattr(connection_limit, "HTTP_HEAD_TIMEOUT_S", 0.3)
     with served(tmp_path, keyed=False) as (url, _):
         parts = urlsplit(url)
         slow = [socket.create_connection((parts.hostname, parts.port), timeout=10.0) for _ in range(50)]
@@ -41,7 +41,7 @@ def test_half_a_head_is_closed_and_holds_nobody_up(tmp_path, monkeypatch, said):
 
 
 def test_a_long_stream_is_not_taken_for_a_slow_client(tmp_path, monkeypatch):
-    monkeypatch.setattr(connection_limit, "HEADER_S", 0.1)
+    monkeypatch.setattr(connection_limit, "HTTP_HEAD_TIMEOUT_S", 0.1)
     with served(tmp_path, keyed=False) as (url, _):
         with httpx.stream("GET", f"{url}/v1/events", timeout=10.0) as stream:
             told = ""
@@ -53,7 +53,7 @@ def test_a_long_stream_is_not_taken_for_a_slow_client(tmp_path, monkeypatch):
 
 
 def test_a_kept_alive_connection_that_asks_steadily_stays_open(tmp_path, monkeypatch):
-    monkeypatch.setattr(connection_limit, "HEADER_S", 0.4)
+    monkeypatch.setattr(connection_limit, "HTTP_HEAD_TIMEOUT_S", 0.4)
     with served(tmp_path, keyed=False) as (url, _):
         parts = urlsplit(url)
         with socket.create_connection((parts.hostname, parts.port), timeout=10.0) as connection:
@@ -74,14 +74,14 @@ def test_a_head_without_end_is_refused_before_it_fills_the_memory(tmp_path):
 
 
 def test_the_largest_body_is_no_long_head(tmp_path, monkeypatch):
-    monkeypatch.setattr(connection_limit, "HEAD_MAX", 1000)
+    monkeypatch.setattr(connection_limit, "HTTP_HEAD_MAX_BYTES", 1000)
     with served(tmp_path, keyed=False) as (url, _), httpx.Client(timeout=10.0) as client:
         for _ in range(5):
             assert client.post(f"{url}/v1/jobs", content=b"x" * 5000).status_code == 422
 
 
 def test_a_websocket_that_says_nothing_stays_open(tmp_path, monkeypatch):
-    monkeypatch.setattr(connection_limit, "HEADER_S", 0.1)
+    monkeypatch.setattr(connection_limit, "HTTP_HEAD_TIMEOUT_S", 0.1)
     with served(tmp_path, keyed=False) as (url, made):
 
         @made.app.websocket("/v1/echo")

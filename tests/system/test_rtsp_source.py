@@ -30,14 +30,14 @@ def test_tcp_stamps_and_reconnection() -> None:
     with RtspStandIn(pictures, RATE_HZ) as camera:
         source = RtspStereoSource(RtspSource(camera.url, timeout_s=5.0))
         end = time.monotonic() + WAIT_S
-        while time.monotonic() < end and not (frames and frames[-1].connection == 2):
+        while time.monotonic() < end and not (frames and frames[-1].connection_number == 2):
             frame = source.read(0.2)
             frames += [] if frame is None else [frame]
         source.close()
     assert all("TCP" in transport for transport in camera.transports)
-    first = [frame for frame in frames if frame.connection == 1]
+    first = [frame for frame in frames if frame.connection_number == 1]
     assert len(first) > 10
-    assert frames[-1].connection == 2
+    assert frames[-1].connection_number == 2
     assert source.state == ""
     shifts = set()
     for frame in first:

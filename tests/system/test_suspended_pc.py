@@ -14,7 +14,7 @@ import pytest
 from longreach.fleet_client import JobClient
 from longreach.processes import Stack, StackPorts
 from protocol.codes import PlcState
-from recording.clock import SUSPENDED
+from recording.clock import SUSPENDED_REASON
 
 sys.path.insert(0, str(Path(__file__).parent))
 from kill_client import Relay
@@ -87,7 +87,7 @@ def stand(tmp_path_factory):
     relay.start()
     free = StackPorts.free()
     ports = StackPorts(http=free.http, plc=relay.port, plc_local=free.plc_local, camera=sim.ports.camera)
-    server = Stack(ports, runs=folder / "runs", log_folder=folder / "server")
+    server = Stack(ports, runs_folder=folder / "runs", log_folder=folder / "server")
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("LD_PRELOAD", str(bed.library))
         environment.setenv("SLEPT_FILE", str(bed.file))
@@ -128,7 +128,7 @@ def test_a_night_ends_the_move_the_lease_the_look_and_the_arming_and_a_new_job_w
         relay.wait(lambda state: state.plc_state is PlcState.DISARMED, 3.0, "the end of the session")
         while (ended := http.get(job).json())["state"] in ("running", "stopping"):
             pass
-        assert (ended["state"], ended["reason"]) == ("stopped", SUSPENDED)
+        assert (ended["state"], ended["reason"]) == ("stopped", SUSPENDED_REASON)
         assert http.get("/v1/state").json()["look"] is None
         with JobClient(server.url) as client:
             client.wait_ready(120.0)

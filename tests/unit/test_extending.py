@@ -9,11 +9,11 @@ import pytest
 from benchmarks.diagnosis.sealed.scales import BY_NAME, NOT_JUDGED
 from machine.effects.layout import slots_of
 from machine.effects.registry import EFFECTS, effect_of
-from server.access.roles import COMMANDERS, roles_needed
+from server.access.roles import COMMANDING_ROLES, roles_needed
 from server.api.examples import EXAMPLES
-from server.api.hold_rule import STILL
+from server.api.hold_rule import MOTIONLESS_JOB_KINDS
 from server.api.panel_alarm_catalogue import CATALOGUE
-from server.compensation.effects import COMPENSATED
+from server.compensation.effects import COMPENSATION_TEXT_BY_EFFECT
 from server.jobs.service import JobBody, JobService
 from server.settings_camera import CameraSettings
 from sim_plc.diagnosed import CHANGES
@@ -108,7 +108,8 @@ def test_an_effect_is_whole(name):
         "sim_plc/diagnosed.py, command_side.py of tests/unit/sim_plc, or NOT_SIMULATED here": (
             simulated != (name in NOT_SIMULATED)
         ),
-        "server/compensation/effects.py, or NOT_COMPENSATED here": (name in COMPENSATED) != (name in NOT_COMPENSATED),
+        "server/compensation/effects.py, or NOT_COMPENSATED here": (name in COMPENSATION_TEXT_BY_EFFECT)
+        != (name in NOT_COMPENSATED),
         "KINDS or NOT_JUDGED in benchmarks/diagnosis/sealed/scales.py": (name in BY_NAME) != (name in NOT_JUDGED),
     }
     assert missed(**places) == "", f"effect {name} is missing in: {missed(**places)}"
@@ -145,11 +146,11 @@ def test_a_job_is_whole(kind):
         "a button in web/static, or WITHOUT_BUTTON here": (f'"{kind}"' in steps or f'kind: "{kind}"' in scripts)
         != (kind in WITHOUT_BUTTON),
         "MOVES in web/static/steps.js (what moves is held on REAL), or STILL in server/api/hold_rule.py": (
-            kind in STILL | WITHOUT_BUTTON | OWN_HOLD or f'"{kind}"' in moves
+            kind in MOTIONLESS_JOB_KINDS | WITHOUT_BUTTON | OWN_HOLD or f'"{kind}"' in moves
         ),
     }
     assert missed(**places) == "", f"job {kind} is missing in: {missed(**places)}"
-    assert roles_needed("POST", "/v1/jobs") == COMMANDERS
+    assert roles_needed("POST", "/v1/jobs") == COMMANDING_ROLES
 
 
 @pytest.mark.parametrize("code", CATALOGUE)

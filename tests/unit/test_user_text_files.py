@@ -30,7 +30,7 @@ KITTI = "".join(f"P{eye}: 700 0 600 {shift} 0 700 180 0 0 0 1 0\n" for eye, shif
 
 
 def run_of(path: Path) -> Any:
-    return read_folder(path.parent).run
+    return read_folder(path.parent).run_info
 
 
 #: What it is called by the user: (file name, its text, what reads it).

@@ -92,7 +92,7 @@ def of_points(rig: Rig, postures: Array, again: int, rng: np.random.Generator) -
 def executed(rig: Rig, experiment: Experiment, rng: np.random.Generator) -> Recording:
     """What the machine records of a proposed experiment."""
     if isinstance(experiment, Motion):
-        return of_runs(rig, [Run(experiment.kind, experiment.q)], rng)
+        return of_runs(rig, [Run(experiment.segment_kind, experiment.q)], rng)
     if rig.eyes:
         return of_tour(rig, experiment.q, rng)
     return of_points(rig, experiment.q, 0, rng)

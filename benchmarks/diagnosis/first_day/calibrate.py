@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnosis.first_day.figures import Scores, reliability
-from diagnosis.whole_model.probability import FEATURES, fit_logistic, logistic
+from diagnosis.whole_model.probability import EVIDENCE_FEATURE_NAMES, fit_logistic, logistic
 from machine.rotations import Array
 
 PARTS = 5  # of the cases; each is judged by what the others gave
@@ -31,7 +31,9 @@ def calibrated(scores: Scores) -> dict[str, Any]:
     stated = _held_out(X, right, case)
     return {
         "intercept": round(intercept, 4),
-        "weights": {name: round(float(weight), 4) for name, weight in zip(FEATURES, weights, strict=True)},
+        "weights": {
+            name: round(float(weight), 4) for name, weight in zip(EVIDENCE_FEATURE_NAMES, weights, strict=True)
+        },
         "fitted_on": f"{len(scores)} cases by `longreach bench first-day --calibrate`",
         "cases": len(scores),
         "effects": len(right),
@@ -56,7 +58,7 @@ def calibrated(scores: Scores) -> dict[str, Any]:
 def _table(scores: Scores) -> tuple[Array, Array, Array]:
     """Figures (n, FEATURES), whether right (n,), and the number of the case (n,)."""
     rows = [(effect.figures, float(effect.right), k) for k, score in enumerate(scores) for effect in score.reported]
-    X = np.array([figures for figures, _, _ in rows]).reshape(-1, len(FEATURES))
+    X = np.array([figures for figures, _, _ in rows]).reshape(-1, len(EVIDENCE_FEATURE_NAMES))
     return X, np.array([right for _, right, _ in rows]), np.array([k for _, _, k in rows], dtype=float)
 
 

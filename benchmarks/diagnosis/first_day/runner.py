@@ -16,7 +16,7 @@ from typing import Any
 
 from benchmarks.diagnosis.case_code import CASES, ROOT
 from longreach.diagnose_fleet_command import code_mark
-from recording.spawn import ONE_THREAD
+from recording.spawn import SINGLE_THREAD_ENVIRONMENT
 
 PLANT = "benchmarks.diagnosis.sealed.third_plant"
 DRAWN = "benchmarks.identify"
@@ -169,7 +169,7 @@ def _run(arguments: list[str], folder: Path) -> int | None:
             done = subprocess.run(
                 command,
                 cwd=ROOT,
-                env={**os.environ, **ONE_THREAD},
+                env={**os.environ, **SINGLE_THREAD_ENVIRONMENT},
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 timeout=CASE_S,

@@ -7,7 +7,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.diagnosis.first_day.runner import Scored
-from diagnosis.whole_model.probability import CONFIRMED, FEATURES, LIKELY, probability_of
+from diagnosis.whole_model.probability import (
+    CONFIRMED_PROBABILITY,
+    EVIDENCE_FEATURE_NAMES,
+    LIKELY_PROBABILITY,
+    probability_of,
+)
 from machine.rotations import Array
 
 WIDER = 2.0  # a size is right within this many half widths of its 90 % limits, or within CLOSE of the truth
@@ -39,12 +44,12 @@ class Reported:
     @property
     def confirmed(self) -> bool:
         """Whether the answer counts on it."""
-        return self.probability >= CONFIRMED
+        return self.probability >= CONFIRMED_PROBABILITY
 
     @property
     def likely(self) -> bool:
         """Whether it is more likely there than not."""
-        return self.probability >= LIKELY
+        return self.probability >= LIKELY_PROBABILITY
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +123,7 @@ def _compared(entry: Entry, effects: Sequence[Entry], total: float, true_total: 
     same = next((effect for effect in effects if _is(entry, effect)), None)
     keys = [{"name": effect["name"], "joint": effect["joint"]} for effect in effects]
     equal = next((effect for effect in effects if _holds(entry, effect, keys)), None)
-    figures = np.array([float(entry["evidence"]["figures"].get(name, 0.0)) for name in FEATURES])
+    figures = np.array([float(entry["evidence"]["figures"].get(name, 0.0)) for name in EVIDENCE_FEATURE_NAMES])
     mm = float(entry["tool_mm"] or 0.0)
     return Reported(
         name=entry["name"],

@@ -16,7 +16,7 @@ from benchmarks.diagnosis.case_code import CASES, ROOT
 from benchmarks.diagnosis.gap.packed import Packed, PackedError, read_packed, write_packed
 from benchmarks.diagnosis.gap.warm import Warm, with_path
 from longreach.diagnose_fleet_command import code_mark
-from recording.spawn import ONE_THREAD
+from recording.spawn import SINGLE_THREAD_ENVIRONMENT
 
 PLANTS = ("own", "foreign")
 GENERATE = "benchmarks.diagnosis.sealed.generate"
@@ -189,7 +189,7 @@ def _stage(hands: Hands, module: str, arguments: list[str], folder: Path) -> End
 def _run(arguments: list[str], folder: Path) -> Ended:
     """A process of its own, politely, however long it takes; its words also go to the folder's log."""
     folder.mkdir(parents=True, exist_ok=True)
-    environment = {**with_path(ROOT), **ONE_THREAD}
+    environment = {**with_path(ROOT), **SINGLE_THREAD_ENVIRONMENT}
     command = [*(["nice", "-n", "19"] if shutil.which("nice") else []), sys.executable, "-P", *arguments]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     return _logged(folder, arguments, Ended(done.returncode, done.stdout + done.stderr))

@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-from recording.spawn import ONE_THREAD
+from recording.spawn import SINGLE_THREAD_ENVIRONMENT
 
 
 def with_path(root: Path) -> dict[str, str]:
@@ -33,7 +33,7 @@ class Warm:
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "benchmarks.diagnosis.gap.warm", beforehand],
             cwd=root,
-            env={**with_path(root), **ONE_THREAD},
+            env={**with_path(root), **SINGLE_THREAD_ENVIRONMENT},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -15,7 +15,7 @@ from benchmarks.diagnosis.sealed.own_plant import encoder_rows, true_at, truth
 from machine.description import StereoCamera
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
 from sim_plc.plant.statics import frames, static_equilibrium_angles
-from sim_plc.plant.tree import MOTORS, N_JOINTS, Tree, build_tree
+from sim_plc.plant.tree import MOTOR_JOINT_INDICES, N_TREE_JOINTS, Tree, build_tree
 from sim_plc.plant.truth import KinematicTruth, PlantTruth
 
 TILTED_STEP = (0, 1, 4)  # the tree's step that ends at slew, lift, tilt
@@ -72,11 +72,11 @@ def bodies_at(structure: Structure, tree_q: Array) -> tuple[Array, Array]:
     """Frames of the tree's bodies R (11, 3, 3), p (11, 3) in base, bent by sag and leaning base."""
     q = tree_q.copy()
     R, p = frames(structure.tree, q)
-    com = p + np.einsum("nij,nj->ni", R, structure.tree.com)
-    weight = structure.tree.mass[:, None] * (structure.R_base.T @ structure.gravity)
+    com = p + np.einsum("nij,nj->ni", R, structure.tree.com_m)
+    weight = structure.tree.mass_kg[:, None] * (structure.R_base.T @ structure.gravity)
     if structure.sag.any():
         for k in range(3):
-            i = int(MOTORS[k])
+            i = int(MOTOR_JOINT_INDICES[k])
             torque = float(R[i, :, 2] @ np.cross(com[i:] - p[i], weight[i:]).sum(axis=0))
             q[i] += structure.sag[k] * torque
         R, p = frames(structure.tree, q)
@@ -153,11 +153,11 @@ def rest_poses(faults: Faults, rng: np.random.Generator, count: int) -> tuple[Ar
     for one in faults.injected:
         if one.name == "backlash" and one.joint is not None:
             play[one.joint - 1] += one.size
-    out = np.zeros((len(readings), N_JOINTS))
+    out = np.zeros((len(readings), N_TREE_JOINTS))
     for k, reading in enumerate(readings):
         motors = np.concatenate([true_at(reading, encoder), own.WRIST_RAD])
         q = static_equilibrium_angles(structure.tree, structure.gravity, motors, plant.flex.stiffness_nm_rad)
-        q[MOTORS[:3]] += 0.5 * play * rng.uniform(-1.0, 1.0, 3)
+        q[MOTOR_JOINT_INDICES[:3]] += 0.5 * play * rng.uniform(-1.0, 1.0, 3)
         out[k] = q
     return readings, out
 

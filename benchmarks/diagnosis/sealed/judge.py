@@ -130,7 +130,7 @@ def _injected(named: dict[str, Any], share: float) -> Injected:
         raise SealError(f"{named['name']} is no effect of the catalogue")
     values, option, direction = {}, "", ()
     for name, number in named["parameters"].items():
-        if effect.choice is not None and name == effect.choice.name:
+        if effect.quantity_choice is not None and name == effect.quantity_choice.name:
             option = number["value"]
         elif effect.direction is not None and name == effect.direction.name:
             direction = tuple(number["value"])

@@ -46,7 +46,11 @@ def scenes(remainders: tuple[Remainder, ...], plant: Plant = OWN) -> list[Scene]
     first = scene_of(made, NOISES[0], SEED, remainders)
     return [
         replace(
-            first, noise=n, speed_noise=speed_noise_of(first) * (n.speed / NOISES[0].speed) ** 2, plain={}, place=[]
+            first,
+            noise_factor=n,
+            speed_noise=speed_noise_of(first) * (n.speed / NOISES[0].speed) ** 2,
+            plain={},
+            place=[],
         )
         for n in NOISES
     ]

@@ -13,11 +13,18 @@ from sim_plc.draw_plant import draw_plant, nominal_kinematics
 from sim_plc.plant import kernel
 from sim_plc.plant.aba import aba
 from sim_plc.plant.cylinder import interpolate_table
-from sim_plc.plant.hydraulics import VAPOUR_PA, play_operator, pump_flow, spool_opening, spool_step, valve_flows
+from sim_plc.plant.hydraulics import (
+    OIL_VAPOUR_PRESSURE_PA,
+    play_operator,
+    pump_flow,
+    spool_opening,
+    spool_step,
+    valve_flows,
+)
 from sim_plc.plant.kernel import lugre_step
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import gravity_torques
-from sim_plc.plant.tree import FLEXES, MOTORS, N_JOINTS
+from sim_plc.plant.tree import FLEX_JOINT_INDICES, MOTOR_JOINT_INDICES, N_TREE_JOINTS
 from sim_plc.plant.truth import PlantTruth
 
 PLANT_SEED = 7  # the one machine of this benchmark
@@ -42,12 +49,12 @@ def _loads() -> tuple[Array, Array, Array]:
     machine = own.six_joints()
     tree = Plant(truth(), np.concatenate([own.HOME_RAD, own.WRIST_RAD])).tree
     grids = [np.linspace(j.q_min_rad, j.q_max_rad, GRID) for j in machine.joints[1:3]]
-    out, q = np.zeros((2, GRID, GRID)), np.zeros(N_JOINTS)
-    q[MOTORS[3:]] = own.WRIST_RAD
+    out, q = np.zeros((2, GRID, GRID)), np.zeros(N_TREE_JOINTS)
+    q[MOTOR_JOINT_INDICES[3:]] = own.WRIST_RAD
     for a, lift in enumerate(grids[0]):
         for b, tilt in enumerate(grids[1]):
-            q[MOTORS[1]], q[MOTORS[2]] = lift, tilt
-            out[:, a, b] = gravity_torques(tree, machine.gravity_base_m_s2, q)[MOTORS[1:3]]
+            q[MOTOR_JOINT_INDICES[1]], q[MOTOR_JOINT_INDICES[2]] = lift, tilt
+            out[:, a, b] = gravity_torques(tree, machine.gravity_base_m_s2, q)[MOTOR_JOINT_INDICES[1:3]]
     return out / np.abs(out).max(axis=(1, 2))[:, None, None], grids[0], grids[1]
 
 
@@ -94,7 +101,7 @@ def _run(
     n, oil, shared = joint.shape[0], par.oil, state.shared
     lagged, u, slow, moving = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     load, wind, opened, ahead = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    dt = kernel.STEP_S
+    dt = kernel.INTEGRATION_STEP_S
     cycle = STEPS * dt
     for k in range(ref.shape[0]):
         for j in range(n):
@@ -177,8 +184,8 @@ def _run(
                 rate_b = oil[kernel.BULK] / (c[kernel.DEAD_B] + c[kernel.AREA_B] * (c[kernel.STROKE] - y))
                 rate_a *= qa - c[kernel.AREA_A] * (yd - pushed) - leak
                 rate_b *= qb + c[kernel.AREA_B] * (yd - pushed) + leak
-                s[kernel.P_A] = max(s[kernel.P_A] + dt * rate_a, VAPOUR_PA)
-                s[kernel.P_B] = max(s[kernel.P_B] + dt * rate_b, VAPOUR_PA)
+                s[kernel.P_A] = max(s[kernel.P_A] + dt * rate_a, OIL_VAPOUR_PRESSURE_PA)
+                s[kernel.P_B] = max(s[kernel.P_B] + dt * rate_b, OIL_VAPOUR_PRESSURE_PA)
                 s[kernel.BRISTLE], friction = lugre_step(
                     s[kernel.BRISTLE], yd, c[kernel.COULOMB], c[kernel.STATIC], c[kernel.VISCOUS], c[kernel.STRIBECK],
                     c[kernel.BRISTLE_K], c[kernel.BRISTLE_D], dt,
@@ -264,7 +271,7 @@ def run(faults: f.Faults, ref: Array, shock: Array, u_given: Array | None = None
     loads, lifts, tilts = _loads()
     grid = np.array([lifts[0], lifts[1] - lifts[0], tilts[0], tilts[1] - tilts[0]])
     m = len(ref)
-    out = Course(*(np.zeros((m, columns)) for columns in (n, n, n, N_JOINTS, 2 * n + 1)))
+    out = Course(*(np.zeros((m, columns)) for columns in (n, n, n, N_TREE_JOINTS, 2 * n + 1)))
     given, kept_near = (np.zeros((0, n)) if one is None else np.ascontiguousarray(one) for one in (u_given, near))
     _run(
         plant.parameters,
@@ -308,4 +315,4 @@ def _changed(base: PlantTruth, faults: f.Faults) -> PlantTruth:
 
 def springs() -> tuple[Array, Array]:
     """Indices of the motors and springs in the tree."""
-    return MOTORS, FLEXES
+    return MOTOR_JOINT_INDICES, FLEX_JOINT_INDICES

@@ -11,7 +11,7 @@ from benchmarks.diagnosis.sealed import nominal_own as own
 from benchmarks.diagnosis.sealed.faults import Faults
 from machine.description import Joint
 from machine.rotations import Array
-from sim_plc.plant.tree import FLEXES, MOTORS
+from sim_plc.plant.tree import FLEX_JOINT_INDICES, MOTOR_JOINT_INDICES
 
 NAMES = ("own", "foreign")
 
@@ -99,8 +99,8 @@ class OwnPlant:
     """The fine plant of sim_plc."""
 
     home_rad = own.HOME_RAD
-    motors = tuple(int(i) for i in MOTORS[: own.N])
-    springs = tuple(int(i) for i in FLEXES)
+    motors = tuple(int(i) for i in MOTOR_JOINT_INDICES[: own.N])
+    springs = tuple(int(i) for i in FLEX_JOINT_INDICES)
 
     @property
     def play_rad(self) -> Array:

@@ -18,7 +18,7 @@ from protocol.codec import decode_command, encode_command
 from protocol.codes import Mode
 from protocol.framing import RawFraming
 from protocol.limits import limits_of
-from protocol.timeouts import COMMAND_PERIOD, LINK_CLOSED, MS, STATE_PERIOD
+from protocol.timeouts import COMMAND_PERIOD, LINK_CLOSE_TIMEOUT, MS, STATE_PERIOD
 from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.logic import PlcLogic
 from sim_plc.plc.reference import Motion
@@ -116,7 +116,7 @@ class Drill:
             self.step()
         self._fall_silent()
         halted_ns = self._until.get("plc stall", self.t_ns)  # a halted program can do nothing before it runs again
-        end_ns = max(self.t_ns + LINK_CLOSED.ns, halted_ns) + _SETTLE_NS
+        end_ns = max(self.t_ns + LINK_CLOSE_TIMEOUT.duration_ns, halted_ns) + _SETTLE_NS
         give_up_ns = end_ns + _LONGEST_RAMP_NS
         while self.t_ns < end_ns or (self.plc.reference.motion is not Motion.FOLLOW and self.t_ns < give_up_ns):
             self.step()
@@ -153,7 +153,7 @@ class Drill:
     def _connect(self) -> None:
         self.sessions += 1
         session = self._rng.randrange(1, 1 << 32)
-        self.client = ClientLink(self.plc.settings.table, _FRAMING, session)
+        self.client = ClientLink(self.plc.settings.limit_table, _FRAMING, session)
         self.operator.begin_anew()
 
     def _cycle_plc(self, cycle_ms: int) -> None:
@@ -163,7 +163,7 @@ class Drill:
             watch.events(self.plc.receive(datagram, t_plc_ns, self._pc_source), t_plc_ns)
         valves = self.plc.run_cycle(t_plc_ns, self.plant.sample("line down" not in self._until))
         watch.cycle(t_plc_ns, valves)
-        if self.t_ns % STATE_PERIOD.ns < cycle_ms * MS and self.plc.link.peer is not None:
+        if self.t_ns % STATE_PERIOD.duration_ns < cycle_ms * MS and self.plc.link.peer is not None:
             datagram = self.plc.send(t_plc_ns)
             if self.plc.link.peer == self._pc_source:
                 self.to_pc.push(datagram, self.t_ns)
@@ -176,7 +176,7 @@ class Drill:
         t_pc_ns = self.t_ns + self._pc_epoch_ns
         for datagram in arrived:
             self._note(self.client.receive(datagram, t_pc_ns))
-        if self.t_ns % COMMAND_PERIOD.ns >= self.schedule.cycle_ms * MS:
+        if self.t_ns % COMMAND_PERIOD.duration_ns >= self.schedule.cycle_ms * MS:
             return
         self.operator.act(self.client, t_pc_ns)
         self._note(self.client.poll(t_pc_ns))
@@ -262,7 +262,7 @@ class Drill:
     def _intrude(self, act: Act) -> None:
         """A well-formed command from somebody else, or from us for a motion that is over: neither may do anything."""
         session = self.plc.link.session
-        hello = ClientLink(self.plc.settings.table, _FRAMING, session or 1).send(0)
+        hello = ClientLink(self.plc.settings.limit_table, _FRAMING, session or 1).send(0)
         if hello is None:
             return
         command, t_plc_ns = decode_command(hello), self.t_ns + self._plc_epoch_ns

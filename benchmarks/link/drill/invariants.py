@@ -19,7 +19,7 @@ from machine.rotations import Array
 from protocol.codes import FaultBit, PlcState
 from protocol.plc_events import CommandAccepted, PlcAction, PlcLinkEvent, StateChanged
 from protocol.plc_states import ARMED_STATES
-from protocol.timeouts import COMMAND_LOST
+from protocol.timeouts import COMMAND_LOST_TIMEOUT
 from sim_plc.plc.logic import PlcLogic
 from sim_plc.plc.reference import Motion
 
@@ -125,7 +125,7 @@ class Watch:
     def __post_init__(self) -> None:
         n = self.plc.settings.n
         self._q, self._qd = np.zeros(n), np.zeros(n)
-        axes = self.plc.settings.table.axes
+        axes = self.plc.settings.limit_table.axes
         self._qd_max = np.array([axis.qd_max for axis in axes])
 
     def events(self, events: Sequence[PlcLinkEvent], t_plc_ns: int) -> None:
@@ -230,7 +230,7 @@ class Watch:
         reference = self.plc.reference
         now = (reference.q, reference.qd, reference.qdd)
         # a trajectory may begin that far from q_ref
-        slack = settings.table.start_tolerance_rad if self._before is Motion.HOLD else 0.0
+        slack = settings.limit_table.start_tolerance_rad if self._before is Motion.HOLD else 0.0
         ramped = self._before in _RAMPS or (self._before in _PLAYED and not self._at_last_knot())
         if ramped and reference.motion is Motion.HOLD:
             slack = self._ramp_end_jump()
@@ -261,7 +261,7 @@ class Watch:
         if self._state_before is not PlcState.RUN and not self._may_run:
             self._breach("motion resumes", f"RUN after {self._state_before.name} without a start")
         silent_ns = t_plc_ns - self.accepted_ns if self.accepted_ns is not None else 1 << 60
-        if silent_ns > COMMAND_LOST.ns:
+        if silent_ns > COMMAND_LOST_TIMEOUT.duration_ns:
             self._breach("silence does not stop", f"RUN {silent_ns / 1e6:.0f} ms after the last accepted command")
         self.longest.run_in_silence_ms = max(self.longest.run_in_silence_ms, silent_ns / 1e6)
 
@@ -289,7 +289,7 @@ class Watch:
         longest.ramp_ms = max(longest.ramp_ms, (ramp.cycles + 1) * cycle_s * 1e3)
         longest.ramp_share = max(longest.ramp_share, (ramp.cycles + 1) * cycle_s / ramp.bound_s)
         silent_ns = t_plc_ns - self.accepted_ns if self.accepted_ns is not None else 0
-        if silent_ns > COMMAND_LOST.ns and not self._stalled:
+        if silent_ns > COMMAND_LOST_TIMEOUT.duration_ns and not self._stalled:
             longest.rest_in_silence_ms = max(longest.rest_in_silence_ms, silent_ns / 1e6)
 
     def _note_faults(self, latched: FaultBit) -> None:

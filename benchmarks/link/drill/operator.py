@@ -8,7 +8,7 @@ from protocol.client_link import ClientLink
 from protocol.errors import LocalProtocolError
 from protocol.limits import LimitTable
 from protocol.messages import Axes, Knot, pad_to_eight_axes
-from protocol.timeouts import MS, TAIL_AHEAD_NS
+from protocol.timeouts import MS, TAIL_LEAD_NS
 from sim_plc.plc.local_panel import LocalPanel
 
 _REACTION_NS = 60 * MS
@@ -38,7 +38,7 @@ class Operator:
         """One look."""
         match client.phase(t_ns):
             case ClientPhase.LINKED if self._reacted(t_ns):
-                if self._panel.mode == "panel" and not self._panel.may_arm:
+                if self._panel.enable_mode == "panel" and not self._panel.may_arm:
                     self._panel.press_enable()
                 client.request_arm()
             case ClientPhase.FAULT if self._reacted(t_ns):
@@ -111,7 +111,7 @@ class Operator:
             return
         self._tail_at_ns = None
         first, tail = draw_tail(
-            self._table, self.knots[key], client.state.t_play_ns + client.age_ns(t_ns) + TAIL_AHEAD_NS, self._rng
+            self._table, self.knots[key], client.state.t_play_ns + client.age_ns(t_ns) + TAIL_LEAD_NS, self._rng
         )
         if not tail:
             return

@@ -189,7 +189,7 @@ class ClientFuzz:
 
 def _counters(end: ClientEnd) -> tuple[int, ...]:
     c = end.link.counters
-    return c.sent, c.received, c.lost, c.stale, c.bad, c.rejected
+    return c.sent, c.received, c.lost, c.duplicate_or_late, c.malformed, c.rejected
 
 
 def _against_verdict(verdict: Verdict, kind: Kind, code: int) -> list[str]:

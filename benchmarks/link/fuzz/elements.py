@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from random import Random
 
 from protocol.layout import (
-    COMMAND_BODY,
-    COMMAND_TAIL,
-    HEADER,
-    KNOT,
+    COMMAND_BODY_LAYOUT,
+    COMMAND_TAIL_LAYOUT,
+    HEADER_LAYOUT,
+    KNOT_LAYOUT,
     KNOT_SIZE,
     KNOTS_OFFSET,
     KNOTS_PER_COMMAND,
-    STATE_BODY,
+    STATE_BODY_LAYOUT,
     Field,
 )
 
@@ -47,17 +47,17 @@ class Element:
 
 def _elements(fields: Sequence[Field], base: int = 0) -> tuple[Element, ...]:
     return tuple(
-        Element(field.name, base + field.offset + i * (field.size // field.count), field.iec)
+        Element(field.name, base + field.offset + i * (field.size // field.array_length), field.iec_type)
         for field in fields
-        for i in range(field.count)
+        for i in range(field.array_length)
     )
 
 
-HEADER_ELEMENTS = _elements(HEADER.fields)
-COMMAND_ELEMENTS = _elements(COMMAND_BODY.fields)
-TAIL_ELEMENTS = _elements(COMMAND_TAIL.fields)
-KNOT_ELEMENTS = tuple(_elements(KNOT.fields, KNOTS_OFFSET + k * KNOT_SIZE) for k in range(KNOTS_PER_COMMAND))
-STATE_ELEMENTS = _elements(STATE_BODY.fields)
+HEADER_ELEMENTS = _elements(HEADER_LAYOUT.fields)
+COMMAND_ELEMENTS = _elements(COMMAND_BODY_LAYOUT.fields)
+TAIL_ELEMENTS = _elements(COMMAND_TAIL_LAYOUT.fields)
+KNOT_ELEMENTS = tuple(_elements(KNOT_LAYOUT.fields, KNOTS_OFFSET + k * KNOT_SIZE) for k in range(KNOTS_PER_COMMAND))
+STATE_ELEMENTS = _elements(STATE_BODY_LAYOUT.fields)
 
 
 def mutated_number(payload: bytes, element: Element, near: Near, rng: Random) -> int:

@@ -37,7 +37,14 @@ class _Snapshot:
 
 def _snapshot(end: PlcEnd) -> _Snapshot:
     plc, counters = end.plc, end.plc.link._counters
-    numbers = (counters.ok, counters.lost, counters.dup, counters.late, counters.bad, counters.trips)
+    numbers = (
+        counters.accepted,
+        counters.lost,
+        counters.duplicates,
+        counters.late,
+        counters.malformed,
+        counters.watchdog_trips,
+    )
     return _Snapshot(picture(plc, _APART), picture(plc._counters), plc.link.peer, numbers)
 
 
@@ -66,7 +73,7 @@ class PlcCheck:
             return Outcome(Kind.REFUSED, -1, -1, signature, (f"raised {error!r}",), raised=True)
         refusal = events[0] if events and isinstance(events[0], CommandRejected) else None
         kind = Kind.REFUSED if refusal else Kind.TAKEN if events else Kind.SILENT
-        code, offset = (int(refusal.code), refusal.offset) if refusal else (0, 0)
+        code, offset = (int(refusal.code), refusal.field_offset) if refusal else (0, 0)
         problems = _against_verdict(verdict, kind, code, offset)
         if kind is Kind.TAKEN and not problems:
             problems = self._after_taken(datagram, source)
@@ -128,7 +135,11 @@ class PlcCheck:
     def _against_record(self, refusal: CommandRejected | None) -> list[str]:
         """What the next states will tell of it."""
         noted = self.end.plc.link._reject
-        if refusal is None or (noted.code, noted.offset, noted.seq) == (refusal.code, refusal.offset, refusal.seq):
+        if refusal is None or (noted.code, noted.field_offset, noted.seq) == (
+            refusal.code,
+            refusal.field_offset,
+            refusal.seq,
+        ):
             return []
         return [f"noted {noted} for {refusal}"]
 

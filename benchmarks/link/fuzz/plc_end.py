@@ -15,7 +15,7 @@ from benchmarks.link.fuzz.oracle_plc import PlcOracle, Surroundings
 from machine.description import Machine
 from protocol.codec import decode_state
 from protocol.codes import FaultBit, Mode, PlcState
-from protocol.framing import EAP_OVERHEAD, EapFraming, RawFraming
+from protocol.framing import EAP_OVERHEAD_BYTES, EapFraming, RawFraming
 from protocol.limits import cfg_id
 from protocol.plc_events import CommandRejected
 from sim_plc.plc.local_panel import LocalPanel
@@ -64,11 +64,11 @@ class PlcEnd:
     def __init__(self, machine: Machine, variant: Variant, rng: Random) -> None:
         self.variant, self._rng = variant, rng
         framing = EapFraming.for_plc(PC_ID, PLC_ID) if variant.eap else RawFraming()
-        self.panel = LocalPanel(mode="panel", enabled=True, _fresh=True) if rng.random() < 0.3 else LocalPanel()
+        self.panel = LocalPanel(enable_mode="panel", enabled=True, _fresh=True) if rng.random() < 0.3 else LocalPanel()
         self.plc = PlcLogic(
             machine, framing, lambda: rng.randrange(1, 1 << 32), self.panel, variant.key, dry_run=rng.random() < 0.1
         )
-        table = self.plc.settings.table
+        table = self.plc.settings.limit_table
         self.honest = HonestPc(table, rng.randrange(1, 1 << 32), rng)
         eap = Subscription(bytes(map(int, PC_ID.split("."))), 0x4801) if variant.eap else None
         self.oracle = PlcOracle(table, cfg_id(table), variant.key, eap)
@@ -109,7 +109,7 @@ class PlcEnd:
         """
         if self.state is not PlcState.BOOT:
             datagram = self.plc.send(self.t_ns)
-            payload = datagram[EAP_OVERHEAD:] if self.variant.eap else datagram
+            payload = datagram[EAP_OVERHEAD_BYTES:] if self.variant.eap else datagram
             breach = state_breach(payload, self.variant.key)
             self.n_states += 1
             if breach is not None:
@@ -208,7 +208,7 @@ class PlcEnd:
             self.swinging = True
         elif choice == 1:
             self.outside = True
-        elif choice == 2 and self.panel.mode == "panel":
+        elif choice == 2 and self.panel.enable_mode == "panel":
             self.panel.release_enable()
         self.pass_time(1)
         self.look()
@@ -217,5 +217,5 @@ class PlcEnd:
         """Take the disturbances away."""
         self.hot = self.swinging = self.outside = False
         self.panel.lever_taken = False
-        if self.panel.mode == "panel":
+        if self.panel.enable_mode == "panel":
             self.panel.press_enable()

@@ -78,11 +78,11 @@ class InServerLink:
             lateness_p50_us=figures.p50_us,
             lateness_p99_us=figures.p99_us,
             lateness_max_us=figures.max_us,
-            round_trip_ms=self._link.clock.delay_ns / 1e6,
+            round_trip_ms=self._link.clock_offset.delay_ns / 1e6,
             last_reject=self._last_reject,
             session=self._link.session,
             warning="in the server's process, at normal priority",
-            round_trip_min_ms=self._link.clock.delay_min_ns / 1e6,
+            round_trip_min_ms=self._link.clock_offset.delay_min_ns / 1e6,
         )
 
     async def arm(self, timeout_s: float = 5.0) -> None:
@@ -114,7 +114,7 @@ class InServerLink:
         return await self._motion
 
     async def _send_in_time(self, udp: UdpEnd) -> None:
-        period_ns = COMMAND_PERIOD.ns
+        period_ns = COMMAND_PERIOD.duration_ns
         deadline_ns = mono_ns() + period_ns
         while True:
             await asyncio.sleep(max(0, deadline_ns - mono_ns()) * 1e-9)

@@ -41,7 +41,7 @@ def effects_of(fitted: Recording, left: Recording, judged: Recording) -> Found:
     before, after = (_energy(with_baseline(last, some, ())) for some in ((), effects))
     found = budget_of(with_baseline(last, effects, remainder))
     closed = 1.0 - (after - 1.0) / max(before - 1.0, 1e-9)
-    return Found((*effects, *found.effect_entries()), found.verdict, closed, found.why)
+    return Found((*effects, *found.effect_entries()), found.verdict, closed, found.verdict_reason)
 
 
 def _read(recording: Recording) -> Read:
@@ -53,5 +53,5 @@ def _read(recording: Recording) -> Read:
 
 def _energy(whole: Read) -> float:
     """Mean squared residual in floors."""
-    rows = [cell.whitened(cell.base)[0] for cell in cells_of(whole)]
+    rows = [cell.whitened(cell.baseline_parameters)[0] for cell in cells_of(whole)]
     return float(np.mean(np.concatenate(rows) ** 2)) if rows else 1.0

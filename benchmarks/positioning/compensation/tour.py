@@ -50,7 +50,7 @@ def stops(world: World, count: int, rng: Generator) -> list[Stop]:
         shift = np.array([rng.uniform(-REACH_M, REACH_M), rng.uniform(-REACH_M, REACH_M), rng.uniform(0.0, DEPTH_M)])
         R = rotation_from_rotvec(rng.uniform(-TURN_RAD, TURN_RAD, 3))
         T = pose(T_start[:3, :3] @ R, T_start[:3, 3] + T_start[:3, :3] @ shift)
-        q = inverse_nearest(chain, T, q_start).q
+        q = inverse_nearest(chain, T, q_start).q_rad
         if q is not None:
             found.append(Stop(q, rng.choice([-1.0, 1.0], len(q))))
     return found

@@ -136,7 +136,7 @@ def _run(world: World, cell: FastCell, ctx: PlanContext, variant: Variant, again
         state, reason = "refused", str(error)
     moves, oriented = _moves(world, cell, ctx, notes)
     end = None if result is None else result.end
-    warning = "" if ctx.knowledge.calibration is None else ctx.knowledge.calibration.reason
+    warning = "" if ctx.knowledge.calibration_record is None else ctx.knowledge.calibration_record.reason
     end_true = true_errors(world, cell.machine.T_base_tcp(), ctx.T_ooi_goal).goal_mm
     second, again_state, again_rest_s = None, "", float("nan")
     if again and state == "done":

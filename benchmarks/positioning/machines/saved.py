@@ -15,7 +15,7 @@ from benchmarks.reproduce.fast_machine import QuasiStaticMachine
 from benchmarks.reproduce.fine_machine import FineMachine
 from benchmarks.reproduce.noise_model import fitted_noise
 from benchmarks.saved_lines import add_line, open_to_add, whole_lines
-from recording.spawn import ONE_THREAD
+from recording.spawn import SINGLE_THREAD_ENVIRONMENT
 from server.settings import read_machine
 
 CHANGES = {**SOURCES, **SEEING}
@@ -69,7 +69,7 @@ def _fresh(order: Order, seeds: Iterable[int], workers: int) -> Iterator[Machine
         for seed in seeds:
             yield run_one(order, seed)
         return
-    os.environ.update({**ONE_THREAD, **os.environ})  # read by the fresh children
+    os.environ.update({**SINGLE_THREAD_ENVIRONMENT, **os.environ})  # read by the fresh children
     with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as pool:
         for done in as_completed([pool.submit(run_one, order, seed) for seed in seeds]):
             yield done.result()

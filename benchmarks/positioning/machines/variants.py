@@ -97,16 +97,17 @@ ABLATIONS: tuple[Variant, ...] = (
     Variant("rigid map", "a rotation between camera and base in place of the learnt map", (("local_map", "rigid"),)),
     Variant(
         "no play", "play of slew and wrists not in the estimate",
-        replaced=_believing(JointPrior(errors=ErrorPrior(mean_play_rad=NONE6, sigma_play_rad=NONE6))),
+        replaced=_believing(JointPrior(kinematic_errors=ErrorPrior(mean_play_rad=NONE6, sigma_play_rad=NONE6))),
     ),
     Variant(
         "no sag", "compliance of the booms not in the estimate",
-        replaced=_believing(JointPrior(errors=ErrorPrior(mean_compliance=NONE6, sigma_compliance=NONE6))),
+        replaced=_believing(JointPrior(kinematic_errors=ErrorPrior(mean_compliance=NONE6, sigma_compliance=NONE6))),
     ),
     Variant(
         "no lengths and zeros", "the machine file's lengths, twists and zeros taken for true",
         replaced=_believing(
-            JointPrior(errors=ErrorPrior(sigma_a_m=(0.0,), sigma_d_m=(0.0,), sigma_twist_rad=0.0, sigma_zero_rad=0.0))
+            JointPrior(kinematic_errors=ErrorPrior(sigma_a_m=(0.0,), sigma_d_m=(0.0,), sigma_twist_rad=0.0,
+                sigma_zero_rad=0.0))
         ),
     ),
     Variant("no time offset", "clocks taken for mapped", replaced=_believing(JointPrior(sigma_time_s=KNOWN))),

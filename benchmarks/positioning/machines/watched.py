@@ -29,8 +29,8 @@ class LookChange:
 
     def of(self, request: TakeLook) -> TakeLook:
         """The request to make instead."""
-        pairs = request.pairs if self.pairs is None else self.pairs
-        return replace(request, pairs=pairs, source="mono" if self.mono else request.source)
+        pairs = request.n_pairs if self.pairs is None else self.pairs
+        return replace(request, n_pairs=pairs, source="mono" if self.mono else request.source)
 
 
 @dataclass(slots=True)
@@ -80,7 +80,7 @@ class _Watch:
 
     def _predict(self) -> None:
         """The covariance that the job's own prediction comes from: its records keep the sigmas only."""
-        estimate, look = self.ctx.knowledge.joint, self.ctx.knowledge.last_look
+        estimate, look = self.ctx.knowledge.joint_estimate, self.ctx.knowledge.last_look
         if self.ctx.settings.position.local_map != "learnt" or look is None:
             return
         if estimate is None or estimate.state is None:

@@ -34,7 +34,7 @@ class Stand:
         self._relay = UdpRelay(RelaySettings(plc_port=ports.plc, listen_port=0, seed=seed))
         behind = StackPorts(ports.http, self._relay.address[1], ports.plc_local, ports.camera)
         self._server = Stack(
-            behind, preset, seed, runs=folder / "runs", settings_file=settings_file, log_folder=folder / "logs"
+            behind, preset, seed, runs_folder=folder / "runs", settings_file=settings_file, log_folder=folder / "logs"
         )
         self.http = httpx.Client(base_url=self._server.url, timeout=30.0)
         self._database = folder / "runs" / "longreach.sqlite3"

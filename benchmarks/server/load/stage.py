@@ -125,7 +125,7 @@ def stage(
     settings = SimSettings(machine_text, preset, seed, plc_port=free.plc, camera=False)
     with PlcProcess(settings) as plc, ReplayCamera(pairs, replay_hz) as camera:
         ports = StackPorts(free.http, free.plc, free.plc_local, int(camera.url.rsplit(":", 1)[1].split("/")[0]))
-        stack = BusyStack(ports, runs=folder / "runs", log_folder=folder / "logs")
+        stack = BusyStack(ports, runs_folder=folder / "runs", log_folder=folder / "logs")
         try:
             stack.start_server()
             with JobClient(stack.url) as client:

@@ -89,7 +89,7 @@ class PointSight:
         """The same wall points."""
         places = np.array(list(_points_sight(kept).numbers), dtype=float).reshape(-1, 2)
         found = self.flow_from(kept, places)
-        return places[found.good], found.points_px[found.good]
+        return places[found.valid], found.points_px[found.valid]
 
     def repetition_ways(self) -> Array:
         """Points are known by their numbers."""

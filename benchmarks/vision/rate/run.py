@@ -14,7 +14,7 @@ from benchmarks.vision.rate.stages import StageTimes, TimedOdometry, timed_sourc
 from machine.description import Machine
 from server.camera.contracts import FrameReport, VisionSettings
 from server.camera.pipeline import Odometry, VisionPipeline
-from server.camera.process import HANDOVER_S
+from server.camera.process import THREAD_SWITCH_INTERVAL_S
 from server.camera.sources.settings import HttpSource
 from server.vision.aruco_source import ArucoPoseSource
 from server.vision.contracts import OdometryStatus, PoseStatus
@@ -49,7 +49,7 @@ class RateFigures:
 def _pipeline(machine: Machine, times: StageTimes) -> VisionPipeline:
     settings = VisionSettings(HttpSource("http://in-memory/"))
     cv2.setNumThreads(settings.threads)
-    sys.setswitchinterval(HANDOVER_S)
+    sys.setswitchinterval(THREAD_SWITCH_INTERVAL_S)
     source = ArucoPoseSource(machine)
 
     def make_odometry() -> Odometry:

@@ -9,21 +9,21 @@ from numba import njit
 
 from server.camera.health.findings import FaultCode, Finding, Pair
 from server.camera.health.thumbnail import EyeCells
-from server.vision.contracts import NO_WHITE_MARGIN, Array, Image, MarkerView
+from server.vision.contracts import NO_WHITE_MARGIN_REASON, Array, Image, MarkerView
 from server.vision.quadrilateral import grey_at
 
-SITE_STEP = 15  # has no factor in common with the grids that pictures are made of
-LEVEL_FROM = 15
-LEVEL_WEIGHT = 0.03
-LEVEL_MIN_FRAC = 0.3  # of the running mean; sharpness against contrast falls with the square of the blur
+SHARPNESS_SAMPLE_STEP_PX = 15  # has no factor in common with the grids that pictures are made of
+SHARPNESS_PAIRS_MIN = 15
+SHARPNESS_MEAN_WEIGHT = 0.03
+SHARPNESS_MIN_FRAC = 0.3  # of the running mean; sharpness against contrast falls with the square of the blur
 BLUR_MAX_PX = 1.8  # standard deviation; the eyes of a sharp camera have 0.5 to 0.9
 BLUR_MAX_CELL_FRAC = 0.30  # of a printed cell: beyond, dark and bright cells run into each other
-CELLS_PER_SIDE = 6.0
-PROFILES = (0.3, 0.5, 0.7)  # along a side
+MARKER_CELLS_PER_SIDE = 6.0
+EDGE_PROFILE_POSITIONS = (0.3, 0.5, 0.7)  # along a side
 REACH_MAX_PX, PROFILE_STEP_PX = 7.0, 0.5
-SIDE_MIN_PX = 24.0
+MARKER_SIDE_MIN_PX = 24.0
 CONTRAST_MIN_GREY = 25.0
-VIEWS_PER_PAIR = 2
+MARKER_VIEWS_PER_PAIR = 2
 
 
 @njit(cache=True, nogil=True)
@@ -50,7 +50,9 @@ def sharpness(image: Image) -> float:
     """
     if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 8:
         return 0.0
-    return float(_image_sharpness(image, SITE_STEP if image.shape[0] >= 30 * SITE_STEP else 2))
+    return float(
+        _image_sharpness(image, SHARPNESS_SAMPLE_STEP_PX if image.shape[0] >= 30 * SHARPNESS_SAMPLE_STEP_PX else 2)
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -90,13 +92,18 @@ def side_blurs(image: Image, corners: Array) -> Array:
         x0, y0 = corners[i, 0], corners[i, 1]
         dx, dy = corners[(i + 1) % 4, 0] - x0, corners[(i + 1) % 4, 1] - y0
         length = np.sqrt(dx * dx + dy * dy)
-        if length < SIDE_MIN_PX:
+        if length < MARKER_SIDE_MIN_PX:
             continue
-        reach = min(REACH_MAX_PX, 0.9 * length / CELLS_PER_SIDE)
+        reach = min(REACH_MAX_PX, 0.9 * length / MARKER_CELLS_PER_SIDE)
         found = np.full(3, np.nan)
         for k in range(3):
             found[k] = _edge_width(
-                image, x0 + PROFILES[k] * dx, y0 + PROFILES[k] * dy, dy / length, -dx / length, reach
+                image,
+                x0 + EDGE_PROFILE_POSITIONS[k] * dx,
+                y0 + EDGE_PROFILE_POSITIONS[k] * dy,
+                dy / length,
+                -dx / length,
+                reach,
             )
         if not np.isnan(found).any():
             out[i] = np.median(found)
@@ -112,7 +119,7 @@ class BlurMonitor:
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
         """Compare with the running level."""
-        if pair.first:
+        if pair.is_first:
             self._levels.clear()
         images = {"left": pair.frame.left, "right": pair.frame.right}
         for name, eye in pair.eyes:
@@ -124,24 +131,24 @@ class BlurMonitor:
     def _against_level(self, name: str, image: Image, eye: EyeCells) -> Finding | None:
         level = sharpness(image) / max(eye.spread_grey**2, 1.0)
         usual, count = self._levels.get(name, (0.0, 0))
-        if count >= LEVEL_FROM and level < LEVEL_MIN_FRAC * usual:
+        if count >= SHARPNESS_PAIRS_MIN and level < SHARPNESS_MIN_FRAC * usual:
             text = (
                 f"the {name} eye is blurred: sharpness {100 * level / usual:.0f} % of its running level (limit "
-                f"{100 * LEVEL_MIN_FRAC:.0f} %); wait until the boom rests, check focus and lens"
+                f"{100 * SHARPNESS_MIN_FRAC:.0f} %); wait until the boom rests, check focus and lens"
             )
             return Finding(FaultCode.BLURRED, text, forbids_odometry=False)
-        self._levels[name] = usual + max(LEVEL_WEIGHT, 1.0 / (count + 1)) * (level - usual), count + 1
+        self._levels[name] = usual + max(SHARPNESS_MEAN_WEIGHT, 1.0 / (count + 1)) * (level - usual), count + 1
         return None
 
     def at_markers(self, pair: Pair) -> tuple[Finding, ...]:
         """Measure some of the markers in this pair's observation."""
-        seen = () if pair.observation is None else pair.observation.views
-        views = [view for view in seen if NO_WHITE_MARGIN not in view.reason]
+        seen = () if pair.observation is None else pair.observation.marker_views
+        views = [view for view in seen if NO_WHITE_MARGIN_REASON not in view.reason]
         if not views:
             return ()
         self._turn += 1
-        for number in range(min(VIEWS_PER_PAIR, len(views))):
-            finding = _view_blur(pair, views[(self._turn * VIEWS_PER_PAIR + number) % len(views)])
+        for number in range(min(MARKER_VIEWS_PER_PAIR, len(views))):
+            finding = _view_blur(pair, views[(self._turn * MARKER_VIEWS_PER_PAIR + number) % len(views)])
             if finding is not None:
                 return (finding,)
         return ()
@@ -157,7 +164,7 @@ def _view_blur(pair: Pair, view: MarkerView) -> Finding | None:
             continue
         blur_px = float(np.nanmax(blurs))
         side_px = float(np.min(np.linalg.norm(corners - np.roll(corners, -1, axis=0), axis=1)))
-        limit_px = min(BLUR_MAX_PX, BLUR_MAX_CELL_FRAC * side_px / CELLS_PER_SIDE)
+        limit_px = min(BLUR_MAX_PX, BLUR_MAX_CELL_FRAC * side_px / MARKER_CELLS_PER_SIDE)
         if blur_px > limit_px:
             text = (
                 f"the {name} eye is blurred at marker {view.marker_id}: {blur_px:.1f} px (limit {limit_px:.1f} px); "

@@ -59,17 +59,17 @@ class Pair:
     """
 
     frame: StereoFrame
-    left: EyeCells
-    right: EyeCells
-    step: int
-    first: bool
-    resumed: bool = False
+    left_cells: EyeCells
+    right_cells: EyeCells
+    thumbnail_step_px: int
+    is_first: bool
+    is_resumed: bool = False
     observation: PairObservation | None = None
 
     @property
     def eyes(self) -> tuple[tuple[str, EyeCells], tuple[str, EyeCells]]:
         """Both eyes by name."""
-        return ("left", self.left), ("right", self.right)
+        return ("left", self.left_cells), ("right", self.right_cells)
 
 
 class Monitor(Protocol):

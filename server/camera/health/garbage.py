@@ -6,20 +6,22 @@ from numba import njit
 from machine.description import StereoCamera
 from server.camera.contracts import StereoFrame
 from server.camera.health.findings import FaultCode, Finding, Pair
-from server.camera.health.thumbnail import CHANGE, SIDE_MIN_PX
+from server.camera.health.thumbnail import CHANGE, IMAGE_SIDE_MIN_PX
 from server.vision.contracts import Array
 
-ONE_GREY_ROWS_MIN = 2  # of 90: a decoder fills what is missing with one grey
+UNIFORM_ROWS_MIN = 2  # of 90: a decoder fills what is missing with one grey
 STEP_MIN_GREY, STEP_MIN_RATIO = 5.0, 1.6  # of the mean step from a thumbnail row to the next
-STEP_ROWS_NEAR = 3  # a horizontal edge of the scene moves by no more from pair to pair (24 px)
+STEP_NEIGHBOUR_ROWS = 3  # a horizontal edge of the scene moves by no more from pair to pair (24 px)
 BREAK_MIN_GREY, BREAK_RATIO = 10.0, 2.5
-SETTLED_PAIRS = 150  # a step that stays this long in a picture that keeps still is something in front of the camera
+PERSISTENT_STEP_PAIRS = (
+    150  # a step that stays this long in a picture that keeps still is something in front of the camera
+)
 
 
 def wrong_size(frame: StereoFrame, camera: StereoCamera | None) -> tuple[Finding, ...]:
     """Both eyes grey, of one size, and of the camera file's where one is given."""
     for name, image in (("left", frame.left), ("right", frame.right)):
-        if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < SIDE_MIN_PX:
+        if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < IMAGE_SIDE_MIN_PX:
             text = f"{name} image is {image.shape} {image.dtype}, not a grey 8-bit picture; check the camera source"
             return (Finding(FaultCode.WRONG_SIZE, text),)
     left, right = ((image.shape[1], image.shape[0]) for image in (frame.left, frame.right))
@@ -48,11 +50,13 @@ class GarbageMonitor:
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
         """Look for rows of one grey, for a step, and for a break between the rows above and those below."""
-        steps = 0.5 * (pair.left.rows + pair.right.rows)
-        bands = np.minimum(_band_changes(pair.left.cells), _band_changes(pair.right.cells))
+        steps = 0.5 * (pair.left_cells.row_steps + pair.right_cells.row_steps)
+        bands = np.minimum(
+            _band_changes(pair.left_cells.cell_statistics), _band_changes(pair.right_cells.cell_statistics)
+        )
         self._now = steps, bands
         text = cut = _one_grey(pair)
-        if not text and not pair.first and len(self._good[0]) == len(steps):
+        if not text and not pair.is_first and len(self._good[0]) == len(steps):
             row = int(_new_step(steps, self._good[0]))
             if row >= 0:
                 text = (
@@ -61,7 +65,7 @@ class GarbageMonitor:
             elif _has_corrupt_lower_bands(bands, self._good[1]):
                 text = "its lower part is another picture than just before, its upper part is not"
         self._still = self._still + 1 if text and not cut and bands.max() < BREAK_MIN_GREY else 0
-        if text and self._still < SETTLED_PAIRS:
+        if text and self._still < PERSISTENT_STEP_PAIRS:
             return (_garbage_finding(text),)
         self._still = 0
         return ()
@@ -72,9 +76,9 @@ class GarbageMonitor:
 
 
 def _one_grey(pair: Pair) -> str:
-    rows = min(pair.left.one_grey_rows, pair.right.one_grey_rows)
-    whole = min(pair.left.grey.shape[0], pair.right.grey.shape[0])
-    return f"the last {100 * rows // whole} % of its rows are one grey" if ONE_GREY_ROWS_MIN <= rows < whole else ""
+    rows = min(pair.left_cells.one_grey_rows, pair.right_cells.one_grey_rows)
+    whole = min(pair.left_cells.grey_thumbnail.shape[0], pair.right_cells.grey_thumbnail.shape[0])
+    return f"the last {100 * rows // whole} % of its rows are one grey" if UNIFORM_ROWS_MIN <= rows < whole else ""
 
 
 @njit(cache=True, nogil=True)
@@ -82,7 +86,7 @@ def _new_step(steps: Array, before: Array) -> int:
     """The row of a step that stands out, here and against the last good picture; -1 for none."""
     usual = np.sort(steps)[len(steps) // 2]
     for i in range(1, len(steps) - 1):
-        low, high = max(i - STEP_ROWS_NEAR, 0), min(i + STEP_ROWS_NEAR + 1, len(steps))
+        low, high = max(i - STEP_NEIGHBOUR_ROWS, 0), min(i + STEP_NEIGHBOUR_ROWS + 1, len(steps))
         around = max(before[low:high].max(), max(steps[i - 1], steps[i + 1]))
         if steps[i] > around + STEP_MIN_GREY and steps[i] > STEP_MIN_RATIO * usual and steps[i] > 1.5 * around:
             return i

@@ -19,7 +19,7 @@ from server.camera.health.stamps import StampMonitor
 from server.camera.health.thumbnail import EyeMemory
 from server.vision.contracts import Array, PairObservation
 
-USELESS = frozenset(
+UNUSABLE_IMAGE_FAULTS = frozenset(
     {
         FaultCode.BLACK,
         FaultCode.EYE_GONE,
@@ -34,8 +34,8 @@ USELESS = frozenset(
 
 # Once found, a fault stands until enough good pairs have come: one good picture in between proves nothing.
 
-GOOD_PAIRS = 5
-GOOD_PAIRS_OF = {  # where more must be seen
+RECOVERY_PAIRS = 5
+RECOVERY_PAIRS_BY_FAULT = {  # where more must be seen
     FaultCode.STAMP_BACKWARDS: 10,  # the clock's map needs 8 pairs to find itself
     FaultCode.STAMP_JUMPED: 10,
     FaultCode.STAMP_STANDS: 10,
@@ -63,7 +63,7 @@ class Latch:
             self._held[code] = finding, left - 1
             lingering.append(replace(finding, text=f"{finding.text} (over; {left} more good pairs wanted)"))
         for code, finding in now.items():
-            self._held[code] = finding, GOOD_PAIRS_OF.get(code, GOOD_PAIRS)
+            self._held[code] = finding, RECOVERY_PAIRS_BY_FAULT.get(code, RECOVERY_PAIRS)
         return (*findings, *lingering)
 
     def clear(self) -> None:
@@ -76,11 +76,11 @@ class Latch:
 # A damaged picture may be shifted by whole blocks of its JPEG, in both eyes alike: every marker in it then fits a pose,
 # and only the pairs before it say that this is not where the marker was about to be.
 
-JUMP_MIN_PX = 4.0  # half of the smallest block of a JPEG
-ALIKE_MAX_PX = 0.5  # between the eyes: blocks shift both by the same, a step in depth does not
+MARKER_JUMP_MIN_PX = 4.0  # half of the smallest block of a JPEG
+EYE_JUMP_DIFFERENCE_MAX_PX = 0.5  # between the eyes: blocks shift both by the same, a step in depth does not
 # Of a 10 Hz camera; 4 px in it from rest, at 1 m with 700 px: 0.8 m/s^2, cranes have 0.5. The limit of a longer
 # interval grows as the way of that acceleration does.
-INTERVAL_S = 0.12
+REFERENCE_INTERVAL_S = 0.12
 INTERVAL_MAX_S = 1.0  # a limit of 280 px: beyond, nothing can be said
 
 
@@ -89,7 +89,7 @@ class _MarkerSighting:
     """Corners (n, 2) of a marker in one eye, and their common speed [px/ns]; None at the first sighting."""
 
     corners_px: Array
-    speed: Array | None = None
+    speed_px_ns: Array | None = None
 
 
 class JumpMonitor:
@@ -104,14 +104,14 @@ class JumpMonitor:
         if pair.observation is None:
             return ()
         interval_ns = pair.frame.t_exposure_ns - self._t_ns
-        comparable = not pair.first and 0 < interval_ns <= INTERVAL_MAX_S * 1e9
+        comparable = not pair.is_first and 0 < interval_ns <= INTERVAL_MAX_S * 1e9
         before = self._seen if comparable else {}
         # Errors of the predicted place: by the acceleration over this interval, and over the one that gave the speed.
         way_ns2 = 0.5 * interval_ns * (interval_ns + self._interval_ns)
-        limit_px = JUMP_MIN_PX * max(1.0, way_ns2 / (INTERVAL_S * 1e9) ** 2)
+        limit_px = MARKER_JUMP_MIN_PX * max(1.0, way_ns2 / (REFERENCE_INTERVAL_S * 1e9) ** 2)
         self._t_ns, self._interval_ns, self._seen = pair.frame.t_exposure_ns, interval_ns, {}
         worst_px, worst = 0.0, ""
-        for view in pair.observation.views:
+        for view in pair.observation.marker_views:
             offs_px: list[Array] = []
             for eye, corners in (("left", view.corners_left_px), ("right", view.corners_right_px)):
                 if not view.used or corners is None:
@@ -120,14 +120,14 @@ class JumpMonitor:
                 if key not in before:
                     self._seen[key] = _MarkerSighting(found)
                     continue
-                speed = before[key].speed
+                speed = before[key].speed_px_ns
                 off_px = _median_corner_offset(
                     found, before[key].corners_px + (0.0 if speed is None else speed * interval_ns)
                 )
                 self._seen[key] = _MarkerSighting(found, off_px / interval_ns + (0.0 if speed is None else speed))
                 if speed is not None:
                     offs_px.append(off_px)
-            alike = bool(offs_px) and float(np.linalg.norm(offs_px[0] - offs_px[-1])) < ALIKE_MAX_PX
+            alike = bool(offs_px) and float(np.linalg.norm(offs_px[0] - offs_px[-1])) < EYE_JUMP_DIFFERENCE_MAX_PX
             size_px = float(np.linalg.norm(offs_px[0])) if alike else 0.0  # of one eye the residual says more
             if size_px > worst_px:
                 worst_px, worst = size_px, f"marker {view.marker_id} jumped by {size_px:.1f} px"
@@ -193,7 +193,7 @@ class ImageHealth:
         findings = [*self._stamps.check(pair)]
         for monitor in self._first:
             findings += monitor.check(pair)
-        if not any(finding.code in USELESS for finding in findings):
+        if not any(finding.code in UNUSABLE_IMAGE_FAULTS for finding in findings):
             for monitor in self._then:
                 findings += monitor.check(pair)
         if not any(finding.forbids_look for finding in findings):
@@ -210,17 +210,17 @@ class ImageHealth:
         )
 
     def _seen(self, frame: StereoFrame) -> Pair:
-        known, same_shape = self._connection == frame.connection, self._shape == frame.left.shape
+        known, same_shape = self._connection == frame.connection_number, self._shape == frame.left.shape
         if not known:
             self._images.clear()
             self._marked.clear()
-        self._connection, self._shape = frame.connection, frame.left.shape
+        self._connection, self._shape = frame.connection_number, frame.left.shape
         left, right = self._left.look(frame.left), self._right.look(frame.right)
         return Pair(
             frame,
             left,
             right,
             self._left.thumbnail_step_px,
-            first=not (known and same_shape),
-            resumed=same_shape and not known,
+            is_first=not (known and same_shape),
+            is_resumed=same_shape and not known,
         )

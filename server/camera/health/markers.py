@@ -9,10 +9,10 @@ from machine.description import StereoCamera
 from server.camera.contracts import StereoFrame
 from server.camera.health.findings import FaultCode, Finding, Pair
 from server.vision.contracts import (
-    AT_TWO_PLACES,
-    EYES_SWAPPED,
-    MOVED_ON_BOARD,
-    ROWS_DIFFER,
+    DUPLICATE_MARKER_REASON,
+    EYES_SWAPPED_REASON,
+    MOVED_MARKER_REASON,
+    ROWS_DIFFER_REASON,
     Array,
     Image,
     MarkerView,
@@ -21,8 +21,8 @@ from server.vision.contracts import (
 )
 
 RESIDUAL_MAX_PX = 0.3
-LAYOUT_MAX_M = 0.00075  # residual of a carefully measured layout, printed sides included
-OUTSIDE_FRAC = 0.06  # of a side: half a cell outside of it, where a print has its white margin
+LAYOUT_ERROR_MAX_M = 0.00075  # residual of a carefully measured layout, printed sides included
+WHITE_MARGIN_OFFSET_FRAC = 0.06  # of a side: half a cell outside of it, where a print has its white margin
 CLIPPED_GREY, CLIPPED_FRAC, CLIPPED_PLACES = 254, 0.8, 17
 
 
@@ -40,13 +40,15 @@ class MarkerMonitor:
         """Findings of this pair's observation; none before there is one."""
         if pair.observation is None:
             return ()
-        findings = [finding for view in pair.observation.views if (finding := _of_view(view)) is not None]
-        findings += [over for view in pair.observation.views if view.used for over in _over_exposed(view, pair.frame)]
+        findings = [finding for view in pair.observation.marker_views if (finding := _of_view(view)) is not None]
+        findings += [
+            over for view in pair.observation.marker_views if view.used for over in _over_exposed(view, pair.frame)
+        ]
         for found in (pair.observation.tool, pair.observation.ooi):
             if found.status is PoseStatus.REJECTED:
                 findings.append(_rejected_pose_finding(found.reason))
             elif found.T_cam_object is not None:
-                findings += self._pose_residual_findings(found, pair.observation.views)
+                findings += self._pose_residual_findings(found, pair.observation.marker_views)
         return tuple({finding.text: finding for finding in findings}.values())
 
     def _pose_residual_findings(self, found: ObjectPose, views: Sequence[MarkerView]) -> tuple[Finding, ...]:
@@ -55,7 +57,7 @@ class MarkerMonitor:
         alone = len(found.marker_ids) < 2
         if T_cam_object is None or (alone and not any(map(_by_both_eyes, used))):  # one marker in one eye fits itself
             return ()
-        layout_px = 0.0 if alone else LAYOUT_MAX_M * self._focal_px / max(float(T_cam_object[2, 3]), 0.05)
+        layout_px = 0.0 if alone else LAYOUT_ERROR_MAX_M * self._focal_px / max(float(T_cam_object[2, 3]), 0.05)
         limit_px = max(RESIDUAL_MAX_PX, layout_px)
         if not found.residual_rms_px > limit_px:
             return ()
@@ -64,8 +66,9 @@ class MarkerMonitor:
         worst = max(used, key=lambda view: view.residual_rms_px, default=None)
         which = "" if worst is None else f", most of it at marker {worst.marker_id} ({worst.residual_rms_px:.2f} px)"
         text = (
-            f"the {found.on}'s markers contradict their layout: residual {found.residual_rms_px:.2f} px rms (limit "
-            f"{limit_px:.2f} px){which}; a marker has {MOVED_ON_BOARD}: fix it, then measure the layout again"
+            f"the {found.object_name}'s markers contradict their layout: residual {found.residual_rms_px:.2f} px rms "
+            "(limit "
+            f"{limit_px:.2f} px){which}; a marker has {MOVED_MARKER_REASON}: fix it, then measure the layout again"
         )
         return (Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False),)
 
@@ -107,7 +110,10 @@ def _clipped_frac(image: Image, corners: Array) -> float:
         clipped = 0
         for k in range(CLIPPED_PLACES):
             t = 0.1 + 0.8 * k / (CLIPPED_PLACES - 1)
-            x, y = np.rint(x0 + OUTSIDE_FRAC * dy + t * dx), np.rint(y0 - OUTSIDE_FRAC * dx + t * dy)
+            x, y = (
+                np.rint(x0 + WHITE_MARGIN_OFFSET_FRAC * dy + t * dx),
+                np.rint(y0 - WHITE_MARGIN_OFFSET_FRAC * dx + t * dy),
+            )
             if not (x >= 0 and y >= 0 and x < width and y < height):
                 clipped = 0
                 break
@@ -120,7 +126,8 @@ def _clipped_frac(image: Image, corners: Array) -> float:
 def _marker_misfit_finding(found: ObjectPose, limit_px: float) -> Finding:
     """Both eyes see one target and no pose of its size fits both."""
     text = (
-        f"the {found.on}'s marker fits no pose of its size: residual {found.residual_rms_px:.2f} px rms (limit "
+        f"the {found.object_name}'s marker fits no pose of its size: residual {found.residual_rms_px:.2f} px rms "
+        "(limit "
         f"{limit_px:.2f} px); its print is of another size than the machine file's side, something lies over it, or "
         "it is over-exposed: measure its side, clean it, lower the exposure"
     )
@@ -129,16 +136,16 @@ def _marker_misfit_finding(found: ObjectPose, limit_px: float) -> Finding:
 
 def _rejected_pose_finding(reason: str) -> Finding:
     """Corners that fit no pose: the rig, or else the layout, is not what the machine file says."""
-    for words, code in ((EYES_SWAPPED, FaultCode.EYES_SWAPPED), (ROWS_DIFFER, FaultCode.ROWS_DIFFER)):
+    for words, code in ((EYES_SWAPPED_REASON, FaultCode.EYES_SWAPPED), (ROWS_DIFFER_REASON, FaultCode.ROWS_DIFFER)):
         if words in reason:
             return Finding(code, reason)
     return Finding(FaultCode.MARKER_MOVED, reason, forbids_odometry=False)
 
 
 def _of_view(view: MarkerView) -> Finding | None:
-    if AT_TWO_PLACES in view.reason:
+    if DUPLICATE_MARKER_REASON in view.reason:
         return Finding(FaultCode.MARKER_TWICE, view.reason, forbids_odometry=False)
-    if MOVED_ON_BOARD in view.reason:
+    if MOVED_MARKER_REASON in view.reason:
         text = f"{view.reason}: fix it, then measure the layout again"
         return Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False)
     return None

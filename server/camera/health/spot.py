@@ -17,16 +17,16 @@ from server.vision.contracts import Image
 
 Map = NDArray[np.float32]
 
-MOVING_MIN_GREY = 3.0  # mean change of a picture from pair to pair: less is rest
-WEIGHT = 0.02
-PAIRS_MIN = 60  # in motion
-JUDGE_EVERY = 20
-SURROUNDINGS = 31  # thumbnail px
-DARKER_MIN_FRAC = 0.15
-QUIETER_MAX_FRAC = 0.6  # change at the spot against its surroundings
-AREA_MIN = 20  # thumbnail px: 36 px square in the picture
-AREA_MAX_FRAC = 0.05
-BORDER = 4
+MOTION_CHANGE_MIN_GREY = 3.0  # mean change of a picture from pair to pair: less is rest
+RUNNING_MEAN_WEIGHT = 0.02
+MOVING_PAIRS_MIN = 60  # in motion
+CHECK_INTERVAL_PAIRS = 20
+SURROUNDINGS_SIZE_PX = 31  # thumbnail px
+SPOT_DARKENING_MIN_FRAC = 0.15
+SPOT_CHANGE_MAX_FRAC = 0.6  # change at the spot against its surroundings
+SPOT_AREA_MIN_PX = 20  # thumbnail px: 36 px square in the picture
+SPOT_AREA_MAX_FRAC = 0.05
+BORDER_PX = 4
 
 
 @njit(cache=True, nogil=True)
@@ -47,23 +47,25 @@ class _EyeStatistics:
         self.count = 0
 
     def learn(self, eye: EyeCells) -> None:
-        if self.mean.shape != eye.grey.shape:
-            self.mean = np.zeros(eye.grey.shape, np.float32)
-            self.change = np.zeros(eye.grey.shape, np.float32)
-            self.before = eye.grey.copy()
+        if self.mean.shape != eye.grey_thumbnail.shape:
+            self.mean = np.zeros(eye.grey_thumbnail.shape, np.float32)
+            self.change = np.zeros(eye.grey_thumbnail.shape, np.float32)
+            self.before = eye.grey_thumbnail.copy()
             self.count = 0
-        elif float(eye.cell_field(CHANGE).mean()) > MOVING_MIN_GREY:
+        elif float(eye.cell_field(CHANGE).mean()) > MOTION_CHANGE_MIN_GREY:
             self.count += 1
-            _update_running_averages(eye.grey, self.before, max(WEIGHT, 1.0 / self.count), self.mean, self.change)
-        self.before[:] = eye.grey
+            _update_running_averages(
+                eye.grey_thumbnail, self.before, max(RUNNING_MEAN_WEIGHT, 1.0 / self.count), self.mean, self.change
+            )
+        self.before[:] = eye.grey_thumbnail
 
     def spot_candidate_mask(self) -> Image:
         """Where the mean is darker and the change smaller than all around, as 0 and 1."""
-        size = (SURROUNDINGS, SURROUNDINGS)
+        size = (SURROUNDINGS_SIZE_PX, SURROUNDINGS_SIZE_PX)
         mean_around = cv2.blur(self.mean, size, borderType=cv2.BORDER_REFLECT)
         change_around = cv2.blur(self.change, size, borderType=cv2.BORDER_REFLECT)
-        darker = self.mean < (1.0 - DARKER_MIN_FRAC) * mean_around
-        quieter = self.change < QUIETER_MAX_FRAC * change_around
+        darker = self.mean < (1.0 - SPOT_DARKENING_MIN_FRAC) * mean_around
+        quieter = self.change < SPOT_CHANGE_MAX_FRAC * change_around
         return np.asarray(darker & quieter, np.uint8)
 
 
@@ -77,19 +79,19 @@ class SpotMonitor:
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
         """Learn from this pair; every so often look for spots."""
-        if pair.first:
+        if pair.is_first:
             self._eyes = {"left": _EyeStatistics(), "right": _EyeStatistics()}
             self._verdict = ()
         for name, eye in pair.eyes:
             self._eyes[name].learn(eye)
         self._number += 1
-        if self._number % JUDGE_EVERY == 0:
-            self._verdict = self._lens_spot_findings(pair.step)
+        if self._number % CHECK_INTERVAL_PAIRS == 0:
+            self._verdict = self._lens_spot_findings(pair.thumbnail_step_px)
         return self._verdict
 
     def _lens_spot_findings(self, step: int) -> tuple[Finding, ...]:
         left, right = self._eyes["left"], self._eyes["right"]
-        if min(left.count, right.count) < PAIRS_MIN or left.mean.shape != right.mean.shape:
+        if min(left.count, right.count) < MOVING_PAIRS_MIN or left.mean.shape != right.mean.shape:
             return ()
         suspects = {name: eye.spot_candidate_mask() for name, eye in self._eyes.items()}
         findings = []
@@ -107,9 +109,13 @@ def _largest_unmatched_spot(suspect: Image, other: Image, leftwards: bool) -> tu
     rows, cols = suspect.shape
     for number in range(1, count):
         left, top, width, height, area = (int(value) for value in stats[number])
-        if area < AREA_MIN or area > AREA_MAX_FRAC * suspect.size or (best is not None and area <= best[0]):
+        if (
+            area < SPOT_AREA_MIN_PX
+            or area > SPOT_AREA_MAX_FRAC * suspect.size
+            or (best is not None and area <= best[0])
+        ):
             continue
-        if left < BORDER or top < BORDER or left + width > cols - BORDER or top + height > rows - BORDER:
+        if left < BORDER_PX or top < BORDER_PX or left + width > cols - BORDER_PX or top + height > rows - BORDER_PX:
             continue
         moved = other[top : top + height, : left + width] if leftwards else other[top : top + height, left:]
         if int(moved.sum()) > area // 3:
@@ -122,6 +128,6 @@ def _dirty_lens_finding(name: str, spot: tuple[int, float, float], step: int) ->
     area, x, y = spot
     text = (
         f"a spot on the {name} lens at ({x * step:.0f}, {y * step:.0f}) px, {step * area**0.5:.0f} px wide (limit "
-        f"{step * AREA_MIN**0.5:.0f} px), stays while the scene moves; wipe the lens"
+        f"{step * SPOT_AREA_MIN_PX**0.5:.0f} px), stays while the scene moves; wipe the lens"
     )
     return Finding(FaultCode.DIRTY_LENS, text, forbids_look=False, forbids_odometry=False)

@@ -6,14 +6,14 @@ from server.camera.contracts import StereoFrame
 from server.camera.health.findings import FaultCode, Finding, Pair
 from server.camera.smallest_offset import SmallestOffset
 
-WINDOW = 120  # pairs over which the period is taken
-PERIOD_MIN_FRAC = 0.5  # a step shorter than this of the usual one is not the camera's
-PERIOD_KNOWN_FROM = 8
+PERIOD_WINDOW_PAIRS = 120  # pairs over which the period is taken
+STAMP_PERIOD_MIN_FRAC = 0.5  # a step shorter than this of the usual one is not the camera's
+PERIOD_PAIRS_MIN = 8
 STARTING_PAIRS = 8  # the first of a stream may have waited in a buffer: for no look, and lateness is learnt again
-AHEAD_SETTLED_FROM = 30  # pairs after which the smallest latency is known well
-AHEAD_MAX_S = 0.100  # stamps ahead of their arrival by more, against the smallest latency seen: before that ...
-AHEAD_SETTLED_MAX_S = 0.025  # ... and from then on
-LATE_MAX_S = 0.5  # a picture this much later than the fastest is old, or its stamp is
+LATENCY_SETTLED_PAIRS = 30  # pairs after which the smallest latency is known well
+STAMP_AHEAD_MAX_S = 0.100  # stamps ahead of their arrival by more, against the smallest latency seen: before that ...
+STAMP_AHEAD_SETTLED_MAX_S = 0.025  # ... and from then on
+FRAME_LATENESS_MAX_S = 0.5  # a picture this much later than the fastest is old, or its stamp is
 SILENCE_MAX_S = 0.5
 
 
@@ -30,7 +30,7 @@ class StampMonitor:
     def _begin(self, before: StereoFrame | None) -> None:
         self._before = before
         self._seen = 0  # of this connection
-        self._periods_ns: deque[int] = deque(maxlen=WINDOW)
+        self._periods_ns: deque[int] = deque(maxlen=PERIOD_WINDOW_PAIRS)
         self._smallest = SmallestOffset()
         self._learnt = 0  # offsets since it began, or since its clock was set
 
@@ -38,7 +38,7 @@ class StampMonitor:
         """Compare with the pair before; after a clock was set, periods are learnt again."""
         frame, before = pair.frame, self._before
         self.short_ns = 0
-        fresh = before is None or before.connection != frame.connection
+        fresh = before is None or before.connection_number != frame.connection_number
         if fresh:
             self._begin(before)
         found = [
@@ -70,7 +70,7 @@ class StampMonitor:
     def _new_connection_finding(self, frame: StereoFrame) -> Finding | None:
         """A line that was opened just now may give pictures that waited in a buffer, or the last one for ever."""
         self._seen += 1
-        if frame.connection == 0 or self._seen > STARTING_PAIRS:
+        if frame.connection_number == 0 or self._seen > STARTING_PAIRS:
             return None
         text = f"picture {self._seen} of a new connection: the first {STARTING_PAIRS} may have waited in a buffer; wait"
         return Finding(FaultCode.STARTING, text, forbids_odometry=False)
@@ -97,14 +97,15 @@ class StampMonitor:
             self.short_ns = -step_ns + self._usual_ns(before, frame)
             text = f"camera stamps run backwards by {-step_ns / 1e6:.1f} ms; its clock was set: restart the stream"
             return Finding(FaultCode.STAMP_BACKWARDS, text)
-        if len(self._periods_ns) < PERIOD_KNOWN_FROM:
+        if len(self._periods_ns) < PERIOD_PAIRS_MIN:
             return None
         usual_ns = self._usual_ns(before, frame)
-        if step_ns < PERIOD_MIN_FRAC * usual_ns:
+        if step_ns < STAMP_PERIOD_MIN_FRAC * usual_ns:
             self.short_ns = usual_ns - step_ns
             text = (
                 f"camera stamps jumped: a step of {step_ns / 1e6:.1f} ms where {usual_ns / 1e6:.1f} ms are usual "
-                f"(limit {PERIOD_MIN_FRAC * usual_ns / 1e6:.1f} ms): its clock was set, or it is faster from now on; "
+                f"(limit {STAMP_PERIOD_MIN_FRAC * usual_ns / 1e6:.1f} ms): its clock was set, or it is faster from "
+                "now on; "
                 "restart the stream if this stays"
             )
             return Finding(FaultCode.STAMP_JUMPED, text)
@@ -112,14 +113,14 @@ class StampMonitor:
 
     def _usual_ns(self, before: StereoFrame, frame: StereoFrame) -> int:
         """From one to the other as the last ones came; 0 while too few are known."""
-        if len(self._periods_ns) < PERIOD_KNOWN_FROM:
+        if len(self._periods_ns) < PERIOD_PAIRS_MIN:
             return 0
         return sorted(self._periods_ns)[len(self._periods_ns) // 2] * _exposures_between(before, frame)
 
     def _arrival_delay_finding(self, frame: StereoFrame) -> Finding | None:
         now_ns = frame.t_receive_mono_ns
         later_s = (now_ns - frame.t_exposure_ns - self._smallest.offset_at(now_ns)) * 1e-9
-        ahead_max_s = AHEAD_SETTLED_MAX_S if self._learnt >= AHEAD_SETTLED_FROM else AHEAD_MAX_S
+        ahead_max_s = STAMP_AHEAD_SETTLED_MAX_S if self._learnt >= LATENCY_SETTLED_PAIRS else STAMP_AHEAD_MAX_S
         if -later_s > ahead_max_s and self._learnt < STARTING_PAIRS:
             self._learnt = 0
             return None
@@ -129,9 +130,10 @@ class StampMonitor:
                 f"{1e3 * ahead_max_s:.0f} ms); its clock was set: restart the stream if this comes again"
             )
             return Finding(FaultCode.STAMP_JUMPED, text)
-        if later_s > LATE_MAX_S:
+        if later_s > FRAME_LATENESS_MAX_S:
             text = (
-                f"picture is {1e3 * later_s:.0f} ms older than the fastest (limit {1e3 * LATE_MAX_S:.0f} ms); the "
+                f"picture is {1e3 * later_s:.0f} ms older than the fastest (limit {1e3 * FRAME_LATENESS_MAX_S:.0f} "
+                "ms); the "
                 "network or this computer is overloaded, or the camera's clock was set: restart the stream if it stays"
             )
             return Finding(FaultCode.LATE, text)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from server.vision.contracts import Array, Image
 
 THUMB_ROWS = 90  # wanted; a picture of 720 rows is read in every 8th
-GREY_UNITS = 4.0  # thumbnail values are sums of 2 x 2 pixels
+THUMBNAIL_UNITS_PER_GREY = 4.0  # thumbnail values are sums of 2 x 2 pixels
 CELL_ROWS, CELL_COLS = 9, 16
-CLIP_GREY = 12.0  # a change beyond this is content that moved, not light
-SIDE_MIN_PX = 8
+CHANGE_CLIP_GREY = 12.0  # a change beyond this is content that moved, not light
+IMAGE_SIDE_MIN_PX = 8
 MEAN, STD, WHITE, CHANGE, GAIN, ENERGY, ENERGY_BEFORE, COMMON, SAME = range(9)
-N_FIELDS = 9
+N_CELL_STATISTICS = 9
 WHITE_GREY = 250
 
 Thumb = NDArray[np.int16]
@@ -43,7 +43,7 @@ def _compute_cell_statistics(
     """Fields of every cell (9, 16, 9): see `EyeCells`."""
     rows, cols = grey.shape
     cell_rows, cell_cols = out.shape[0], out.shape[1]
-    clip = CLIP_GREY * GREY_UNITS
+    clip = CHANGE_CLIP_GREY * THUMBNAIL_UNITS_PER_GREY
     for p in range(cell_rows):
         top, low = p * rows // cell_rows, (p + 1) * rows // cell_rows
         for q in range(cell_cols):
@@ -134,16 +134,16 @@ class EyeCells:
     before, energy of the fine pattern now and before, their product, share of unchanged places.
     """
 
-    grey: Thumb
-    fine: Thumb
-    cells: Array
-    rows: Array  # mean absolute step from each thumbnail row to the next (rows - 1,)
+    grey_thumbnail: Thumb
+    fine_pattern: Thumb
+    cell_statistics: Array
+    row_steps: Array  # mean absolute step from each thumbnail row to the next (rows - 1,)
     one_grey_rows: int  # at the bottom
     spread_grey: float  # root mean square of all contrast
 
     def cell_field(self, number: int) -> Array:
         """One field of all cells (9, 16)."""
-        return self.cells[:, :, number]
+        return self.cell_statistics[:, :, number]
 
 
 class EyeMemory:
@@ -155,7 +155,7 @@ class EyeMemory:
         self._turn = 0
         self._grey: tuple[Thumb, Thumb] = (np.zeros((0, 0), np.int16), np.zeros((0, 0), np.int16))
         self._fine = self._grey
-        self._cells = np.zeros((CELL_ROWS, CELL_COLS, N_FIELDS))
+        self._cells = np.zeros((CELL_ROWS, CELL_COLS, N_CELL_STATISTICS))
         self._rows = np.zeros(0)
 
     @property

@@ -6,9 +6,11 @@ from collections import deque
 from recording.clock import mono_s
 from server.camera.contracts import StereoFrame, StereoSource
 
-STEP_S = 0.1  # how soon the thread hears that it shall end
-REMEMBERED = 30  # pairs whose times predict the next one's
-HEADSTART = 2.0  # times the shortest decoding: a little early is a pair a little older, late is a pair less
+READ_TIMEOUT_S = 0.1  # how soon the thread hears that it shall end
+TIMING_HISTORY_PAIRS = 30  # pairs whose times predict the next one's
+DECODE_HEADSTART_FACTOR = (
+    2.0  # times the shortest decoding: a little early is a pair a little older, late is a pair less
+)
 
 
 class AheadSource:
@@ -25,8 +27,8 @@ class AheadSource:
         self._failure: Exception | None = None
         self._wanted, self._stop = True, False
         self._taken_s = mono_s()
-        self._working_s: deque[float] = deque(maxlen=REMEMBERED)
-        self._decoding_s: deque[float] = deque(maxlen=REMEMBERED)
+        self._working_s: deque[float] = deque(maxlen=TIMING_HISTORY_PAIRS)
+        self._decoding_s: deque[float] = deque(maxlen=TIMING_HISTORY_PAIRS)
         self._thread = threading.Thread(target=self._run, name="camera-ahead", daemon=True)
         self._thread.start()
 
@@ -72,13 +74,13 @@ class AheadSource:
             self._stop = True
             self._changed.notify_all()
         self._source.close()
-        self._thread.join(2.0 * STEP_S + 1.0)
+        self._thread.join(2.0 * READ_TIMEOUT_S + 1.0)
 
     def _run(self) -> None:
         while self._wait_until_due():
             began_s = mono_s()
             try:
-                frame, failure = self._source.read(STEP_S), None
+                frame, failure = self._source.read(READ_TIMEOUT_S), None
             except Exception as error:  # the worker's to deal with, as if it had read the camera itself
                 frame, failure = None, error
             with self._changed:
@@ -103,4 +105,4 @@ class AheadSource:
         if not self._working_s:
             return 0.0
         working_s = sorted(self._working_s)[len(self._working_s) // 2]
-        return max(0.0, working_s - HEADSTART * min(self._decoding_s, default=0.0))
+        return max(0.0, working_s - DECODE_HEADSTART_FACTOR * min(self._decoding_s, default=0.0))

@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
-from server.camera.sources.live import HELD_UP, LiveSource
+from server.camera.sources.live import STALL_WARNING_TEXT, LiveSource
 
 Picture = NDArray[Any]
 Capture = cv2.VideoCapture
 OpenCapture = Callable[[int | str], Capture]
 # Codecs that code each picture by itself. Others show damage until the next key frame, and FFmpeg does not report it.
-INTRA_CODED = frozenset({"MJPG", "MPNG", "FFV1"})
+INTRA_CODED_FOURCCS = frozenset({"MJPG", "MPNG", "FFV1"})
 
 
 def require_intra_coded(capture: Capture, subject: str) -> None:
     """Raises: CameraError: the pictures depend on those before, so damage in one stays in the next, unseen."""
     code = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little").decode("ascii", "replace").strip("\0 ").upper()
-    if code not in INTRA_CODED:
+    if code not in INTRA_CODED_FOURCCS:
         raise CameraError(
             f"{subject}: codec '{code or 'unknown'}' hides damaged pictures until the next key frame, and a look may "
             "then be wrong by several mm; set the camera to Motion JPEG, or accept this with [camera] "
@@ -91,7 +91,7 @@ class CapturedSource(LiveSource[tuple[Picture, int, int, int, int]]):
             held_up = self._heartbeat.was_held_up()
             t_exposure_ns, t_receive_ns = self._stamp(capture)
             if held_up and t_exposure_ns == t_receive_ns:  # stamped by arrival
-                raise CameraError(f"{self._subject}: {HELD_UP}")
+                raise CameraError(f"{self._subject}: {STALL_WARNING_TEXT}")
             sequence += 1
             self._newest.put((picture, t_exposure_ns, t_receive_ns, sequence, self._connection))
         return sequence > 0

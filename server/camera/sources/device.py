@@ -11,7 +11,7 @@ from server.camera.sources.settings import DeviceSource
 from server.camera.sources.side_by_side import decode_side_by_side, split_side_by_side
 from server.vision.contracts import Image
 
-RATE_OFF_MAX_FRAC = 0.02
+FRAME_RATE_ERROR_MAX_FRAC = 0.02
 
 
 def open_v4l2(index: int | str) -> Capture:
@@ -62,7 +62,7 @@ class DeviceStereoSource(CapturedSource):
         if size != (wanted.width_px, wanted.height_px):
             asked = f"width_px = {wanted.width_px}, height_px = {wanted.height_px}"
             faults.append(f"{asked}: it gives {size[0]} x {size[1]}")
-        if abs(rate_hz - wanted.rate_hz) > RATE_OFF_MAX_FRAC * wanted.rate_hz:
+        if abs(rate_hz - wanted.rate_hz) > FRAME_RATE_ERROR_MAX_FRAC * wanted.rate_hz:
             faults.append(f"rate_hz = {wanted.rate_hz:g}: it gives {rate_hz:g}")
         if given != wanted.pixel_format:
             faults.append(f"pixel_format = '{wanted.pixel_format}': it gives '{given}'")

@@ -16,9 +16,11 @@ from server.camera.sources.stamped import Pacing, StampedStereoSource, StoredPai
 from server.vision.contracts import Image
 
 UNITS_NS: dict[StampUnit, int] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
-YEARS_S = range(978_307_200, 4_102_444_800)  # 2001 to 2099: a name is a time where one unit puts it there
-LONG_DIGITS = 16  # a longer count of pictures does not exist
-WILDCARDS = re.compile(r"(\*\*/|\*\*|\*|\?|\[[^\]]+\])")
+PLAUSIBLE_UNIX_TIMES_S = range(
+    978_307_200, 4_102_444_800
+)  # 2001 to 2099: a name is a time where one unit puts it there
+TIMESTAMP_DIGITS_MIN = 16  # a longer count of pictures does not exist
+WILDCARD_PATTERN = re.compile(r"(\*\*/|\*\*|\*|\?|\[[^\]]+\])")
 
 
 class EurocStereoSource(StampedStereoSource):
@@ -116,10 +118,10 @@ def stamps_ns(names: list[str], unit: StampUnit, rate_hz: float) -> list[int]:
     if unit == "auto":
         whole = [int(number.split(".")[0]) for number in numbers] if times else [0]
         for unit_ns in UNITS_NS.values():
-            if all(number * unit_ns // UNITS_NS["s"] in YEARS_S for number in whole):
+            if all(number * unit_ns // UNITS_NS["s"] in PLAUSIBLE_UNIX_TIMES_S for number in whole):
                 return [_whole_ns(number, unit_ns) for number in numbers]
         unit = "number"
-        if times and max(len(number) for number in numbers) >= LONG_DIGITS:
+        if times and max(len(number) for number in numbers) >= TIMESTAMP_DIGITS_MIN:
             raise CameraError(
                 f"image folder: '{numbers[0]}' is a time by its length, but in no unit one of the years 2001 to 2099; "
                 "set [camera] stamp_unit to ns, us, ms or s, or to number"
@@ -139,7 +141,7 @@ def _whole_ns(number: str, unit_ns: int) -> int:
 
 def _files_by_wildcard_name(pattern: str) -> dict[str, str]:
     """Name -> file of all that the pattern finds; the name is what its wildcards stand for, without the ending."""
-    parts = WILDCARDS.split(pattern)
+    parts = WILDCARD_PATTERN.split(pattern)
     kinds = {"**/": "(?:(.*)/)?", "**": "(.*)", "*": "([^/]*)", "?": "([^/])"}
     tokens = [
         kinds.get(part, f"({part.replace('[!', '[^')})") if n % 2 else re.escape(part) for n, part in enumerate(parts)

@@ -14,14 +14,14 @@ from urllib.parse import SplitResult, unquote, urljoin, urlsplit
 from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
-from server.camera.sources.live import HELD_UP, LiveSource
+from server.camera.sources.live import STALL_WARNING_TEXT, LiveSource
 from server.camera.sources.multipart import MultipartParser, MultipartPart
 from server.camera.sources.settings import HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side
 from server.shown_address import without_password
 
 REDIRECTS_MAX = 5
-MOVED = frozenset({301, 302, 303, 307, 308})
+REDIRECT_STATUS_CODES = frozenset({301, 302, 303, 307, 308})
 
 TakeSocket = Callable[[socket.socket], None]
 
@@ -53,7 +53,7 @@ def open_stream(url: str, timeout_s: float, take_socket: TakeSocket) -> Iterator
             if got.status == http.client.OK:
                 yield got
                 return
-            if got.status in MOVED and (place := got.headers.get("Location")):
+            if got.status in REDIRECT_STATUS_CODES and (place := got.headers.get("Location")):
                 url, authorization, n_moved = _redirected_url(url, address, place), "", n_moved + 1
             elif got.status == http.client.UNAUTHORIZED and address.password is not None and not authorization:
                 authorization = _authorization_header(address, got)
@@ -125,22 +125,22 @@ def _authentication_remedy(status: int, address: SplitResult) -> str:
     return "; user or password is wrong: put letters such as @ : / in them as %40 %3A %2F"
 
 
-SILENCE_S = 2.0  # a camera that says nothing for this long is taken as lost
+SILENCE_TIMEOUT_S = 2.0  # a camera that says nothing for this long is taken as lost
 CHUNK_BYTES = 1 << 18
 
 
 @dataclass(frozen=True, slots=True)
 class _Received:
     part: MultipartPart
-    number: int  # of all that arrived, for a camera that does not count
-    connection: int
+    pair_number: int  # of all that arrived, for a camera that does not count
+    connection_number: int
 
 
 class HttpStereoSource(LiveSource[_Received]):
     """Reads one camera stream for as long as it lives."""
 
     BACK_OFF_S = (0.2, 3.0)
-    CLOSE_S = SILENCE_S + 1.0
+    CLOSE_S = SILENCE_TIMEOUT_S + 1.0
     ENDED = "the camera ended the stream"
     EXPECTED = (OSError, http.client.HTTPException, StreamError)
 
@@ -170,8 +170,8 @@ class HttpStereoSource(LiveSource[_Received]):
             right=right,
             t_exposure_ns=part.t_header_ns if part.t_exposure_ns is None else part.t_exposure_ns,
             t_receive_mono_ns=part.t_header_ns,
-            sequence=received.number if part.sequence is None else part.sequence,
-            connection=received.connection,
+            sequence=received.pair_number if part.sequence is None else part.sequence,
+            connection_number=received.connection_number,
         )
 
     def close(self) -> None:
@@ -184,7 +184,7 @@ class HttpStereoSource(LiveSource[_Received]):
 
     def _connected(self) -> bool:
         """As its base has it; the host's name is resolved again each time."""
-        with open_stream(self._url, SILENCE_S, self._take_socket) as response:
+        with open_stream(self._url, SILENCE_TIMEOUT_S, self._take_socket) as response:
             self._connection += 1
             return self._read_parts(response)
 
@@ -202,7 +202,7 @@ class HttpStereoSource(LiveSource[_Received]):
             held_up |= self._heartbeat.was_held_up()
             for part in parser.feed(data, mono_ns()):
                 if held_up and part.t_exposure_ns is None:  # it would be stamped as of now; asking again drops the rest
-                    raise StreamError(HELD_UP)
+                    raise StreamError(STALL_WARNING_TEXT)
                 held_up = False
                 any_part = True
                 self._state = ""

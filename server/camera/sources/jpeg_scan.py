@@ -17,13 +17,13 @@ Bytes = NDArray[np.uint8]
 Codes = NDArray[np.uint16]
 
 START, END, SCAN, TABLES, INTERVAL, RESTART = 0xD8, 0xD9, 0xDA, 0xC4, 0xDD, 0xD0
-SEQUENTIAL = (0xC0, 0xC1)  # baseline and extended, Huffman
-OTHER_FRAMES = frozenset(range(0xC2, 0xD0)) - {TABLES, 0xC8, 0xCC}
-EMPTY = frozenset({0x01, *range(RESTART, RESTART + 8)})  # markers without content
-WORD_BITS = 16  # of the longest code word
+SEQUENTIAL_FRAME_MARKERS = (0xC0, 0xC1)  # baseline and extended, Huffman
+UNSUPPORTED_FRAME_MARKERS = frozenset(range(0xC2, 0xD0)) - {TABLES, 0xC8, 0xCC}
+STANDALONE_MARKERS = frozenset({0x01, *range(RESTART, RESTART + 8)})  # markers without content
+CODE_WORD_BITS_MAX = 16  # of the longest code word
 DC_BITS_MAX = 11  # of the difference of two means, at 8 bits a pixel
-LONGEST_BITS = WORD_BITS + 15  # of a code word and the value behind it
-FAULTS = (
+CODE_AND_VALUE_BITS_MAX = CODE_WORD_BITS_MAX + 15  # of a code word and the value behind it
+SCAN_FAULT_TEXTS = (
     "",
     "a code word that its table does not have",
     "a block of more than 64 values",
@@ -64,16 +64,16 @@ def _find_jpeg_damage(jpeg: Bytes) -> str:
         if jpeg[position] != 0xFF:
             return f"no marker at byte {position}, where one is due"
         marker = int(jpeg[position + 1])
-        if marker == 0xFF or marker in EMPTY:  # a byte that fills up, or a marker by itself
+        if marker == 0xFF or marker in STANDALONE_MARKERS:  # a byte that fills up, or a marker by itself
             position += 1 if marker == 0xFF else 2
             continue
         if marker == END:
             return "its data are missing"
         content = jpeg[position + 4 : position + 2 + _big_endian_uint16(jpeg, position + 2)]
         position += 4 + len(content)
-        if marker in OTHER_FRAMES:
+        if marker in UNSUPPORTED_FRAME_MARKERS:
             return "it is not a baseline JPEG, and cannot be checked for damage; set its encoder to baseline"
-        if marker in SEQUENTIAL:
+        if marker in SEQUENTIAL_FRAME_MARKERS:
             frame = _frame_of(content)
             missing = set(frame.sampling)
         elif marker == TABLES:
@@ -86,7 +86,7 @@ def _find_jpeg_damage(jpeg: Bytes) -> str:
                 jpeg, position, _huffman_lookup_tables(tables or _standard_huffman_tables()), dc, ac, n_units, interval
             )
             if fault != _FINE:
-                return f"{FAULTS[fault]} at block {unit} of {n_units}"
+                return f"{SCAN_FAULT_TEXTS[fault]} at block {unit} of {n_units}"
             missing -= seen
             if not missing:
                 return ""
@@ -129,7 +129,7 @@ def _huffman_lookup_tables(tables: bytes) -> Codes:
 
     Args:    tables: the contents of all DHT segments. Returns: (8, 65536), four tables for DC, then four for AC.
     """
-    codes = np.zeros((8, 1 << WORD_BITS), np.uint16)
+    codes = np.zeros((8, 1 << CODE_WORD_BITS_MAX), np.uint16)
     at = 0
     while at < len(tables):
         kind, number = tables[at] >> 4, tables[at] & 15
@@ -138,10 +138,12 @@ def _huffman_lookup_tables(tables: bytes) -> Codes:
         row = codes[4 * kind + number]
         row[:] = 0
         counts, symbol, word = tables[at + 1 : at + 17], at + 17, 0
-        for bits in range(1, WORD_BITS + 1):
+        for bits in range(1, CODE_WORD_BITS_MAX + 1):
             for _ in range(counts[bits - 1]):
                 value = tables[symbol]
-                row[word << (WORD_BITS - bits) : (word + 1) << (WORD_BITS - bits)] = (bits + (value & 15)) << 8 | value
+                row[word << (CODE_WORD_BITS_MAX - bits) : (word + 1) << (CODE_WORD_BITS_MAX - bits)] = (
+                    bits + (value & 15)
+                ) << 8 | value
                 word, symbol = word + 1, symbol + 1
             word <<= 1
         at = symbol
@@ -186,7 +188,7 @@ def _read(
         for block in range(len(dc)):
             k, table = 0, codes[dc[block]]
             while k < 64:
-                while more and held < LONGEST_BITS:
+                while more and held < CODE_AND_VALUE_BITS_MAX:
                     byte = data[position] if position < len(data) else np.uint8(0xFF)
                     if byte == 0xFF and (position + 1 >= len(data) or data[position + 1] != 0):
                         more = False
@@ -194,7 +196,7 @@ def _read(
                     bits = bits << np.uint64(8) | np.uint64(byte)
                     position += 2 if byte == 0xFF else 1
                     held += 8
-                shift = held - WORD_BITS  # below 0 only at the end
+                shift = held - CODE_WORD_BITS_MAX  # below 0 only at the end
                 ahead = bits >> np.uint64(shift) if shift >= 0 else bits << np.uint64(-shift)
                 code = np.int64(table[np.int64(ahead & np.uint64(0xFFFF))])
                 held -= code >> 8

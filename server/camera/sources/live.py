@@ -9,9 +9,9 @@ from recording.clock import mono_ns
 
 Item = TypeVar("Item")
 
-BEAT_S = 0.05
-HELD_UP_NS = 500_000_000  # a busy computer leaves a process without a turn for some tenths of a second
-HELD_UP = "this process was held up; pictures that waited meanwhile are dropped"
+HEARTBEAT_PERIOD_S = 0.05
+STALL_MIN_NS = 500_000_000  # a busy computer leaves a process without a turn for some tenths of a second
+STALL_WARNING_TEXT = "this process was held up; pictures that waited meanwhile are dropped"
 
 _log = logging.getLogger(__name__)
 
@@ -63,11 +63,11 @@ class Heartbeat:
     def _record_heartbeat(self) -> None:
         with self._lock:
             now_ns = mono_ns()
-            self._held_up |= now_ns - self._last_ns > HELD_UP_NS
+            self._held_up |= now_ns - self._last_ns > STALL_MIN_NS
             self._last_ns = now_ns
 
     def _run(self) -> None:
-        while not self._stop.wait(BEAT_S):
+        while not self._stop.wait(HEARTBEAT_PERIOD_S):
             self._record_heartbeat()
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from server.camera.errors import StreamError
 
 HEADER_LIMIT_BYTES = 8192
-WHOLE_NUMBER = re.compile(rb"-?[0-9]{1,19}")
+INTEGER_PATTERN = re.compile(rb"-?[0-9]{1,19}")
 BODY_LIMIT_BYTES = 32 << 20  # an uncompressed 2 x 4 megapixel picture fits
-HEADER_END = re.compile(rb"\r?\n\r?\n")
+HEADER_END_PATTERN = re.compile(rb"\r?\n\r?\n")
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"  # within a JPEG's data the end cannot occur
 
 
@@ -31,7 +31,7 @@ class _Header:
     """`length`: None where the camera does not say it; `t_ns` is then when the body began: the header may wait."""
 
     delimiter: bytes
-    length: int | None
+    body_length: int | None
     t_exposure_ns: int | None
     sequence: int | None
     t_ns: int | None
@@ -41,7 +41,7 @@ def _integer_header(fields: dict[bytes, bytes], name: bytes) -> int | None:
     text = fields.get(name)
     if text is None:
         return None
-    if not WHOLE_NUMBER.fullmatch(text):
+    if not INTEGER_PATTERN.fullmatch(text):
         raise StreamError(f"camera stream: header {name.decode()} = {text[:40]!r} is not a whole number")
     return int(text)
 
@@ -94,7 +94,7 @@ class MultipartParser:
     def _take_header(self, t_mono_ns: int) -> bool:
         while self._buffer[:1] in (b"\r", b"\n"):  # the line end behind the body before
             del self._buffer[:1]
-        end = HEADER_END.search(self._buffer, 0, HEADER_LIMIT_BYTES)
+        end = HEADER_END_PATTERN.search(self._buffer, 0, HEADER_LIMIT_BYTES)
         if end is None:
             if len(self._buffer) >= HEADER_LIMIT_BYTES:
                 raise StreamError(f"camera stream: no end of a part's header within {HEADER_LIMIT_BYTES} bytes")
@@ -106,8 +106,8 @@ class MultipartParser:
 
     def _take_body(self, header: _Header) -> bytes | None:
         """The body once it is whole, taken off the buffer."""
-        if header.length is not None:
-            return self._pop_buffered_bytes(header.length) if len(self._buffer) >= header.length else None
+        if header.body_length is not None:
+            return self._pop_buffered_bytes(header.body_length) if len(self._buffer) >= header.body_length else None
         delimiter = b"\n" + header.delimiter
         end = self._buffer.find(delimiter, self._searched)
         if end >= 0:

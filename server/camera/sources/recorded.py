@@ -24,8 +24,8 @@ from server.camera.sources.side_by_side import decode_grey, split_side_by_side
 from server.camera.sources.stamped import StampedStereoSource, StoredPair
 from server.vision.contracts import Image
 
-EYES_APART_MAX_NS = 2_000_000  # 0.3 mm at 0.15 m/s
-WAITING_MAX = 64  # pictures of one eye whose partner has not come
+EYE_STAMP_GAP_MAX_NS = 2_000_000  # 0.3 mm at 0.15 m/s
+UNPAIRED_IMAGES_MAX = 64  # pictures of one eye whose partner has not come
 
 COMPRESSED, RAW = "foxglove.CompressedImage", "foxglove.RawImage"
 IMAGE_SCHEMAS = (COMPRESSED, RAW)
@@ -109,9 +109,9 @@ class RecordingStereoSource(StampedStereoSource):
             is_left = topic == left_topic
             others = waiting[not is_left]
             other = min(others, key=lambda one: abs(one.t_ns - image.t_ns), default=None)
-            if other is None or abs(other.t_ns - image.t_ns) > EYES_APART_MAX_NS:
+            if other is None or abs(other.t_ns - image.t_ns) > EYE_STAMP_GAP_MAX_NS:
                 waiting[is_left].append(image)
-                if len(waiting[is_left]) > WAITING_MAX:
+                if len(waiting[is_left]) > UNPAIRED_IMAGES_MAX:
                     waiting[is_left].pop(0)
                     self.skipped += 1
                 continue

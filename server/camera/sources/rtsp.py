@@ -19,7 +19,7 @@ from server.vision.contracts import Image
 
 # TCP: a lost UDP packet smears a picture until the next key frame. The rest keeps FFmpeg from holding pictures back.
 FFMPEG_OPTIONS = "rtsp_transport;tcp|fflags;nobuffer|flags;low_delay|max_delay;0|reorder_queue_size;0"
-FFMPEG_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"  # the only way into OpenCV's FFmpeg
+FFMPEG_ENV_VARIABLE = "OPENCV_FFMPEG_CAPTURE_OPTIONS"  # the only way into OpenCV's FFmpeg
 
 _OPENING = threading.Lock()
 
@@ -35,14 +35,14 @@ def open_ffmpeg(url: int | str, timeout_s: float) -> Capture:
 @contextlib.contextmanager
 def _temporary_ffmpeg_options() -> Iterator[None]:
     """FFmpeg's options while a stream is opened, and only then: a video file would lose its first frames by them."""
-    before = os.environ.get(FFMPEG_VARIABLE)
+    before = os.environ.get(FFMPEG_ENV_VARIABLE)
     if before is None:  # otherwise the user has set it
-        os.environ[FFMPEG_VARIABLE] = FFMPEG_OPTIONS
+        os.environ[FFMPEG_ENV_VARIABLE] = FFMPEG_OPTIONS
     try:
         yield
     finally:
         if before is None:
-            del os.environ[FFMPEG_VARIABLE]
+            del os.environ[FFMPEG_ENV_VARIABLE]
 
 
 class RtspStereoSource(CapturedSource):

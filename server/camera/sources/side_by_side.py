@@ -10,8 +10,8 @@ from server.camera.errors import StreamError
 from server.camera.sources.jpeg_scan import damage_of
 from server.vision.contracts import Image
 
-JPEG = b"\xff\xd8"
-REMEDY = (
+JPEG_MAGIC = b"\xff\xd8"
+DAMAGED_PICTURE_REMEDY = (
     "check cable, network and USB port; if every picture is refused, the camera's encoder does not keep to the "
     "standard: use its uncompressed format (pixel_format = 'YUYV')"
 )
@@ -37,10 +37,10 @@ def decode_grey(data: bytes | NDArray[np.uint8]) -> Image:
     Raises: StreamError when the bytes are not a picture, or a JPEG whose data are damaged (PNG has checksums).
     """
     encoded = np.frombuffer(memoryview(cast(bytes, data)).toreadonly(), np.uint8)  # one type for the compiled scan
-    damage = damage_of(encoded) if encoded[: len(JPEG)].tobytes() == JPEG else ""
+    damage = damage_of(encoded) if encoded[: len(JPEG_MAGIC)].tobytes() == JPEG_MAGIC else ""
     if damage:
         size = f"camera picture of {encoded.size} bytes"
-        raise StreamError(f"{size} is damaged, not a JPEG as an encoder writes it: {damage}; {REMEDY}")
+        raise StreamError(f"{size} is damaged, not a JPEG as an encoder writes it: {damage}; {DAMAGED_PICTURE_REMEDY}")
     picture = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if encoded.size else None
     if picture is None:
         raise StreamError(f"camera picture of {encoded.size} bytes is not a JPEG; check the camera's encoder")

@@ -14,7 +14,9 @@ from server.jobs.plans.driving import drive_and_look
 from server.jobs.plans.looking import mount_rotation
 from server.jobs.requests import Progress, Request
 
-LEFT_FRAC = 0.5  # of the calibration's radius that the approach leaves: room for what mount and look are wrong by
+APPROACH_LEFT_RADIUS_FRAC = (
+    0.5  # of the calibration's radius that the approach leaves: room for what mount and look are wrong by
+)
 
 
 def approach(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, LookTaken]:
@@ -38,7 +40,7 @@ def approach_pose(ctx: PlanContext, taken: LookTaken) -> Array | None:
     if np.linalg.norm(farther_goal(ctx, taken, T_goal)[:3, 3] - p_now) < radius_m:
         return None
     way = T_goal[:3, 3] - p_now
-    return pose(T_goal[:3, :3], p_now + way * (1.0 - LEFT_FRAC * radius_m / float(np.linalg.norm(way))))
+    return pose(T_goal[:3, :3], p_now + way * (1.0 - APPROACH_LEFT_RADIUS_FRAC * radius_m / float(np.linalg.norm(way))))
 
 
 def farther_goal(ctx: PlanContext, taken: LookTaken, T_goal: Array) -> Array:

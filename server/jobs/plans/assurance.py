@@ -21,20 +21,23 @@ from server.jobs.plans.moving import Sigmas, map_refused, preview
 from server.jobs.plans.seeing import require_judgeable
 from server.jobs.requests import Progress, Request
 
-LOOK_AGAIN_SHARE = 3  # times the usual pairs: what changes from pair to pair falls by 1.7
-LOOK_MATTERS = 0.5  # of the predicted variance: below that more pairs do not help
-RUNS_WANTED = 2  # a third path brings little: what is left is in all of them
-NO_FURTHER_PATH = ("plan_", "calibration_failed")  # the path's planner or its match says no; nothing is lost by it
-CLOSER_LOOK_MAX = 3.0  # times the tolerance: worse is not an approach but a guess
+REPEATED_LOOK_PAIRS_FACTOR = 3  # times the usual pairs: what changes from pair to pair falls by 1.7
+LOOK_VARIANCE_MIN_FRAC = 0.5  # of the predicted variance: below that more pairs do not help
+CALIBRATION_PATHS_MAX = 2  # a third path brings little: what is left is in all of them
+TOLERATED_PATH_ERROR_CODES = (
+    "plan_",
+    "calibration_failed",
+)  # the path's planner or its match says no; nothing is lost by it
+CLOSER_LOOK_TOLERANCE_FACTOR = 3.0  # times the tolerance: worse is not an approach but a guess
 
 
 @dataclass(frozen=True, slots=True)
 class AssuredPlan:
     """The look that the move starts from, its plan, and what was done to know enough."""
 
-    taken: LookTaken
-    previewed: PreviewedPlan
-    paths: int
+    start_look: LookTaken
+    previewed_plan: PreviewedPlan
+    n_calibration_paths: int
 
 
 def assured_preview(
@@ -57,9 +60,12 @@ def assured_preview(
     if _look_matters(ctx, taken, previewed.predicted_sigma_mm):
         text = f"{accuracy_text(ctx, previewed.predicted_sigma_mm)}: looking again over more pairs"
         yield Progress("assure", 1, 3, "", text)
-        taken = yield from good_look(ctx, LOOK_AGAIN_SHARE)
+        taken = yield from good_look(ctx, REPEATED_LOOK_PAIRS_FACTOR)
         previewed = preview(ctx, taken, t_now_ns)
-    if not is_inside_tolerance(ctx, previewed.predicted_sigma_mm) and len(ctx.knowledge.runs) < RUNS_WANTED:
+    if (
+        not is_inside_tolerance(ctx, previewed.predicted_sigma_mm)
+        and len(ctx.knowledge.odometry_runs) < CALIBRATION_PATHS_MAX
+    ):
         text = f"{accuracy_text(ctx, previewed.predicted_sigma_mm)}: a further calibration path"
         yield Progress("assure", 2, 3, "", text)
         taken, paths = (yield from _further_path(ctx, taken)), paths + 1
@@ -101,7 +107,7 @@ def _further_path(ctx: PlanContext, taken: LookTaken) -> Generator[Request, obje
     try:
         return (yield from _another_path(ctx, taken))
     except JobFailedError as error:
-        if not error.code.startswith(NO_FURTHER_PATH):
+        if not error.code.startswith(TOLERATED_PATH_ERROR_CODES):
             raise
         yield Progress("assure", 2, 3, "", f"no further path: {error}")
     return (yield from good_look(ctx))
@@ -115,7 +121,7 @@ def _look_matters(ctx: PlanContext, taken: LookTaken, sigma_mm: Sigmas) -> bool:
     C = look_error_covariance(
         look.T_cam_tool, look.T_cam_ooi, ctx.T_ooi_goal, look.tool_covariance, look.ooi_covariance
     )
-    return float(np.trace(C)) * 1e6 > LOOK_MATTERS * float(np.sum(np.square(sigma_mm)))
+    return float(np.trace(C)) * 1e6 > LOOK_VARIANCE_MIN_FRAC * float(np.sum(np.square(sigma_mm)))
 
 
 def _closer_look_or_refuse(
@@ -124,14 +130,14 @@ def _closer_look_or_refuse(
     """Drive it as a closer look while it can still be corrected and cannot reach the wall; else refuse."""
     goal, sigma_mm = ctx.settings.position, previewed.predicted_sigma_mm
     spare_mm = goal.stand_off_mm - goal.wall_clearance_mm
-    may = 2.0 * max(sigma_mm) <= CLOSER_LOOK_MAX * goal.tolerance_mm and 2.0 * sigma_mm[2] <= spare_mm
+    may = 2.0 * max(sigma_mm) <= CLOSER_LOOK_TOLERANCE_FACTOR * goal.tolerance_mm and 2.0 * sigma_mm[2] <= spare_mm
     if moves_left > 0 and may:
         text = f"{accuracy_text(ctx, sigma_mm)}: moving closer to look again, then correcting"
         yield Progress("assure", 3, 3, "", text)
         return
     why = "no move is left to correct it" if may else "that is too little for an approach"
     raise JobFailedError(
-        f"{accuracy_text(ctx, sigma_mm)}, after {len(ctx.knowledge.runs)} calibration paths, and {why}; "
+        f"{accuracy_text(ctx, sigma_mm)}, after {len(ctx.knowledge.odometry_runs)} calibration paths, and {why}; "
         f"{previewed.largest_source}; or start nearer to the target, or allow a wider tolerance",
         "sigma_too_large",
     )

@@ -7,7 +7,11 @@ import numpy as np
 
 from machine.rotations import geodesic_angle
 from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate, CameraTrack, EncoderTrack
-from server.calibration.trajectory_matching import DEFAULT_SETTINGS, estimate_camera_rotation, prior_from_tool_marker
+from server.calibration.trajectory_matching import (
+    DEFAULT_MATCHING_SETTINGS,
+    estimate_camera_rotation,
+    prior_from_tool_marker,
+)
 from server.calibration.trajectory_matching_paper import estimate_camera_rotation_paper
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
@@ -35,7 +39,7 @@ from server.jobs.requests import (
 from server.motion.calibration_paths import plan_calibration_path
 from server.motion.camera_pace import CameraNeeds, camera_paced
 from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
-from server.vision.odometry_align import AWAY_MAX_PX
+from server.vision.odometry_align import ALIGNMENT_SHIFT_MAX_PX
 
 
 def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, CalibrationRecord]:
@@ -66,10 +70,10 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     yield Record(estimate)
     if estimate.status is not CalibrationStatus.OK:
         raise JobFailedError(f"calibration failed ({estimate.status.value}): {estimate.reason}", "calibration_failed")
-    ctx.knowledge.mount = estimate
+    ctx.knowledge.mount_rotation_estimate = estimate
     keep_calibration(ctx, estimate, taken, rested)
     remember_run(ctx, camera, encoder, before)
-    ctx.knowledge.calibration = record = _with_focal(ctx, record)
+    ctx.knowledge.calibration_record = record = _with_focal(ctx, record)
     text = f"camera rotation known to {record.sigma_deg:.2f} deg, {record.time_offset_ms:.0f} ms to add to camera time"
     yield Progress("calibrate", plan.duration_s, plan.duration_s, "s", "; ".join(filter(None, (text, record.reason))))
     return record
@@ -116,11 +120,11 @@ def camera_needs(ctx: PlanContext, taken: LookTaken) -> CameraNeeds:
     """What odometry and matching need of the pairs here: what is looked at is as far away as the OOI."""
     T_cam_ooi = taken.look.T_cam_ooi
     return CameraNeeds(
-        shift_max_px=AWAY_MAX_PX,
+        shift_max_px=ALIGNMENT_SHIFT_MAX_PX,
         focal_px=ctx.machine.camera.fx_px,
         depth_m=ctx.settings.position.stand_off_mm * 1e-3 if T_cam_ooi is None else float(T_cam_ooi[2, 3]),
-        chord_m=DEFAULT_SETTINGS.chord_m,
-        chords_min=DEFAULT_SETTINGS.chords_min,
+        chord_m=DEFAULT_MATCHING_SETTINGS.chord_m,
+        chords_min=DEFAULT_MATCHING_SETTINGS.chords_min,
     )
 
 

@@ -24,8 +24,8 @@ from server.motion.settings import PlanSettings
 from server.motion.timing import tcp_speed
 from server.motion.wall_clearance import stall_reach, wall_refusal
 
-THERE_RAD = 1e-6
-STARTED_RAD = 1e-4  # the reference may be this far from where the plan begins: arming sets it to the encoders
+SAME_POSTURE_MAX_RAD = 1e-6
+START_SHIFT_MAX_RAD = 1e-4  # the reference may be this far from where the plan begins: arming sets it to the encoders
 LOOK_PAIRS = 40
 
 
@@ -35,13 +35,13 @@ class Step:
 
     trajectory: JointTrajectory
     purpose: str
-    then: Literal["", "look"] = ""
-    marks: tuple[SegmentMark, ...] = ()  # stretches of it that are segments of their own
+    follow_up: Literal["", "look"] = ""
+    segment_marks: tuple[SegmentMark, ...] = ()  # stretches of it that are segments of their own
 
 
 def way_to(ctx: PlanContext, q_from: Array, q_to: Array, purpose: str) -> tuple[Step, ...]:
     """A move of the reference; none where it is there already."""
-    if float(np.abs(q_to - q_from).max()) < THERE_RAD:
+    if float(np.abs(q_to - q_from).max()) < SAME_POSTURE_MAX_RAD:
         return ()
     plan = plan_joint_move(ctx.machine, q_from, q_to, drive_settings(ctx), ctx.wall)
     if plan.trajectory is None:
@@ -84,7 +84,7 @@ def _refusal_error(refusal: Refusal) -> JobFailedError:
 
 def steps_hash(steps: tuple[Step, ...]) -> str:
     """Short fingerprint of everything that would be sent, in its order."""
-    return fingerprint((step.then, step.trajectory) for step in steps)
+    return fingerprint((step.follow_up, step.trajectory) for step in steps)
 
 
 def clearance_of(ctx: PlanContext, trajectory: JointTrajectory) -> float:
@@ -113,10 +113,10 @@ def begin_drive(
 def require_reference(reading: MachineReading, q_ref_start: Array) -> None:
     """Raises: PlanRefusedError: the reference is not where a plan begins."""
     shift = float(np.abs(reading.q_ref_rad - q_ref_start).max())
-    if shift > STARTED_RAD:
+    if shift > START_SHIFT_MAX_RAD:
         raise PlanRefusedError(
             f"the machine's reference moved by {np.rad2deg(shift):.3f} deg since the drive was planned "
-            f"(limit {np.rad2deg(STARTED_RAD):.3f} deg); plan again"
+            f"(limit {np.rad2deg(START_SHIFT_MAX_RAD):.3f} deg); plan again"
         )
 
 

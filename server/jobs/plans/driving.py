@@ -25,7 +25,7 @@ from server.motion.lost_motion import last_direction, off_the_wall, plan_trim, u
 from server.motion.point_to_point import plan_joint_move
 
 TRIMS_MAX = 4
-PLAY_MAX_RAD = float(np.deg2rad(2.5))  # 0.13 m at 3 m: further back than that, something else is wrong
+BACKLASH_MAX_RAD = float(np.deg2rad(2.5))  # 0.13 m at 3 m: further back than that, something else is wrong
 
 
 # The paper's own way to the end of a move: eq. 4-5 integrate the remaining error into the reference until it is gone.
@@ -33,8 +33,8 @@ PLAY_MAX_RAD = float(np.deg2rad(2.5))  # 0.13 m at 3 m: further back than that, 
 # Eq. 4 feeds K_p (p_d - p) of the measured pose back, eq. 5 integrates it: a valve's dead band, which leaves a
 # P-controlled joint short, is crossed in time. On the way that is one loop; here at rest, in steps of K_p dt = 1.
 
-STEPS_MAX = 12  # of about a second: the paper's operator waited half a minute between two inputs
-STEP_MIN_S = 0.5
+INTEGRATION_STEPS_MAX = 12  # of about a second: the paper's operator waited half a minute between two inputs
+INTEGRATION_STEP_DURATION_S = 0.5
 
 
 def correct_encoder_shortfall(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, int]:
@@ -42,20 +42,20 @@ def correct_encoder_shortfall(ctx: PlanContext, plan: PathPlan, purpose: str) ->
 
     No step is longer than the shortfall, so no joint is driven past its goal, and none comes from a chosen side.
     """
-    for count in range(STEPS_MAX + 1):
+    for count in range(INTEGRATION_STEPS_MAX + 1):
         reading = expect_reply((yield Settle()), MachineReading)
         shortfall = plan.q_end - reading.q_rad
-        if count == STEPS_MAX or not worth_trimming(ctx.machine, reading.q_rad, shortfall).any():
+        if count == INTEGRATION_STEPS_MAX or not worth_trimming(ctx.machine, reading.q_rad, shortfall).any():
             return count
-        settings = replace(trim_settings(ctx), duration_min_s=STEP_MIN_S)
+        settings = replace(trim_settings(ctx), duration_min_s=INTEGRATION_STEP_DURATION_S)
         step = plan_joint_move(ctx.machine, reading.q_ref_rad, reading.q_ref_rad + shortfall, settings)
         step = off_the_wall(ctx.machine, step, [reading.q_rad, plan.q_end], ctx.wall)
         if step.trajectory is None:
             raise JobFailedError(f"{purpose}: integration of the error: {step.reason}", "trim_refused")
         text = f"{purpose}: integrating, joints short of target by up to {np.rad2deg(np.abs(shortfall).max()):.2f} deg"
-        yield Progress("integrate", count + 1, STEPS_MAX, "steps", text)
+        yield Progress("integrate", count + 1, INTEGRATION_STEPS_MAX, "steps", text)
         yield Move(step.trajectory, f"{purpose}: integration step {count + 1}")
-    return STEPS_MAX
+    return INTEGRATION_STEPS_MAX
 
 
 def drive_and_correct(
@@ -71,7 +71,7 @@ def drive_and_correct(
         reading = expect_reply((yield Settle()), MachineReading)
         stall, stuck = updated_stall(ctx.stall, reading.q_ref_rad, reading.q_rad, direction, play_rad)
         ctx.knowledge.stall_rad = stall
-        play_rad = np.minimum(np.where(stuck, 2.0 * play_rad, play_rad), PLAY_MAX_RAD)
+        play_rad = np.minimum(np.where(stuck, 2.0 * play_rad, play_rad), BACKLASH_MAX_RAD)
         residual = plan.q_end - reading.q_rad
         if count == trims_max or not worth_trimming(ctx.machine, reading.q_rad, residual).any():
             return count

@@ -25,27 +25,29 @@ from server.motion.identification_postures import Postures, SeenObject, choose_p
 from server.motion.refusal import Refusal
 from server.motion.timing import tcp_speed
 
-LOOKS = "looks"
-LOOKS_SHOW = ("zeros", "lengths", "sag", "camera's mount", "backlash", "lens")
+LOOKS_PART_NAME = "looks"
+LOOKS_SHOWN_QUANTITIES = ("zeros", "lengths", "sag", "camera's mount", "backlash", "lens")
 POSTURES, POSTURES_MIN = 12, 6
-TURNED_ABOUT = 3  # postures that are come to from above as well: what differs is the play
-LOOK_S = 3.0  # to come to rest and look, without the way
-OPEN_SHARE = 0.6  # of what was not known before: a number that the looks leave as open as that is not shown by them
-SIZES = (1.0, 0.6, 0.35)
-SHORTEST_S = 4.0
+N_TWO_SIDED_POSTURES = 3  # postures that are come to from above as well: what differs is the play
+LOOK_DURATION_S = 3.0  # to come to rest and look, without the way
+UNRESOLVED_SIGMA_MIN_FRAC = (
+    0.6  # of what was not known before: a number that the looks leave as open as that is not shown by them
+)
+MOTION_SIZE_FACTORS = (1.0, 0.6, 0.35)
+PART_DURATION_MIN_S = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedPart:
     """One part: motions from rest to rest, in the order in which they are driven."""
 
-    summary: DriveSegment
+    drive_segment: DriveSegment
     steps: tuple[Step, ...]
 
     @property
     def name(self) -> str:
         """As in the recording."""
-        return self.summary.name
+        return self.drive_segment.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +55,7 @@ class PlannedIdentification:
     """A whole drive, known by its hash, from the reference that it begins at."""
 
     parts: tuple[PlannedPart, ...]
-    cannot: tuple[str, ...]
+    impossible_parts: tuple[str, ...]
     plan_hash: str
     q_ref_start: Array
     t_made_ns: int
@@ -67,7 +69,7 @@ class PlannedIdentification:
     @property
     def duration_s(self) -> float:
         """Of all motion and looks [s]."""
-        return sum(part.summary.duration_s for part in self.parts)
+        return sum(part.drive_segment.duration_s for part in self.parts)
 
 
 @dataclass(slots=True)
@@ -78,9 +80,9 @@ class Drive:
     """
 
     q_home: Array
-    seen: SeenObject | None
-    share: float
-    done: set[str] = field(default_factory=set)
+    seen_object: SeenObject | None
+    duration_scale: float
+    done_parts: set[str] = field(default_factory=set)
 
 
 def planned_drive(ctx: PlanContext, drive: Drive, q_ref: Array, t_now_ns: int) -> PlannedIdentification:
@@ -92,17 +94,17 @@ def planned_drive(ctx: PlanContext, drive: Drive, q_ref: Array, t_now_ns: int) -
     parts: list[PlannedPart] = []
     cannot: list[str] = []
     here = np.asarray(q_ref, dtype=float)
-    for part in (part for part in PARTS if part.name not in drive.done):
+    for part in (part for part in PARTS if part.name not in drive.done_parts):
         try:
             planned = _motion_part(
-                ctx, replace(part, seconds=_scaled_duration_s(part, drive.share)), here, drive.q_home
+                ctx, replace(part, duration_s=_scaled_duration_s(part, drive.duration_scale)), here, drive.q_home
             )
         except JobFailedError as error:
-            cannot.append(f"{part.name} is left out, so {', '.join(part.shows)} may stay open: {error}")
+            cannot.append(f"{part.name} is left out, so {', '.join(part.effects_shown)} may stay open: {error}")
             continue
         parts.append(planned)
         here = drive.q_home
-    if LOOKS not in drive.done:
+    if LOOKS_PART_NAME not in drive.done_parts:
         looks, why = _looks_part(ctx, drive, here)
         parts += [looks] if looks else []
         cannot += why
@@ -115,7 +117,7 @@ def planned_drive(ctx: PlanContext, drive: Drive, q_ref: Array, t_now_ns: int) -
 
 
 def _scaled_duration_s(part: MotionPart, share: float) -> float:
-    return max(SHORTEST_S, share * part.seconds)
+    return max(PART_DURATION_MIN_S, share * part.duration_s)
 
 
 def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array) -> PlannedPart:
@@ -123,8 +125,8 @@ def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array)
     settings = drive_settings(ctx)
     course = part_course(ctx.machine, ctx.chain, part, q_home, settings)
     refused: JobFailedError | None = None
-    for size in SIZES:
-        smaller = replace(course, q=q_home + size * (course.q - q_home))
+    for size in MOTION_SIZE_FACTORS:
+        smaller = replace(course, modelled_output=q_home + size * (course.q - q_home))
         fitted = fitted_course(ctx.machine, ctx.chain, smaller, settings)
         if isinstance(fitted, Refusal):
             refused = JobFailedError(fitted.reason, f"plan_{fitted.status.value}")
@@ -135,8 +137,8 @@ def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array)
         except JobFailedError as error:
             refused = error
             continue
-        step = Step(fitted, part.name, marks=part_marks(part))
-        summary = DriveSegment(part.name, _total_duration_s((*way, step)), part.shows, _reduced_size_note(size))
+        step = Step(fitted, part.name, segment_marks=part_marks(part))
+        summary = DriveSegment(part.name, _total_duration_s((*way, step)), part.effects_shown, _reduced_size_note(size))
         return PlannedPart(summary, (*way, step))
     raise refused or JobFailedError("no size of it fits", "plan_too_fast")
 
@@ -146,20 +148,20 @@ def _reduced_size_note(size: float) -> str:
 
 
 def _looks_part(ctx: PlanContext, drive: Drive, here: Array) -> tuple[PlannedPart | None, list[str]]:
-    if drive.seen is None:
+    if drive.seen_object is None:
         text = "no marker of the object is visible, so no look is possible: zeros, lengths, sag and mount stay open"
         return None, [f"{text}; begin where the camera sees it"]
-    count = max(POSTURES_MIN, round(POSTURES * min(1.0, drive.share / 0.66)))
+    count = max(POSTURES_MIN, round(POSTURES * min(1.0, drive.duration_scale / 0.66)))
     margin_rad = drive_settings(ctx).joint_margin_rad + float(play_of(ctx.chain.n).max())
-    found = choose_postures(ctx.machine, ctx.chain, drive.q_home, drive.seen, ctx.wall, count, margin_rad)
+    found = choose_postures(ctx.machine, ctx.chain, drive.q_home, drive.seen_object, ctx.wall, count, margin_rad)
     steps, dropped = _look_steps(ctx, found.q, here)
-    looked = sum(step.then == "look" for step in steps)
+    looked = sum(step.follow_up == "look" for step in steps)
     if not looked:
         return None, [f"no posture can be looked from: of {found.in_view} with a marker in view none can be reached"]
     back = way_to(ctx, steps[-1].trajectory.q[-1], drive.q_home, "back to where the drive began")
     why = [dropped] if dropped else []
     why += _stay_open(found)
-    summary = DriveSegment(LOOKS, _total_duration_s((*steps, *back)), LOOKS_SHOW, dropped)
+    summary = DriveSegment(LOOKS_PART_NAME, _total_duration_s((*steps, *back)), LOOKS_SHOWN_QUANTITIES, dropped)
     return PlannedPart(summary, (*steps, *back)), why
 
 
@@ -169,7 +171,7 @@ def _look_steps(ctx: PlanContext, postures: Array, here: Array) -> tuple[tuple[S
     steps: list[Step] = []
     reasons: list[str] = []
     for number, posture in enumerate(postures, start=1):
-        sides = (-1.0, 1.0) if number % (len(postures) // TURNED_ABOUT or 1) == 0 else (-1.0,)
+        sides = (-1.0, 1.0) if number % (len(postures) // N_TWO_SIDED_POSTURES or 1) == 0 else (-1.0,)
         for side in sides:
             purpose = f"posture {number} of {len(postures)}, from {'below' if side < 0.0 else 'above'}"
             try:
@@ -186,7 +188,11 @@ def _look_steps(ctx: PlanContext, postures: Array, here: Array) -> tuple[tuple[S
 
 def _stay_open(found: Postures) -> list[str]:
     """Numbers that looks from these postures leave about as open as they were."""
-    left = [_parameter_label(name, joint) for name, joint, ratio in found.known if ratio > OPEN_SHARE]
+    left = [
+        _parameter_label(name, joint)
+        for name, joint, ratio in found.parameter_sigma_ratios
+        if ratio > UNRESOLVED_SIGMA_MIN_FRAC
+    ]
     return (
         [f"the looks cannot separate {', '.join(dict.fromkeys(left))} from where object and camera are"] if left else []
     )
@@ -197,7 +203,9 @@ def _parameter_label(name: str, joint: int | None) -> str:
 
 
 def _total_duration_s(steps: Iterable[Step]) -> float:
-    return round(sum(step.trajectory.duration_s + (LOOK_S if step.then == "look" else 0.5) for step in steps), 1)
+    return round(
+        sum(step.trajectory.duration_s + (LOOK_DURATION_S if step.follow_up == "look" else 0.5) for step in steps), 1
+    )
 
 
 def plan_summary(ctx: PlanContext, planned: PlannedIdentification, t_now_ns: int) -> IdentificationPlan:
@@ -212,9 +220,9 @@ def plan_summary(ctx: PlanContext, planned: PlannedIdentification, t_now_ns: int
         plan_hash=planned.plan_hash,
         expires_in_s=round((planned.expires_ns - t_now_ns) * 1e-9, 1),
         duration_s=round(planned.duration_s, 1),
-        parts=tuple(part.summary for part in planned.parts),
-        cannot=planned.cannot,
-        looks=sum(step.then == "look" for part in planned.parts for step in part.steps),
+        parts=tuple(part.drive_segment for part in planned.parts),
+        cannot=planned.impossible_parts,
+        looks=sum(step.follow_up == "look" for part in planned.parts for step in part.steps),
         tcp_speed_max_mm_s=round(max(tcp_speed(ctx.chain, motion) for motion in trajectories) * 1e3, 1),
         clearance_mm=round(clearance * 1e3, 1) if np.isfinite(clearance) else None,
         joint_travel_deg=tuple(round(float(value), 1) for value in np.rad2deg(travel)),

@@ -11,7 +11,7 @@ from server.jobs.context import PlanContext
 from server.jobs.plans.drive_steps import LOOK_PAIRS, begin_drive
 from server.jobs.plans.freshness import require_fresh
 from server.jobs.plans.identification_planning import (
-    LOOKS,
+    LOOKS_PART_NAME,
     Drive,
     PlannedIdentification,
     PlannedPart,
@@ -34,9 +34,9 @@ from server.jobs.requests import (
 from server.motion.identification_postures import SeenObject
 from server.vision.contracts import Look, LookStatus
 
-MISSED_MOST = 3  # looks in a row without a good one: then the camera is gone, or the object is
-USUAL_MINUTES = 6.0  # that the parts' usual lengths make
-PAIRS = LOOK_PAIRS // 2  # of a look: every pair's corners are recorded
+MISSED_LOOKS_MAX = 3  # looks in a row without a good one: then the camera is gone, or the object is
+NOMINAL_DRIVE_MINUTES = 6.0  # that the parts' usual lengths make
+PAIRS_PER_DRIVE_LOOK = LOOK_PAIRS // 2  # of a look: every pair's corners are recorded
 
 
 def plan_identification(
@@ -66,7 +66,7 @@ def plan_identification(
         if ctx.knowledge.T_base_ooi is not None and taken.error is not None:
             T_tcp_cam = pose(mount_rotation(ctx, taken), ctx.machine.T_tcp_cam_left[:3, 3])
             seen = SeenObject(ctx.knowledge.T_base_ooi, ctx.machine.markers_on("ooi"), T_tcp_cam)
-        drive = Drive(q_ref, seen, minutes / USUAL_MINUTES)
+        drive = Drive(q_ref, seen, minutes / NOMINAL_DRIVE_MINUTES)
     planned = planned_drive(ctx, drive, q_ref, clock_ns())
     keep_plan(drive, planned)
     summary = plan_summary(ctx, planned, clock_ns())
@@ -87,10 +87,10 @@ def drive_identification(
     yield from begin_drive(ctx, planned.trajectories, planned.q_ref_start, text)
     good = 0
     for number, part in enumerate(planned.parts, start=1):
-        text = f"{part.name}: {part.summary.duration_s:.0f} s, shows {', '.join(part.summary.shows)}"
+        text = f"{part.name}: {part.drive_segment.duration_s:.0f} s, shows {', '.join(part.drive_segment.shows)}"
         yield Progress("identify", number, len(planned.parts), "parts", text)
         good += yield from _execute_part(part)
-        drive.done.add(part.name)
+        drive.done_parts.add(part.name)
     return IdentificationDriven(
         plan_hash=planned.plan_hash,
         parts=tuple(part.name for part in planned.parts),
@@ -102,17 +102,19 @@ def drive_identification(
 
 def _execute_part(part: PlannedPart) -> Generator[Request, object, int]:
     good = missed = 0
-    if part.name == LOOKS:  # one segment over all of them: the motion between two looks shows the way to each posture
-        yield BeginSegment(LOOKS, "static")
+    if (
+        part.name == LOOKS_PART_NAME
+    ):  # one segment over all of them: the motion between two looks shows the way to each posture
+        yield BeginSegment(LOOKS_PART_NAME, "static")
     for number, step in enumerate(part.steps, start=1):
-        yield Move(step.trajectory, step.purpose, step.marks)
+        yield Move(step.trajectory, step.purpose, step.segment_marks)
         expect_reply((yield Settle()), MachineReading)
-        if step.then != "look":
+        if step.follow_up != "look":
             continue
         yield Progress("look", number, len(part.steps), "motions", step.purpose)
-        look = expect_reply((yield TakeLook(pairs=PAIRS)), Look)
+        look = expect_reply((yield TakeLook(n_pairs=PAIRS_PER_DRIVE_LOOK)), Look)
         good, missed = (good + 1, 0) if look.status is LookStatus.OK else (good, missed + 1)
-        if missed == MISSED_MOST:
+        if missed == MISSED_LOOKS_MAX:
             raise JobFailedError(
                 f"identify: {missed} looks in a row failed, the last one at {step.purpose} ({look.reason}); see to "
                 "camera and light, then plan the rest with resume",

@@ -15,8 +15,8 @@ from server.jobs.knowledge import LookTaken
 from server.jobs.plans.seeing import lens_prior, note_lens
 from server.jobs.requests import MachineReading
 
-LOOKS_MAX = 12
-RUNS_MAX = 3
+LOOK_OBSERVATIONS_MAX = 12
+ODOMETRY_RUNS_MAX = 3
 
 
 def play_width(ctx: PlanContext) -> Array:
@@ -26,7 +26,7 @@ def play_width(ctx: PlanContext) -> Array:
 
 def side_now(ctx: PlanContext) -> Array:
     """Where each joint rested in its play by the last reading (n,), 0 where it was not known."""
-    side = ctx.knowledge.side
+    side = ctx.knowledge.backlash_sides
     return np.zeros(ctx.chain.n) if side is None else side
 
 
@@ -45,7 +45,7 @@ def remember_side(ctx: PlanContext, reading: MachineReading) -> None:
     Never from the request: a motion may be stopped on its way, the local lever moves the machine too, and a
     reference turns back by the stall of its valve, several times a play's width, where the joint behind it does not.
     """
-    ctx.knowledge.side = reading.side
+    ctx.knowledge.backlash_sides = reading.side
 
 
 def remember_look(ctx: PlanContext, taken: LookTaken) -> None:
@@ -56,9 +56,9 @@ def remember_look(ctx: PlanContext, taken: LookTaken) -> None:
     covariances = look.tool_covariance, look.ooi_covariance
     evidence = lens_evidence(ctx.machine, look.T_cam_tool, look.T_cam_ooi, look.corners_px, lens_prior(ctx))
     seen = LookAt(taken.reading.q_rad, look.T_cam_tool, look.T_cam_ooi, *covariances, side_now(ctx), evidence)
-    ctx.knowledge.looks.append(seen)
-    del ctx.knowledge.looks[:-LOOKS_MAX]
-    ctx.knowledge.joint = None
+    ctx.knowledge.look_observations.append(seen)
+    del ctx.knowledge.look_observations[:-LOOK_OBSERVATIONS_MAX]
+    ctx.knowledge.joint_estimate = None
 
 
 def remember_run(ctx: PlanContext, camera: CameraTrack, encoder: EncoderTrack, before: Array) -> None:
@@ -66,9 +66,9 @@ def remember_run(ctx: PlanContext, camera: CameraTrack, encoder: EncoderTrack, b
     if encoder.qs is None or len(encoder.qs) == 0:
         return
     sides = play_sides(encoder.qs, play_width(ctx), before)
-    ctx.knowledge.runs.append(OdometryRun(camera, JointTrack(encoder.t_s, encoder.qs, sides)))
-    del ctx.knowledge.runs[:-RUNS_MAX]
-    ctx.knowledge.joint = None
+    ctx.knowledge.odometry_runs.append(OdometryRun(camera, JointTrack(encoder.t_s, encoder.qs, sides)))
+    del ctx.knowledge.odometry_runs[:-ODOMETRY_RUNS_MAX]
+    ctx.knowledge.joint_estimate = None
 
 
 def joint_estimate(ctx: PlanContext) -> JointEstimate | None:
@@ -78,16 +78,16 @@ def joint_estimate(ctx: PlanContext) -> JointEstimate | None:
     once more with the last look alone, then with the last path alone.
     """
     known = ctx.knowledge
-    if not known.runs or not known.looks:
+    if not known.odometry_runs or not known.look_observations:
         return None
-    if known.joint is None:
-        known.joint = _combined_estimate(ctx)
-        for older in (known.looks, known.runs):
-            if known.joint.status is CalibrationStatus.POOR_FIT and len(older) > 1:
+    if known.joint_estimate is None:
+        known.joint_estimate = _combined_estimate(ctx)
+        for older in (known.look_observations, known.odometry_runs):
+            if known.joint_estimate.status is CalibrationStatus.POOR_FIT and len(older) > 1:
                 del older[:-1]
-                known.joint = _combined_estimate(ctx)
-        note_lens(ctx, known.joint)
-    return known.joint
+                known.joint_estimate = _combined_estimate(ctx)
+        note_lens(ctx, known.joint_estimate)
+    return known.joint_estimate
 
 
 def _combined_estimate(ctx: PlanContext) -> JointEstimate:
@@ -95,4 +95,6 @@ def _combined_estimate(ctx: PlanContext) -> JointEstimate:
     known, diagnosed = ctx.knowledge, ctx.compensation
     machine = ctx.machine if diagnosed is None else diagnosed.believed_machine()
     prior = JointPrior() if diagnosed is None else diagnosed.joint_prior()
-    return estimate_jointly(machine, known.runs, known.looks, prior=replace(prior, lens=lens_prior(ctx)))
+    return estimate_jointly(
+        machine, known.odometry_runs, known.look_observations, prior=replace(prior, lens=lens_prior(ctx))
+    )

@@ -43,8 +43,8 @@ class WatchedCircle:
     """The circle as driven: where it began, the encoders' TCP, and every pair that showed both objects."""
 
     T_base_tcp_init: Array
-    encoder: EncoderTrack
-    sighted: SeenPairs
+    encoder_track: EncoderTrack
+    seen_pairs: SeenPairs
 
 
 def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Request, object, LineResult]:
@@ -103,9 +103,9 @@ def _reference_and_direction(
 
 def _by_minimum(watched: WatchedCircle) -> tuple[Array, Array, str]:
     """Eq. 13-16; each distance belongs to the TCP where the encoders stood when its pair was taken to be exposed."""
-    track = watched.encoder
-    points, _ = positions_at(watched.sighted.t_s, track.t_s, track.Ts_base_tcp[:, :3, 3])
-    distances = np.linalg.norm(watched.sighted.vectors_cam[:, :2], axis=1)
+    track = watched.encoder_track
+    points, _ = positions_at(watched.seen_pairs.t_s, track.t_s, track.Ts_base_tcp[:, :3, 3])
+    distances = np.linalg.norm(watched.seen_pairs.vectors_cam[:, :2], axis=1)
     found = line_reference(watched.T_base_tcp_init, points, distances)
     if found.T_base_tcp_ref is None or found.direction_base is None:
         raise JobFailedError(f"line equation ({found.status.value}): {found.reason}", "line_refused")
@@ -113,18 +113,20 @@ def _by_minimum(watched: WatchedCircle) -> tuple[Array, Array, str]:
 
 
 def _by_fit(ctx: PlanContext, watched: WatchedCircle, in_ooi_axes: bool) -> tuple[Array, Array, str]:
-    sighted = watched.sighted
+    sighted = watched.seen_pairs
     vectors, R_tcp_view = sighted.vectors_cam, ctx.machine.T_tcp_cam_left[:3, :3]
     if in_ooi_axes:
         vectors = vectors @ nearest_rotation(np.median(sighted.Rs_cam_ooi, axis=0))
         R_tcp_view = ctx.machine.T_tcp_tool[:3, :3]  # after the orientation step the tool's axes are the OOI's
     goal = np.array([ctx.T_ooi_goal[0, 3], ctx.T_ooi_goal[1, 3]]) if in_ooi_axes else np.zeros(2)
-    timed = fit_line_moving(watched.T_base_tcp_init, watched.encoder, sighted.t_s, vectors[:, :2] + goal, R_tcp_view)
+    timed = fit_line_moving(
+        watched.T_base_tcp_init, watched.encoder_track, sighted.t_s, vectors[:, :2] + goal, R_tcp_view
+    )
     fit = timed.fit
     if fit.status is not CalibrationStatus.OK or fit.T_base_tcp_ref is None:
         raise JobFailedError(f"line fit ({fit.status.value}): {fit.reason}", "line_refused")
     way = fit.T_base_tcp_ref[:3, 3] - watched.T_base_tcp_init[:3, 3]
-    offset = f"offset {1e3 * timed.time_offset_s:.0f} ms" if timed.observable else "no offset seen"
+    offset = f"offset {1e3 * timed.time_offset_s:.0f} ms" if timed.offset_observable else "no offset seen"
     note = f"turned {np.rad2deg(fit.turn_rad):+.1f} deg, scale {fit.scale:.3f}, {offset}, {1e3 * fit.sigma_m:.1f} mm"
     return fit.T_base_tcp_ref, way / max(float(np.linalg.norm(way)), 1e-9), note
 

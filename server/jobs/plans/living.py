@@ -10,15 +10,15 @@ from server.calibration.calibration_life import CalibrationValidity, LocalCalibr
 from server.calibration.contracts import CameraRotationEstimate
 from server.calibration.joint_estimate import JointEstimate
 from server.calibration.slip_monitor import ToolSeen, judge_slip
-from server.calibration.trajectory_matching_paper import METHOD as PAPER_METHOD
+from server.calibration.trajectory_matching_paper import METHOD_NAME as PAPER_METHOD
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.requests import MachineReading, Progress, Request
 from server.vision.contracts import Look
 
-NONE = CalibrationValidity(ValidityStatus.VALID)
-BY_PAPER = (
+NO_CALIBRATION_VALIDITY = CalibrationValidity(ValidityStatus.VALID)
+PAPER_CALIBRATION_REASON = (
     "the calibration is one by the paper's method, which takes the mount of the machine file as it is and knows no "
     "error of it; calibrate"
 )
@@ -36,7 +36,7 @@ def keep_calibration(
         T_base_tcp=ctx.tcp(reading.q_rad),
         oil_temperature_c=reading.oil_temperature_c,
     )
-    ctx.knowledge.life = LocalCalibration(
+    ctx.knowledge.kept_calibration = LocalCalibration(
         machine_id=ctx.machine_id,
         method=estimate.method,
         R_tcp_cam=estimate.R_tcp_cam,
@@ -49,8 +49,8 @@ def keep_calibration(
         n_used=estimate.n_used,
         path_length_m=estimate.path_length_m,
         observability=estimate.observability,
-        made=made,
-        tool=tool_seen(taken.raw),
+        made_at=made,
+        tool_marker_pose=tool_seen(taken.raw),
         expiry=ctx.settings.calibration.expiry(),
     )
 
@@ -64,33 +64,33 @@ def tool_seen(look: Look) -> ToolSeen | None:
 
 def note_map(ctx: PlanContext, estimate: JointEstimate) -> None:
     """The joint estimate of the moment goes into the calibration that is kept and shown."""
-    life, state = ctx.knowledge.life, estimate.state
+    life, state = ctx.knowledge.kept_calibration, estimate.state
     if life is None or state is None:
         return
     found = LocalMap(
         T_tcp_cam=state.T_tcp_cam,
         T_tcp_tool=state.T_tcp_tool,
-        errors=state.errors,
-        scale=state.scale,
+        errors=state.kinematic_errors,
+        scale=state.odometry_scale,
         misfit=estimate.misfit,
         residual_rms_mm=estimate.residual_rms_mm,
         n_samples=estimate.n_samples,
         n_looks=estimate.n_looks,
     )
-    ctx.knowledge.life = replace(life, local_map=found)
+    ctx.knowledge.kept_calibration = replace(life, local_map=found)
 
 
 def watch_slip(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, None]:
     """Every good look compares the tool marker with what it was at the calibration. The paper's method does not."""
-    life, now = ctx.knowledge.life, tool_seen(taken.raw)
-    if ctx.method == "paper" or life is None or life.tool is None or now is None or life.slip:
+    life, now = ctx.knowledge.kept_calibration, tool_seen(taken.raw)
+    if ctx.method == "paper" or life is None or life.tool_marker_pose is None or now is None or life.slip:
         return
-    verdict = judge_slip(life.tool, now)
+    verdict = judge_slip(life.tool_marker_pose, now)
     if verdict.slipped:
-        ctx.knowledge.life = replace(life, slip=verdict.reason)
+        ctx.knowledge.kept_calibration = replace(life, slip=verdict.reason)
         yield Progress("slip", verdict.chi2, 0.0, "", verdict.reason)
     elif verdict.shifted and not life.shift:
-        ctx.knowledge.life = replace(life, shift=verdict.reason)
+        ctx.knowledge.kept_calibration = replace(life, shift=verdict.reason)
         yield Progress("shift", verdict.chi2, 0.0, "", verdict.reason)
 
 
@@ -103,10 +103,10 @@ def forget_expired(ctx: PlanContext, reading: MachineReading) -> None:
     found = calibration_validity(ctx, reading)
     if found.ok:
         return
-    ctx.knowledge.runs.clear()
+    ctx.knowledge.odometry_runs.clear()
     if found.status in (ValidityStatus.SLIPPED, ValidityStatus.SHIFTED):
-        del ctx.knowledge.looks[:-1]
-    ctx.knowledge.joint = None
+        del ctx.knowledge.look_observations[:-1]
+    ctx.knowledge.joint_estimate = None
 
 
 def calibration_validity(ctx: PlanContext, reading: MachineReading) -> CalibrationValidity:
@@ -116,11 +116,11 @@ def calibration_validity(ctx: PlanContext, reading: MachineReading) -> Calibrati
 
 def validity_at(ctx: PlanContext, reading: MachineReading, q: Array, T_base_tcp: Array) -> CalibrationValidity:
     """The same with the machine elsewhere, such as at its goal."""
-    life: LocalCalibration | None = ctx.knowledge.life
+    life: LocalCalibration | None = ctx.knowledge.kept_calibration
     if life is None or ctx.method == "paper":
-        return NONE
+        return NO_CALIBRATION_VALIDITY
     if life.method == PAPER_METHOD:
-        return CalibrationValidity(ValidityStatus.OTHER_METHOD, BY_PAPER)
+        return CalibrationValidity(ValidityStatus.OTHER_METHOD, PAPER_CALIBRATION_REASON)
     return life.valid_at(ctx.knowledge.unix_s(reading.t_mono_ns), q, T_base_tcp, reading.oil_temperature_c)
 
 

@@ -27,10 +27,10 @@ def take_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, obje
     yield Progress("look", 0.0, 1.0, "", "looking: tool and object of interest in both eyes")
     paper = ctx.method == "paper"
     pairs = 1 if paper else ctx.settings.look.pairs * pairs_share
-    look = expect_reply((yield TakeLook(pairs=pairs, source="mono" if paper else "stereo")), Look)
+    look = expect_reply((yield TakeLook(n_pairs=pairs, source="mono" if paper else "stereo")), Look)
     taken = _evaluated_look(ctx, look, reading)
     ctx.knowledge.last_look = taken
-    ctx.knowledge.previewed = None  # it was made from an older look
+    ctx.knowledge.previewed_plan = None  # it was made from an older look
     if taken.error is not None:
         ctx.knowledge.T_base_ooi = ooi_in_base(ctx, taken)
         yield from watch_slip(ctx, taken)
@@ -51,7 +51,7 @@ def good_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, obje
 
 def mount_rotation(ctx: PlanContext, taken: LookTaken) -> Array:
     """R_tcp_cam: calibrated if we are, else as identified, else by the tool marker in the image, else nominal."""
-    mount = ctx.knowledge.mount
+    mount = ctx.knowledge.mount_rotation_estimate
     if mount is not None and mount.R_tcp_cam is not None:
         return mount.R_tcp_cam
     if ctx.method != "paper" and ctx.compensation is not None and ctx.compensation.knows_mount:

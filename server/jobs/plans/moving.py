@@ -28,8 +28,8 @@ from server.motion.contracts import PlanStatus
 
 Sigmas = tuple[float, float, float]
 
-BY_LOOK_ALONE = "the move would be based on the look alone, without a learnt map; calibrate"
-FAR_M = 0.25  # after a longer move the camera has more to correct than the encoders can show
+LOOK_ONLY_CAUTION = "the move would be based on the look alone, without a learnt map; calibrate"
+LONG_MOVE_MIN_M = 0.25  # after a longer move the camera has more to correct than the encoders can show
 
 
 def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
@@ -65,7 +65,7 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
         t_made_ns=t_now_ns,
         expires_ns=t_now_ns + int(ctx.settings.position.plan_expires_s * 1e9),
     )
-    ctx.knowledge.previewed = previewed
+    ctx.knowledge.previewed_plan = previewed
     return previewed
 
 
@@ -107,12 +107,12 @@ def move_goal(ctx: PlanContext, taken: LookTaken) -> MoveGoal:
     # what contradicts the learnt map contradicts the step from the look as much
     wider = 1.0 if estimate is None or not np.isfinite(estimate.misfit) else max(1.0, estimate.misfit) ** 0.5
     x, y, z = predicted_sigma_mm(ctx, taken)
-    return MoveGoal(T_goal, (wider * x, wider * y, wider * z), BY_LOOK_ALONE)
+    return MoveGoal(T_goal, (wider * x, wider * y, wider * z), LOOK_ONLY_CAUTION)
 
 
 def map_refused(ctx: PlanContext) -> str:
     """Why the last goal is by the look alone although a path was driven; empty where it is not."""
-    known = ctx.knowledge.joint
+    known = ctx.knowledge.joint_estimate
     if ctx.method == "paper" or ctx.settings.position.local_map != "learnt" or known is None or known.state is not None:
         return ""
     return known.reason
@@ -131,7 +131,7 @@ def _joint_goal(ctx: PlanContext, estimate: JointEstimate, q_rad: Array) -> Move
 
 def predicted_sigma_mm(ctx: PlanContext, taken: LookTaken) -> Sigmas:
     """One sigma of the error after the move, in OOI axes [mm]: the look's own and the rotation's times the distance."""
-    mount = ctx.knowledge.mount
+    mount = ctx.knowledge.mount_rotation_estimate
     sigma_rad = np.deg2rad(ctx.settings.position.sigma_tool_mount_deg)
     rotation = mount.covariance if mount is not None and mount.covariance is not None else np.eye(3) * sigma_rad**2
     look = taken.look
@@ -169,7 +169,7 @@ def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generato
 
     Raises: PlanRefusedError when the machine moved since the look or the preview; nothing moves then.
     """
-    ctx.knowledge.previewed = None  # a plan fires once
+    ctx.knowledge.previewed_plan = None  # a plan fires once
     reading = expect_reply((yield ReadMachine()), MachineReading)
     require_unmoved(ctx.machine, reading, previewed)
     require_valid(calibration_validity(ctx, reading), f"move {number}")
@@ -177,7 +177,7 @@ def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generato
         ctx.knowledge.q_start = reading.q_rad
     yield Progress("execute", number, ctx.settings.position.moves_max, "moves", f"move {number}")
     before = ctx.knowledge.last_look
-    far = previewed.plan.length_m > FAR_M
+    far = previewed.plan.length_m > LONG_MOVE_MIN_M
     trims = yield from drive_and_correct(ctx, previewed.plan, f"move {number}", trims_max=1 if far else TRIMS_MAX)
     taken = yield from good_look(ctx)
     record = MoveRecord(
@@ -195,6 +195,6 @@ def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generato
     yield Record(record)
     compared = None if before is None else compared_move(ctx, number, before, taken)
     if compared is not None:
-        ctx.knowledge.compared.append(compared)
+        ctx.knowledge.compared_moves.append(compared)
         yield Record(compared)
     return taken

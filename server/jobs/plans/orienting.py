@@ -13,7 +13,7 @@ from server.jobs.knowledge import LookTaken
 from server.jobs.plans.driving import drive_and_look
 from server.jobs.requests import Progress, Request
 
-GOOD_ENOUGH_DEG = 0.6  # below this a step costs time and brings nothing: the later moves correct it on the way
+ORIENTATION_ERROR_OK_DEG = 0.6  # below this a step costs time and brings nothing: the later moves correct it on the way
 
 
 def orient(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, LookTaken]:
@@ -21,7 +21,7 @@ def orient(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, Loo
     if ctx.knowledge.q_start is None:  # orienting by itself begins a run, as a move does
         ctx.knowledge.q_start = taken.reading.q_rad
     for step in range(1, ctx.settings.position.orientation_steps_max + 1):
-        if taken.error is None or taken.error.rotation_deg < GOOD_ENOUGH_DEG:
+        if taken.error is None or taken.error.rotation_deg < ORIENTATION_ERROR_OK_DEG:
             break
         yield Progress(
             "orient", step, ctx.settings.position.orientation_steps_max, "steps", "turning the tool to the OOI"

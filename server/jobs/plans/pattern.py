@@ -17,7 +17,7 @@ def marks_of(ctx: PlanContext, target_ids: Sequence[int]) -> tuple[AnchoredTarge
 
     Raises: JobFailedError: a number is not one of the marks that were found last.
     """
-    known = {mark.target_id: mark for mark in ctx.knowledge.marks}
+    known = {mark.target_id: mark for mark in ctx.knowledge.found_marks}
     missing = [number for number in target_ids if number not in known]
     if missing:
         raise JobFailedError(

@@ -12,7 +12,7 @@ from server.jobs.plans.calibrating import calibrate, possible_path
 from server.jobs.plans.living import calibration_validity, require_valid, validity_at
 from server.jobs.plans.looking import good_look, ooi_in_base
 from server.jobs.plans.moving import execute
-from server.jobs.plans.orienting import GOOD_ENOUGH_DEG, orient
+from server.jobs.plans.orienting import ORIENTATION_ERROR_OK_DEG, orient
 from server.jobs.plans.seeing import refuted_inputs
 from server.jobs.plans.tolerance import error_of, is_look_inside_tolerance
 from server.jobs.records import CalibrationRecord, PositionResult
@@ -34,15 +34,15 @@ def position(
     watch.record_lap_time("look")
     if is_look_inside_tolerance(ctx, taken):
         ctx.knowledge.moves.clear()
-        return _position_result(ctx, first, taken, ctx.knowledge.calibration, watch)
+        return _position_result(ctx, first, taken, ctx.knowledge.calibration_record, watch)
     if not recalibrate:
         yield from _drop_expired(ctx, taken)
-    elif error_of(taken).rotation_deg < GOOD_ENOUGH_DEG and approach_pose(ctx, taken) is None:
+    elif error_of(taken).rotation_deg < ORIENTATION_ERROR_OK_DEG and approach_pose(ctx, taken) is None:
         possible_path(ctx, taken.reading)  # it will be driven from here
     _begin_run(ctx, taken, recalibrate)
     taken = yield from orient(ctx, taken)
     watch.record_lap_time("orient")
-    if ctx.knowledge.mount is None:
+    if ctx.knowledge.mount_rotation_estimate is None:
         near = yield from approach(ctx, taken)
         if near is not taken:
             watch.record_lap_time("approach")
@@ -52,17 +52,17 @@ def position(
         taken = yield from good_look(ctx)
         watch.record_lap_time("look after calibration")
     taken = yield from _move_until_inside(ctx, taken, watch, clock_ns)
-    return _position_result(ctx, first, taken, ctx.knowledge.calibration, watch)
+    return _position_result(ctx, first, taken, ctx.knowledge.calibration_record, watch)
 
 
 def _begin_run(ctx: PlanContext, taken: LookTaken, recalibrate: bool) -> None:
     """Only this look is known from now on: the object of interest may be another one than before."""
     ctx.knowledge.q_start = taken.reading.q_rad
     ctx.knowledge.moves.clear()
-    fresh = ctx.knowledge.looks[-1:]
+    fresh = ctx.knowledge.look_observations[-1:]
     if recalibrate:
         ctx.knowledge.forget_calibration()
-    ctx.knowledge.looks[:], ctx.knowledge.joint = fresh, None
+    ctx.knowledge.look_observations[:], ctx.knowledge.joint_estimate = fresh, None
     ctx.knowledge.T_base_ooi = ooi_in_base(ctx, taken)  # by what is still known of the mount
 
 
@@ -86,9 +86,9 @@ def _move_until_inside(
         if is_look_inside_tolerance(ctx, taken):
             break
         assured = yield from assured_preview(ctx, taken, clock_ns(), goal.moves_max - number)
-        if assured.paths:
+        if assured.n_calibration_paths:
             watch.record_lap_time("calibrate again")
-        taken = yield from execute(ctx, assured.previewed, number)
+        taken = yield from execute(ctx, assured.previewed_plan, number)
         watch.record_lap_time(f"move {number}")
         error = error_of(taken)
         yield Progress("error", error.distance_mm, goal.tolerance_mm, "mm", f"after move {number}")

@@ -15,7 +15,7 @@ from server.jobs.plans.approaching import approach_pose, farther_goal, goal_pose
 from server.jobs.plans.calibrating import possible_path
 from server.jobs.plans.living import keep_calibration, validity_at
 from server.jobs.plans.looking import mount_rotation, ooi_in_base
-from server.jobs.plans.orienting import GOOD_ENOUGH_DEG, orientation_goal
+from server.jobs.plans.orienting import ORIENTATION_ERROR_OK_DEG, orientation_goal
 from server.jobs.plans.planning import plan_to
 from server.jobs.plans.seeing import common_of, require_judgeable
 from server.jobs.records import LookRecord
@@ -73,12 +73,12 @@ def _what_if(ctx: PlanContext, target: AnchoredTarget | TaughtObject) -> PlanCon
         ctx.knowledge,
         target=target,
         last_look=None,
-        previewed=None,
-        joint=None,
-        mount=None,
+        previewed_plan=None,
+        joint_estimate=None,
+        mount_rotation_estimate=None,
         moves=[],
-        runs=[],
-        looks=[],
+        odometry_runs=[],
+        look_observations=[],
     )
     return replace(ctx, knowledge=known)
 
@@ -99,7 +99,7 @@ def _look_after_orienting(ctx: PlanContext, taken: LookTaken) -> LookTaken:
     look = taken.look
     if look.T_cam_tool is None or look.T_cam_ooi is None:
         raise ValueError("a look without poses")
-    if np.rad2deg(geodesic_angle(look.T_cam_tool[:3, :3], look.T_cam_ooi[:3, :3])) < GOOD_ENOUGH_DEG:
+    if np.rad2deg(geodesic_angle(look.T_cam_tool[:3, :3], look.T_cam_ooi[:3, :3])) < ORIENTATION_ERROR_OK_DEG:
         return taken
     return _look_after(ctx, taken, orientation_goal(ctx, taken), "turning to the target")
 

@@ -40,21 +40,21 @@ def lens_prior(ctx: PlanContext) -> LensPrior:
 def note_lens(ctx: PlanContext, estimate: JointEstimate) -> None:
     """Keep what an estimate says of camera and prints, for the looks to come; nothing where it is refused."""
     state, covariance = estimate.state, estimate.covariance
-    known = None if state is None or covariance is None else (state.lens, covariance[-N_LENS:, -N_LENS:])
-    ctx.knowledge.lens = known
+    known = None if state is None or covariance is None else (state.lens_corrections, covariance[-N_LENS:, -N_LENS:])
+    ctx.knowledge.lens_estimate = known
 
 
 def focal_found(ctx: PlanContext) -> tuple[float, float] | None:
     """True focal length over the camera file's, less 1, with one sigma, by the paths so far; None before one."""
-    if ctx.knowledge.lens is None:
+    if ctx.knowledge.lens_estimate is None:
         return None
-    mean, covariance = ctx.knowledge.lens
+    mean, covariance = ctx.knowledge.lens_estimate
     return float(mean[FOCAL]), float(np.sqrt(covariance[FOCAL, FOCAL]))
 
 
 def refuted_inputs(ctx: PlanContext) -> str:
     """What the last estimate refutes of camera file and prints, with the remedy; empty for nothing."""
-    known = ctx.knowledge.lens
+    known = ctx.knowledge.lens_estimate
     return "" if known is None else "; ".join(lens_doubts(*known, lens_prior(ctx)))
 
 
@@ -68,9 +68,9 @@ def corrected_look(ctx: PlanContext, look: Look) -> Look:
 
 def corrected_poses(ctx: PlanContext, T_cam_tool: Array, T_cam_ooi: Array) -> tuple[Array, Array]:
     """The same of two poses as measured: less what the lens unknowns did to them, first-order."""
-    if ctx.method == "paper" or ctx.knowledge.lens is None:
+    if ctx.method == "paper" or ctx.knowledge.lens_estimate is None:
         return T_cam_tool, T_cam_ooi
-    step = look_sensitivity(ctx.machine, T_cam_tool, T_cam_ooi) @ ctx.knowledge.lens[0]
+    step = look_sensitivity(ctx.machine, T_cam_tool, T_cam_ooi) @ ctx.knowledge.lens_estimate[0]
     tool, ooi = (
         pose(rotation_from_rotvec(-by[:3]) @ T[:3, :3], T[:3, 3] - by[3:])
         for T, by in ((T_cam_tool, step[:6]), (T_cam_ooi, step[6:]))
@@ -112,7 +112,7 @@ def require_judgeable(ctx: PlanContext, taken: LookTaken) -> None:
 
 def _lens_covariance(ctx: PlanContext) -> Array:
     """Of the lens unknowns (7, 7): the prior's until a path has measured."""
-    known = ctx.knowledge.lens
+    known = ctx.knowledge.lens_estimate
     return np.diag(lens_prior(ctx).sigma ** 2) if known is None else known[1]
 
 

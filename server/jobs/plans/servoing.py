@@ -50,8 +50,8 @@ from server.motion.lost_motion import last_direction, updated_stall
 from server.motion.refusal import Refusal
 from server.motion.seen_goal import SeenGoal
 
-PATIENCE_S = 1.0  # at rest, for a pair after one that was late or unfit
-LOST_CODE = "servo_look_lost"
+PAIR_TIMEOUT_AT_REST_S = 1.0  # at rest, for a pair after one that was late or unfit
+LOOK_LOST_ERROR_CODE = "servo_look_lost"
 
 
 def servo(ctx: PlanContext, clock_ns: Callable[[], int] = mono_ns) -> Generator[Request, object, ServoResult]:
@@ -72,8 +72,8 @@ def servo(ctx: PlanContext, clock_ns: Callable[[], int] = mono_ns) -> Generator[
         before = error_of(taken)
         steered = yield from _one_pass(ctx, taken, passes)
         taken = yield from good_look(ctx)
-        yield Record(_record_move(ctx, passes, before, taken, steered.current))
-        pairs, corrections = pairs + steered.pairs, corrections + steered.corrections
+        yield Record(_record_move(ctx, passes, before, taken, steered.current_trajectory))
+        pairs, corrections = pairs + steered.n_pairs, corrections + steered.n_corrections
     return _servo_result(ctx, first, taken, passes, pairs, corrections, (clock_ns() - started_ns) * 1e-9)
 
 
@@ -82,7 +82,7 @@ def _require_permitted(ctx: PlanContext) -> None:
         raise JobFailedError(
             "closed-loop control is switched off; set [position] closed_loop = true in the settings", "closed_loop_off"
         )
-    if ctx.knowledge.mount is None:
+    if ctx.knowledge.mount_rotation_estimate is None:
         raise JobFailedError("closed-loop control needs a local calibration; calibrate first", "not_calibrated")
 
 
@@ -95,7 +95,9 @@ def _wait_for_reliable_pairs(ctx: PlanContext) -> Generator[Request, object, Non
         if tries >= 3 * wanted:
             raise JobFailedError(f"vision is not reliable enough for closed-loop motion: {fault}", "vision_unreliable")
         asked = next_pair_request(ctx, number)
-        seen = expect_reply((yield asked if in_a_row else replace(asked, silence_max_s=PATIENCE_S)), PairSeen)
+        seen = expect_reply(
+            (yield asked if in_a_row else replace(asked, silence_max_s=PAIR_TIMEOUT_AT_REST_S)), PairSeen
+        )
         late, number = seen.number == number, seen.number
         tries += 1
         fault = gate.fault(seen) or fault
@@ -120,9 +122,9 @@ def _one_pass(ctx: PlanContext, taken: LookTaken, number: int) -> Generator[Requ
     steered = _plan_steered_path(ctx, goal, reading, joints_near(ctx, goal.pose, reading.q_rad), corrects=True)
     yield from _drive_steered_path(ctx, steered, f"closed loop, pass {number}: in")
     rested = expect_reply((yield Settle()), MachineReading)
-    direction = last_direction(steered.current)
+    direction = last_direction(steered.current_trajectory)
     ctx.knowledge.stall_rad, _ = updated_stall(ctx.stall, rested.q_ref_rad, rested.q_rad, direction, play_rad)
-    steered.pairs += before.pairs
+    steered.n_pairs += before.n_pairs
     return steered
 
 
@@ -151,8 +153,8 @@ def _plan_steered_path(
 
 
 def _drive_steered_path(ctx: PlanContext, steered: SteeredPath, purpose: str) -> Generator[Request, object, None]:
-    yield Progress("servo", 0.0, steered.current.duration_s, "s", purpose)
-    yield StartMove(steered.current, purpose)
+    yield Progress("servo", 0.0, steered.current_trajectory.duration_s, "s", purpose)
+    yield StartMove(steered.current_trajectory, purpose)
     yield from _process_pairs_until_end(ctx, steered)
     yield EndMove()
 
@@ -162,14 +164,14 @@ def _process_pairs_until_end(ctx: PlanContext, steered: SteeredPath) -> Generato
     gate, number = PairGate(ctx), 0
     while True:
         seen = expect_reply((yield next_pair_request(ctx, number)), PairSeen)
-        if seen.ended:
+        if seen.motion_ended:
             return
         number = seen.number
         fault = gate.fault(seen) or off_goal(ctx, steered, seen)
         if fault:
             text = f"closed loop stopped at the first invalid look: {fault}"
             yield StopMove(text)
-            raise JobFailedError(f"{text}; clear the view, then look again", LOST_CODE)
+            raise JobFailedError(f"{text}; clear the view, then look again", LOOK_LOST_ERROR_CODE)
         note_tail(steered, seen)
         correction = corrected_tail(ctx, steered, seen)
         if correction is not None:

@@ -14,7 +14,7 @@ from server.jobs.plans.looking import mount_rotation
 from server.jobs.plans.pair_gate import PairGate
 from server.jobs.plans.seeing import corrected_poses
 from server.jobs.requests import Correct, MachineReading, NextPair, PairSeen
-from server.motion.closed_loop import JOIN_AHEAD_S, TailStart, join_after, path_to_rest, reference_goal, with_tail
+from server.motion.closed_loop import JOIN_LEAD_TIME_S, TailStart, join_after, path_to_rest, reference_goal, with_tail
 from server.motion.contracts import JointTrajectory, PlanStatus
 from server.motion.joint_path import joint_line
 from server.motion.refusal import Refusal
@@ -30,62 +30,67 @@ CORRECTION_MIN_M = 0.0003  # the goal moved by less: not worth a new tail
 class SteeredPath:
     """The path under way and what is known while it is."""
 
-    goal: SeenGoal
+    seen_goal: SeenGoal
     T_aimed: Array
-    current: JointTrajectory
-    reading: MachineReading  # where it began
-    corrects: bool
-    offered: JointTrajectory | None = None
+    current_trajectory: JointTrajectory
+    start_reading: MachineReading  # where it began
+    corrections_enabled: bool
+    offered_trajectory: JointTrajectory | None = None
     T_offered: Array | None = None
-    pairs: int = 0
-    corrections: int = 0
-    refused: int = 0
+    n_pairs: int = 0
+    n_corrections: int = 0
+    n_refused: int = 0
 
 
 def off_goal(ctx: PlanContext, steered: SteeredPath, seen: PairSeen) -> str:
     """Take a good pair in; or why its goal cannot be believed."""
     T_goal, sigma_m, way_m = _goal_seen(ctx, seen)
-    apart_m, most_m = steered.goal.jump_and_limit(T_goal, sigma_m, way_m)
+    apart_m, most_m = steered.seen_goal.jump_and_limit(T_goal, sigma_m, way_m)
     if apart_m > most_m:
         return (
             f"the goal jumped by {1e3 * apart_m:.1f} mm (limit {1e3 * most_m:.1f} mm, "
             f"{1e3 * way_m:.0f} mm before it); look whether target or camera moved, then look and calibrate again"
         )
-    steered.goal.add(T_goal, sigma_m, way_m)
-    steered.pairs += 1
+    steered.seen_goal.add(T_goal, sigma_m, way_m)
+    steered.n_pairs += 1
     return ""
 
 
 def note_tail(steered: SteeredPath, seen: PairSeen) -> None:
     """What the PLC answered to the last new tail."""
-    if seen.tail == "taken" and steered.offered is not None and steered.T_offered is not None:
-        steered.current, steered.T_aimed = steered.offered, steered.T_offered
-        steered.corrections += 1
-    if seen.tail == "refused":
-        steered.refused += 1
-    if seen.tail in ("taken", "refused"):
-        steered.offered = steered.T_offered = None
+    if seen.tail_status == "taken" and steered.offered_trajectory is not None and steered.T_offered is not None:
+        steered.current_trajectory, steered.T_aimed = steered.offered_trajectory, steered.T_offered
+        steered.n_corrections += 1
+    if seen.tail_status == "refused":
+        steered.n_refused += 1
+    if seen.tail_status in ("taken", "refused"):
+        steered.offered_trajectory = steered.T_offered = None
 
 
 def corrected_tail(ctx: PlanContext, steered: SteeredPath, seen: PairSeen) -> Correct | None:
     """A new tail to where the goal is seen now; None while one is on its way, near the end, or not worth it."""
-    if not steered.corrects:
+    if not steered.corrections_enabled:
         return None
-    T_goal = steered.goal.pose
+    T_goal = steered.seen_goal.pose
     shift_m = float(np.linalg.norm(T_goal[:3, 3] - steered.T_aimed[:3, 3]))
-    if seen.t_play_s <= 0.0 or steered.offered is not None or shift_m < CORRECTION_MIN_M or seen.q_rad is None:
+    if (
+        seen.t_play_s <= 0.0
+        or steered.offered_trajectory is not None
+        or shift_m < CORRECTION_MIN_M
+        or seen.q_rad is None
+    ):
         return None  # not before it plays: a tail sent while the PLC still fills its ring keeps it from starting
-    join = join_after(steered.current, seen.t_play_s)
+    join = join_after(steered.current_trajectory, seen.t_play_s)
     if join is None:
         return None
-    left_s = steered.current.duration_s - join.t_s
+    left_s = steered.current_trajectory.duration_s - join.t_s
     tail = path_onto_reference(
-        ctx, join, steered.reading, joints_near(ctx, T_goal, seen.q_rad), max(left_s, JOIN_AHEAD_S)
+        ctx, join, steered.start_reading, joints_near(ctx, T_goal, seen.q_rad), max(left_s, JOIN_LEAD_TIME_S)
     )
     if isinstance(tail, Refusal):  # the path under way stays as good as it was
         return None
-    steered.offered, steered.T_offered = with_tail(steered.current, join.first, tail), T_goal
-    return Correct(tail, join.first)
+    steered.offered_trajectory, steered.T_offered = with_tail(steered.current_trajectory, join.first_knot, tail), T_goal
+    return Correct(tail, join.first_knot)
 
 
 def path_onto_reference(
@@ -114,9 +119,9 @@ def path_onto_reference(
 def joints_near(ctx: PlanContext, T_goal: Array, q_near: Array) -> Array:
     """Joints (n,) [rad] at a TCP goal, on the branch of q_near. Raises: JobFailedError: out of reach."""
     found = inverse_nearest(ctx.chain, T_goal, q_near)
-    if found.q is None:
+    if found.q_rad is None:
         raise JobFailedError(f"closed loop: {found.reason}", "plan_out_of_reach")
-    return found.q
+    return found.q_rad
 
 
 def goal_of(ctx: PlanContext, taken: LookTaken, q_rad: Array, T_cam_tool: Array, T_cam_ooi: Array) -> Array:
@@ -140,6 +145,12 @@ def _goal_seen(ctx: PlanContext, seen: PairSeen) -> tuple[Array, float, float]:
 def next_pair_request(ctx: PlanContext, number: int) -> NextPair:
     """The request for the pair after a number, its exposure mapped as the calibration found the clocks."""
     known = ctx.knowledge
-    state = None if known.joint is None else known.joint.state
-    offset_s = state.time_offset_s if state is not None else known.mount.time_offset_s if known.mount else 0.0
+    state = None if known.joint_estimate is None else known.joint_estimate.state
+    offset_s = (
+        state.time_offset_s
+        if state is not None
+        else known.mount_rotation_estimate.time_offset_s
+        if known.mount_rotation_estimate
+        else 0.0
+    )
     return NextPair(number, ctx.settings.closed_loop.silence_max_ms * 1e-3, offset_s)

@@ -5,7 +5,7 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.records import ErrorMm
 
-SIGMAS_TO_SPARE = 2.0
+TOLERANCE_MARGIN_SIGMAS = 2.0
 
 
 def is_look_inside_tolerance(ctx: PlanContext, taken: LookTaken) -> bool:
@@ -19,8 +19,8 @@ def is_look_inside_tolerance(ctx: PlanContext, taken: LookTaken) -> bool:
 def is_within_tolerance(error: ErrorMm, tolerance_mm: float, tolerance_deg: float) -> bool:
     """Whether every axis and the rotation are inside the tolerance with two sigma to spare."""
     axes = ((error.x_mm, error.sigma_x_mm), (error.y_mm, error.sigma_y_mm), (error.z_mm, error.sigma_z_mm))
-    position = all(abs(value) + SIGMAS_TO_SPARE * sigma <= tolerance_mm for value, sigma in axes)
-    return position and error.rotation_deg + SIGMAS_TO_SPARE * error.sigma_rotation_deg <= tolerance_deg
+    position = all(abs(value) + TOLERANCE_MARGIN_SIGMAS * sigma <= tolerance_mm for value, sigma in axes)
+    return position and error.rotation_deg + TOLERANCE_MARGIN_SIGMAS * error.sigma_rotation_deg <= tolerance_deg
 
 
 def inside_as_paper(error: ErrorMm, tolerance_mm: float) -> bool:

@@ -9,7 +9,7 @@ from server.errors import PlanRefusedError
 from server.jobs.knowledge import PreviewedPlan
 from server.jobs.requests import MachineReading
 
-MOVED_RAD = 2e-3  # joints further than this from where the look was taken make it stale: 8 mm at 4 m
+LOOK_STALE_JOINT_MOTION_RAD = 2e-3  # joints further than this from where the look was taken make it stale: 8 mm at 4 m
 SAME_REFERENCE_RAD = 1e-4  # four counts of an 18-bit encoder: while disarmed, the reference is what the encoders say
 
 
@@ -33,9 +33,9 @@ def moved_since_look(machine: Machine, q_rad: ArrayLike, q_look: Array) -> str:
     """
     moved = np.asarray(q_rad) - q_look
     worst = int(np.argmax(np.abs(moved)))
-    if abs(moved[worst]) <= MOVED_RAD:
+    if abs(moved[worst]) <= LOOK_STALE_JOINT_MOTION_RAD:
         return ""
     return (
         f"joint {machine.joints[worst].name} moved by {np.rad2deg(moved[worst]):+.3f} deg since the look "
-        f"(limit {np.rad2deg(MOVED_RAD):.3f} deg); look again"
+        f"(limit {np.rad2deg(LOOK_STALE_JOINT_MOTION_RAD):.3f} deg); look again"
     )

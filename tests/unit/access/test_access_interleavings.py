@@ -113,7 +113,7 @@ class Client:
         try:
             known = replay_of(read_answer(world.db, *mark), not mine, hash_of(command.encode()))
             if known is not None:
-                self.answers.setdefault(command, set()).add(known.answer)
+                self.answers.setdefault(command, set()).add(known.response_body)
                 return
             held = world.book.check(lease.lease_id, lease.fencing, world.now_s)
             if world.running is not None:

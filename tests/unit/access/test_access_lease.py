@@ -3,7 +3,7 @@
 import pytest
 
 from server.access.errors import LeaseHeldError, LeaseLostError, LeaseStaleError, NoLeaseError, TakeRefusedError
-from server.access.lease import OFFER_S, LeaseBook, LeaseKind
+from server.access.lease import HANDOVER_OFFER_TTL_S, LeaseBook, LeaseKind
 
 PERSON, FLEET = LeaseKind.OPERATOR, LeaseKind.FLEET
 TTL_S = 10.0
@@ -71,7 +71,7 @@ def test_asking_and_granting_hand_it_over_to_the_named_one_only():
 def test_an_offer_that_is_not_collected_ends():
     book, lease = held_by()
     book.grant_to(lease.lease_id, "bert", 0.0)
-    late_s = OFFER_S
+    late_s = HANDOVER_OFFER_TTL_S
     book.keep_alive(lease.lease_id, late_s)
     with pytest.raises(LeaseHeldError):
         book.acquire("bert", PERSON, TTL_S, "b", late_s)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from server.access.gatekeeper import ADDRESSES_MAX, FAILURES_MAX, LOCKED_S, Lockout
+from server.access.gatekeeper import LOGIN_FAILURES_MAX, LOGIN_LOCKOUT_S, TRACKED_ADDRESSES_MAX, Lockout
 from server.access.hosts import host_allowed, is_loopback, origin_allowed
-from server.access.roles import ANYBODY, COMMANDERS, EVERY_ROLE, PERSONS, roles_needed
+from server.access.roles import ANYBODY, COMMANDING_ROLES, EVERY_ROLE, HUMAN_ROLES, roles_needed
 
 
 @pytest.mark.parametrize(
@@ -20,15 +20,15 @@ from server.access.roles import ANYBODY, COMMANDERS, EVERY_ROLE, PERSONS, roles_
         ("DELETE", "/v1/session", EVERY_ROLE),
         ("GET", "/v1/state", EVERY_ROLE),
         ("POST", "/v1/jobs/abc/cancel", EVERY_ROLE),
-        ("POST", "/v1/jobs", COMMANDERS),
-        ("PUT", "/v1/lease/abc", COMMANDERS),
-        ("POST", "/v1/disarm", COMMANDERS),
-        ("POST", "/v1/jobsmith", PERSONS),
-        ("POST", "/v1/diagnoses", PERSONS),
-        ("PUT", "/v1/whatever-comes", PERSONS),
-        ("GET", "/v1/audit", PERSONS),
-        ("GET", "/v1/hold", PERSONS),
-        ("POST", "/v1/stop/", PERSONS),
+        ("POST", "/v1/jobs", COMMANDING_ROLES),
+        ("PUT", "/v1/lease/abc", COMMANDING_ROLES),
+        ("POST", "/v1/disarm", COMMANDING_ROLES),
+        ("POST", "/v1/jobsmith", HUMAN_ROLES),
+        ("POST", "/v1/diagnoses", HUMAN_ROLES),
+        ("PUT", "/v1/whatever-comes", HUMAN_ROLES),
+        ("GET", "/v1/audit", HUMAN_ROLES),
+        ("GET", "/v1/hold", HUMAN_ROLES),
+        ("POST", "/v1/stop/", HUMAN_ROLES),
     ],
 )
 def test_who_may_what_and_what_is_not_listed_takes_a_person(method, path, roles):
@@ -37,18 +37,18 @@ def test_who_may_what_and_what_is_not_listed_takes_a_person(method, path, roles)
 
 def test_six_failures_lock_for_a_minute_and_a_minute_of_peace_forgets():
     lockout = Lockout()
-    for number in range(FAILURES_MAX):
+    for number in range(LOGIN_FAILURES_MAX):
         assert lockout.locked_s("a", float(number)) == 0.0
         lockout.count_failure("a", float(number))
-    assert lockout.locked_s("a", 5.0) == LOCKED_S
+    assert lockout.locked_s("a", 5.0) == LOGIN_LOCKOUT_S
     assert lockout.locked_s("b", 5.0) == 0.0
-    assert lockout.locked_s("a", 5.0 + LOCKED_S) == 0.0
-    lockout.count_failure("a", 6.0 + LOCKED_S)
-    assert lockout.locked_s("a", 6.0 + LOCKED_S) == 0.0
+    assert lockout.locked_s("a", 5.0 + LOGIN_LOCKOUT_S) == 0.0
+    lockout.count_failure("a", 6.0 + LOGIN_LOCKOUT_S)
+    assert lockout.locked_s("a", 6.0 + LOGIN_LOCKOUT_S) == 0.0
     lockout.clear_failed_attempts("a")
-    for number in range(ADDRESSES_MAX + 10):
+    for number in range(TRACKED_ADDRESSES_MAX + 10):
         lockout.count_failure(f"address {number}", 0.0)
-    assert len(lockout._failed) == ADDRESSES_MAX
+    assert len(lockout._failed) == TRACKED_ADDRESSES_MAX
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def calibration(machine_id):
         n_used=61,
         path_length_m=1.0,
         observability=0.2,
-        made=MadeAt(time.time() - 600.0, Q, tcp_pose(chain_of(MACHINE), Q)),
+        made_at=MadeAt(time.time() - 600.0, Q, tcp_pose(chain_of(MACHINE), Q)),
     )
 
 

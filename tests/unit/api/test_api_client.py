@@ -77,7 +77,7 @@ def address(tmp_path):
 
 
 def test_a_lost_answer_is_asked_for_again_and_the_job_runs_once(address, monkeypatch):
-    monkeypatch.setattr(longreach.fleet_client, "RETRY_S", 0.01)
+    monkeypatch.setattr(longreach.fleet_client, "RETRY_DELAY_S", 0.01)
     url, made = address
     with JobClient(url, owner="truck 7", kind="fleet", key=made.keys["fleet"]) as client:
         cut = Cut(httpx.HTTPTransport(), losses=2)

@@ -133,7 +133,7 @@ async def test_what_cannot_be_written_down_does_not_move_and_readiness_says_so(o
 
 
 async def test_a_database_that_was_removed_is_noticed_by_itself_and_refuses_motion(open_bench, monkeypatch):
-    monkeypatch.setattr("server.jobs.keeper.PROBE_S", 0.01)
+    monkeypatch.setattr("server.jobs.keeper.STORE_PROBE_PERIOD_S", 0.01)
     async with open_bench.client() as client:
         held = open_bench.control()
         for file in open_bench.keeper.database.path.parent.iterdir():

@@ -13,8 +13,8 @@ from server.jobs.lease_guard import guard_lease
 
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch):
-    monkeypatch.setattr(guard, "CHECK_S", 0.02)
-    monkeypatch.setattr("server.access.keys.LOOK_S", 0.02)
+    monkeypatch.setattr(guard, "ACCESS_CHECK_PERIOD_S", 0.02)
+    monkeypatch.setattr("server.access.keys.KEY_FILE_CHECK_PERIOD_S", 0.02)
 
 
 async def until(condition):

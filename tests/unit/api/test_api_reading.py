@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from server.api.events import KEPT, EventLog
+from server.api.events import EVENTS_KEPT_MAX, EventLog
 from server.api.panel_memory import PanelMemory
 from server.api.runs import GrowingFile
 from server.jobs.diagnosing import Diagnoses
@@ -104,7 +104,7 @@ async def test_a_reader_goes_on_where_it_was_and_is_told_of_a_gap():
     assert "event: gap" in new[1]
     assert "restarted" in new[1]
     assert len(new) == 7
-    for _ in range(KEPT):
+    for _ in range(EVENTS_KEPT_MAX):
         log.add("job", {})
     assert "event: gap" in (await events_of(log, "life-3", 2))[1]
     assert log.readers == 0
@@ -172,8 +172,8 @@ async def test_alarms_and_faults_are_metrics_by_code(open_bench):
 
 def test_the_panels_book_says_which_alarms_are_on(open_bench):
     memory = PanelMemory(open_bench.service)
-    memory.book.update({"disk_low": "", "plc_estop": ""}, 1.0)
-    memory.book.update({"disk_low": ""}, 2.0)
+    memory.alarm_book.update({"disk_low": "", "plc_estop": ""}, 1.0)
+    memory.alarm_book.update({"disk_low": ""}, 2.0)
     assert open_bench.service.alarm_codes() == {"disk_low"}
 
 

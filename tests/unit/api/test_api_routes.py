@@ -13,8 +13,8 @@ from machine.chain import chain_of
 from recording.clock import mono_ns
 from server.api.jobs import jobs_router
 from server.api.problems import install_problem_handlers
-from server.api.state import FRESH_S, camera_reason, state_router
-from server.camera.client import STARTING
+from server.api.state import STATE_CACHE_TTL_S, camera_reason, state_router
+from server.camera.client import STARTING_STATUS_TEXT
 from server.camera.contracts import MarksFound
 from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
@@ -148,7 +148,7 @@ async def test_nobody_parks_before_having_looked_for_a_wall(client, service):
     assert told.status_code == 202
     await asyncio.wait({service.engine._task}, timeout=5.0)
     service.cell.knowledge.T_base_ooi = np.eye(4)  # a look
-    await asyncio.sleep(2.0 * FRESH_S)
+    await asyncio.sleep(2.0 * STATE_CACHE_TTL_S)
     assert (await client.get("/v1/state")).json()["steps"]["park"] == ""
     assert (await client.post("/v1/jobs", json={"kind": "park"})).status_code == 202
     await asyncio.wait({service.engine._task}, timeout=5.0)
@@ -193,7 +193,7 @@ async def test_no_job_begins_while_the_numerics_load(client, service):
 
 
 def test_a_camera_process_that_starts_is_no_loose_cable():
-    assert camera_reason(None, STARTING) == STARTING
+    assert camera_reason(None, STARTING_STATUS_TEXT) == STARTING_STATUS_TEXT
     assert "cable" in (camera_reason(None, "stream: not found") or "")
 
 

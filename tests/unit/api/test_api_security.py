@@ -184,7 +184,7 @@ async def test_a_run_id_never_leaves_the_folder(keyed, tmp_path, run_id):
 
 
 async def test_a_slow_body_is_given_up(open_bench, monkeypatch):
-    monkeypatch.setattr(guard_module, "BODY_S", 0.05)
+    monkeypatch.setattr(guard_module, "REQUEST_BODY_TIMEOUT_S", 0.05)
 
     async def never():
         yield b"{"

@@ -12,7 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from recording.clock import mono_ns
 from server.api.panel_alarm_catalogue import CATALOGUE
-from server.inner_faults import PART_FAILED
+from server.inner_faults import SERVER_PART_FAILED_FAULT_ID
 from server.jobs.engine import JobState
 
 DEPLOY = Path(__file__).parents[3] / "docs" / "deploy"
@@ -34,7 +34,7 @@ def board_expressions():
 @pytest.fixture
 async def exported(open_bench):
     """Label values of each metric of a server with a camera, a job that has ended, an alarm and a fault."""
-    open_bench.service.inner_faults.watch(PART_FAILED, lambda: "a part of the server has failed")
+    open_bench.service.inner_faults.watch(SERVER_PART_FAILED_FAULT_ID, lambda: "a part of the server has failed")
     open_bench.service.cell.vision.latest = SimpleNamespace(fps=15.0, t_receive_mono_ns=mono_ns(), process_ms=20.0)
     async with open_bench.client() as client:
         await client.post("/v1/jobs", json={"kind": "park"}, headers=open_bench.control())

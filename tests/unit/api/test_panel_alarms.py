@@ -8,7 +8,7 @@ import pytest
 from protocol.codes import FaultBit
 from server.api.panel_alarm_catalogue import CATALOGUE, index_markdown, page_markdown
 from server.api.panel_alarms import FAULT_CODES, AlarmBook, Surroundings, active_alarms, unknown_alarms
-from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
+from server.inner_faults import KEYS_UNREADABLE_FAULT_ID, SERVER_PART_FAILED_FAULT_ID
 
 DOCS = Path(__file__).parents[3] / "docs"
 CALM = Surroundings(10**12, "", "", "", 0.0, 0.0, 1e4)
@@ -44,7 +44,9 @@ def test_every_code_that_can_be_raised_is_in_the_catalogue():
         *active_alarms(state(simulation=False), CALM),
         *active_alarms(state(), replace(CALM, store_problem="no space left on device", other_pc="another PC holds it")),
         *active_alarms(state(calibration=Part(valid=False, expiry_reason="too old")), CALM),
-        *active_alarms(state(), replace(CALM, inner_faults={KEYS_UNREADABLE: "x", PART_FAILED: "x"})),
+        *active_alarms(
+            state(), replace(CALM, inner_faults={KEYS_UNREADABLE_FAULT_ID: "x", SERVER_PART_FAILED_FAULT_ID: "x"})
+        ),
         *(code for _, code in FAULT_CODES),
     }
     assert raised | {"job_failed", "hold_lost"} == set(CATALOGUE)

@@ -10,7 +10,7 @@ from test_api_routes import MACHINE, StandInLink, StandInPerformer, StandInRecor
 from machine.chain import chain_of
 from machine.poses import pose
 from server.api.panel import setting_rows
-from server.api.panel_view import EDGES_MS, link_figures, loss_pct, safety_view
+from server.api.panel_view import LATENESS_BIN_EDGES_MS, link_figures, loss_pct, safety_view
 from server.api.state_view import step_refusals
 from server.api.video import _axes_overlay
 from server.jobs.cell import Cell
@@ -30,7 +30,7 @@ def sample(t_plc_ms, t_mono_ms, bits=0):
 def test_the_histogram_counts_every_state_from_the_earliest_one():
     late_ms = [0.0, 0.2, 0.7, 3.0, 100.0]
     figures = link_figures([sample(10 * i, 5000 + 10 * i + late) for i, late in enumerate(late_ms)], HEALTH, 0.0)
-    assert figures.lateness_edges_ms == list(EDGES_MS)
+    assert figures.lateness_edges_ms == list(LATENESS_BIN_EDGES_MS)
     assert figures.lateness_counts == [2, 1, 0, 1, 0, 0, 0, 1]
     assert figures.buffer_ms == 120.0
 
@@ -64,7 +64,7 @@ def test_what_the_page_may_execute_is_what_the_server_would():
     cell = Cell(ServerSettings(), MACHINE, chain_of(MACHINE), "", link, StandInVision(), StandInRecorder())
     engine = JobEngine(StandInPerformer(link))
     assert step_refusals(cell, engine)["execute"] == "preview first"
-    cell.knowledge.previewed = previewed(60.0)
+    cell.knowledge.previewed_plan = previewed(60.0)
     link.latest = SimpleNamespace(q_rad=np.deg2rad([0, 0.1, 0, 0, 0, 0]), simulation=True)
     assert step_refusals(cell, engine)["execute"] == ""
     link.latest = SimpleNamespace(q_rad=np.deg2rad([0, 0.2, 0, 0, 0, 0]), simulation=True)

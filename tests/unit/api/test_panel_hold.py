@@ -13,12 +13,12 @@ from test_api_routes import MACHINE, StandInLink, StandInPerformer, StandInRecor
 
 from machine.chain import chain_of
 from server.access.lease import LeaseKind
-from server.access.roles import PERSONS, Caller
+from server.access.roles import HUMAN_ROLES, Caller
 from server.api import hold as module
 from server.api.hold import hold_router
 from server.api.hold_rule import HoldRequiredError, mode_of, require_hold, why_not_commissioned
 from server.api.panel_memory import PanelMemory
-from server.commissioning.check_list import STEPS
+from server.commissioning.check_list import CHECK_LIST_STEPS
 from server.commissioning.contracts import StepResult, Verdict
 from server.commissioning.report import Report, to_json
 from server.errors import SettingsError
@@ -241,7 +241,7 @@ def test_on_a_real_machine_an_operators_click_moves_nothing(service):
         (HERE, LeaseKind.ENGINEER, True),
         (Caller("truck 7", "fleet", by_key=True), LeaseKind.FLEET, False),
         (Caller("truck 7", "fleet", by_key=True), LeaseKind.OPERATOR, True),
-        *((Caller("anna", role, by_key=True), kind, True) for role in PERSONS for kind in LeaseKind),
+        *((Caller("anna", role, by_key=True), kind, True) for role in HUMAN_ROLES for kind in LeaseKind),
     ],
 )
 def test_a_person_holds_on_a_real_machine_whatever_the_lease_is_called(service, caller, kind, held):
@@ -323,7 +323,7 @@ async def test_a_real_machine_jogs_only_after_its_commissioning(service):
 
 
 def a_report(**changed):
-    results = tuple(StepResult(step.name, Verdict.PASS, "", duration_s=1.0) for step in STEPS)
+    results = tuple(StepResult(step.name, Verdict.PASS, "", duration_s=1.0) for step in CHECK_LIST_STEPS)
     digest = hashlib.sha256(b"the machine file").hexdigest()
     report = Report("crane", "2026-11-29T10:00:00+00:00", "1", "link", 1, digest, False, results, (), {}, complete=True)
     return replace(report, **changed)
@@ -337,7 +337,7 @@ def a_report(**changed):
         ({"machine_sha256": "0" * 64}, "another machine file"),
         ({"complete": False}, "interrupted"),
         ({"results": ()}, "8 of 8 steps have not passed"),
-        ({"results": (StepResult(STEPS[0].name, Verdict.FAIL, "no"),)}, "link dry run"),
+        ({"results": (StepResult(CHECK_LIST_STEPS[0].name, Verdict.FAIL, "no"),)}, "link dry run"),
     ],
 )
 def test_a_commissioning_counts_when_all_of_it_passed_on_this_machine(tmp_path, changed, why):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from fastapi import WebSocketDisconnect
 
-from server.api.live import UNDER_WAY_MAX, LiveFeed, live_router
+from server.api.live import MESSAGES_IN_FLIGHT_MAX, LiveFeed, live_router
 
 
 class Memory:
@@ -69,7 +69,7 @@ async def test_a_page_that_does_not_keep_up_misses_states_and_gets_the_newest_ne
     for _ in range(30):
         await tick()
     assert socket.heard == [1, 2]
-    assert len(socket.heard) == UNDER_WAY_MAX
+    assert len(socket.heard) == MESSAGES_IN_FLIGHT_MAX
     socket.said.put_nowait('{"seen": true}')
     await turns()
     await tick()

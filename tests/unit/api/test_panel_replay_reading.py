@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
-from recording.messages import CODECS
+from recording.messages import ROW_CODEC_BY_TOPIC
 from recording.rows import NAN, PlcState
 from recording.writer import IMAGE_TOPIC
 from server.api import panel_replay_reading
@@ -40,7 +40,7 @@ def test_a_long_run_has_pictures_to_its_end(monkeypatch: pytest.MonkeyPatch, sec
 
 
 def test_a_joint_that_was_not_read_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    row = CODECS[PlcState.topic].encode(
+    row = ROW_CODEC_BY_TOPIC[PlcState.topic].encode(
         PlcState(1.0, 1, NONE, NONE, (0.1, NAN), NONE, NONE, NONE, NAN, NAN, plc_state="ARMED")
     )
     found, _ = told(monkeypatch, [(PlcState.topic, 0, row)])

@@ -6,7 +6,7 @@ import pytest
 from served import bench
 from test_api_open_connections import Connection, until
 
-from server.api.job_commands import ADDRESSES_MAX, EVERY_S, FoldedStops
+from server.api.job_commands import STOP_AUDIT_PERIOD_S, TRACKED_ADDRESSES_MAX, FoldedStops
 from server.link.errors import LinkSilentError
 
 
@@ -64,10 +64,10 @@ def test_stops_that_stop_nothing_are_counted_and_one_in_ten_seconds_is_written()
     assert stops.to_write("b", 5.0, matters=False) == 0  # somebody else's
     assert stops.to_write("a", 5.0, matters=True) == 499  # this one stops a job: at once
     assert stops.to_write("a", 6.0, matters=False) is None
-    assert stops.to_write("a", 5.0 + EVERY_S, matters=False) == 1
-    for k in range(3 * ADDRESSES_MAX):
+    assert stops.to_write("a", 5.0 + STOP_AUDIT_PERIOD_S, matters=False) == 1
+    for k in range(3 * TRACKED_ADDRESSES_MAX):
         stops.to_write(f"host {k}", 20.0, matters=False)
-    assert len(stops._last) <= ADDRESSES_MAX
+    assert len(stops._last) <= TRACKED_ADDRESSES_MAX
 
 
 async def test_a_flood_of_stops_without_a_key_leaves_one_line(keyed):

@@ -46,7 +46,7 @@ async def read(url: str, order: list[str]) -> None:
 
 @pytest.mark.parametrize("way", ["stops", "fails", "hangs"])
 async def test_motion_ends_first_while_every_caller_is_answered(way: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "STOP_S", 5.0 if way == "hangs" else 60.0)  # a loaded computer is slow
+    monkeypatch.setattr(module, "JOB_END_TIMEOUT_S", 5.0 if way == "hangs" else 60.0)  # a loaded computer is slow
     port, order = free_port(), []
     url = f"http://127.0.0.1:{port}"
 

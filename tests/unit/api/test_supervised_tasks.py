@@ -55,7 +55,7 @@ async def test_a_loop_that_ends_is_told_and_started_again(tasks, monkeypatch, ca
     tasks.start("store-watch", twice_bad)
     await until(lambda: len(begun) == 3)
     assert f"store-watch failed ({why})" in tasks.recent_failure
-    monkeypatch.setattr(supervised_tasks, "WELL_S", 0.0)
+    monkeypatch.setattr(supervised_tasks, "FAILURE_REPORT_DURATION_S", 0.0)
     assert tasks.recent_failure == ""
 
 

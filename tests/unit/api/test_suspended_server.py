@@ -13,7 +13,7 @@ from test_api_routes import MACHINE, looked, previewed
 
 from protocol.limits import limits_of
 from recording import clock
-from recording.clock import SUSPENDED, SuspendWatch, mono_ns, suspended_ns
+from recording.clock import SUSPENDED_REASON, SuspendWatch, mono_ns, suspended_ns
 from server.camera.contracts import StreamNotice
 from server.camera.process import VisionLoop
 from server.link.contracts import ArmRequest
@@ -67,14 +67,14 @@ def test_a_process_that_is_held_up_between_two_readings_was_not_suspended(monkey
 async def test_what_was_seen_planned_and_granted_before_is_not_acted_upon(tmp_path, sleeper, body):
     made = bench(tmp_path)
     async with made.client(**made.control()) as client:
-        made.service.cell.knowledge.last_look, made.service.cell.knowledge.previewed = looked(), previewed(3600.0)
+        made.service.cell.knowledge.last_look, made.service.cell.knowledge.previewed_plan = looked(), previewed(3600.0)
         sleeper.slept_ns += 5 * 10**9  # shorter than a look, a plan or a lease lasts
         refused = await client.post("/v1/jobs", json=body)
         assert refused.status_code == 409
         assert refused.json()["code"] in ("plan_refused", "no_look")
         lost = await client.post("/v1/jobs", json={"kind": "look"})
         assert (lost.status_code, lost.json()["code"]) == (409, "lease_lost")
-        assert SUSPENDED in lost.json()["detail"]
+        assert SUSPENDED_REASON in lost.json()["detail"]
     assert made.performer.performed == []
     made.keeper.database.close()
 
@@ -83,7 +83,7 @@ async def test_a_night_makes_look_plan_and_lease_old_without_anybody_watching(tm
     monkeypatch.setattr(SuspendWatch, "was_suspended", lambda _self: False)
     made = bench(tmp_path)
     held = made.control()
-    made.service.cell.knowledge.last_look, made.service.cell.knowledge.previewed = looked(), previewed(60.0)
+    made.service.cell.knowledge.last_look, made.service.cell.knowledge.previewed_plan = looked(), previewed(60.0)
     sleeper.slept_ns += NIGHT_NS
     async with made.client(**held) as client:
         refused = await client.post("/v1/jobs", json={"kind": "look"})
@@ -109,7 +109,7 @@ async def test_the_running_job_is_stopped(tmp_path, sleeper):
         sleeper.slept_ns += NIGHT_NS
         await asyncio.wait({made.service.engine._task})
         watching.cancel()
-    assert (job.state.value, job.reason) == ("stopped", SUSPENDED)
+    assert (job.state.value, job.reason) == ("stopped", SUSPENDED_REASON)
     made.keeper.database.close()
 
 
@@ -130,7 +130,7 @@ async def test_a_plc_that_is_silent_after_a_night_is_no_failure_of_its_own(tmp_p
         sleeper.slept_ns += slept_ns
         waiting.set()
         await asyncio.wait({made.service.engine._task})
-    expected = ("stopped", SUSPENDED) if slept_ns else ("failed", "no state from PLC")
+    expected = ("stopped", SUSPENDED_REASON) if slept_ns else ("failed", "no state from PLC")
     assert (job.state.value, job.reason) == expected
     made.keeper.database.close()
 
@@ -142,7 +142,7 @@ def test_the_link_process_ends_and_carries_nothing_out_that_was_asked_before(sle
     server.send(ArmRequest())
     sleeper.slept_ns += NIGHT_NS
     process.run()  # ends by itself
-    assert process._leaving == SUSPENDED
+    assert process._leaving == SUSPENDED_REASON
     assert process._asked is None
     assert pipe.poll(), "the request is left in the pipe"
 
@@ -156,5 +156,5 @@ def test_the_vision_process_ends_and_reports_no_pair_that_was_buffered(sleeper):
     vision.run()
     notice = server.recv()
     assert isinstance(notice, StreamNotice)
-    assert notice.text == SUSPENDED
+    assert notice.text == SUSPENDED_REASON
     assert not server.poll()

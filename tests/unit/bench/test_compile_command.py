@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from longreach import compile_command
-from longreach.cli import CACHE, COMPILED, app
+from longreach.cli import COMPILED_CODE_MARK_FILE, NUMBA_CACHE_ENV_VARIABLE, app
 from server.camera.contracts import StereoFrame, VisionSettings
 from server.camera.process import build_pipeline, made_up_pairs
 from server.camera.sources.settings import HttpSource
@@ -56,7 +56,7 @@ print(json.dumps([
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(CACHE, str(tmp_path))
+    monkeypatch.setenv(NUMBA_CACHE_ENV_VARIABLE, str(tmp_path))
     return tmp_path
 
 
@@ -64,9 +64,9 @@ def test_what_is_compiled_of_other_sources_another_processor_or_not_at_all_is_no
     cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert not compile_command.is_compiled()
-    (cache / COMPILED).write_text("not json")
+    (cache / COMPILED_CODE_MARK_FILE).write_text("not json")
     assert not compile_command.is_compiled()
-    (cache / COMPILED).write_text(json.dumps({"key": compile_command.source_key()}))
+    (cache / COMPILED_CODE_MARK_FILE).write_text(json.dumps({"key": compile_command.source_key()}))
     assert compile_command.is_compiled()
     monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
     assert not compile_command.is_compiled()

@@ -11,7 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from benchmarks.cli import BENCHES
-from longreach.cli import COMMANDS, app
+from longreach.cli import CLI_COMMANDS, app
 from longreach.lazy_commands import Lazy
 
 HEAVY = {
@@ -48,7 +48,7 @@ def test_help_imports_nothing_heavy(arguments, told):
     assert "typer" in modules  # the list is that of this process
 
 
-@pytest.mark.parametrize("one", COMMANDS + BENCHES, ids=lambda one: one.where)
+@pytest.mark.parametrize("one", CLI_COMMANDS + BENCHES, ids=lambda one: one.where)
 def test_each_is_there_and_the_list_says_what_it_says_of_itself(one):
     command = one.load()
     assert command.name == one.name

@@ -137,7 +137,7 @@ def test_an_address_that_is_not_there_yet_is_waited_for(monkeypatch: pytest.Monk
             raise OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")
 
     monkeypatch.setattr(Address, "try_it", try_it)
-    monkeypatch.setattr(processes, "RETRY_S", 0.0)
+    monkeypatch.setattr(processes, "BIND_RETRY_DELAY_S", 0.0)
     require_bindable((Address("192.0.2.1", 1, "--host", "--port"),), 60.0, told.append)
     assert told == ["'192.0.2.1' is not an address of this computer yet; waiting for it, 60 s at most"]
     monkeypatch.undo()

@@ -128,23 +128,23 @@ def test_what_is_started_from_here_asks_this_computer_directly_too(monkeypatch: 
 def test_code_is_compiled_into_a_temporary_cache_where_nothing_can_be_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in (surroundings.CACHE, "no_proxy", "NO_PROXY", "PYTHONSAFEPATH"):
+    for name in (surroundings.NUMBA_CACHE_ENV_VARIABLE, "no_proxy", "NO_PROXY", "PYTHONSAFEPATH"):
         monkeypatch.setenv(name, "")
     monkeypatch.setattr(surroundings.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr(surroundings, "_is_folder_writable", lambda folder: tmp_path in folder.parents)
     prepare()
-    made = Path(os.environ[surroundings.CACHE])
+    made = Path(os.environ[surroundings.NUMBA_CACHE_ENV_VARIABLE])
     assert made.parent == tmp_path
     assert made.stat().st_mode & 0o777 == 0o700
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert str(made) in said
     prepare()  # a child process: the same folder, and nothing more to say
-    assert (os.environ[surroundings.CACHE], capsys.readouterr().err) == (str(made), "")
-    monkeypatch.setenv(surroundings.CACHE, "")
+    assert (os.environ[surroundings.NUMBA_CACHE_ENV_VARIABLE], capsys.readouterr().err) == (str(made), "")
+    monkeypatch.setenv(surroundings.NUMBA_CACHE_ENV_VARIABLE, "")
     made.chmod(0o777)  # somebody else's files in it would be run
     prepare()
-    assert os.environ[surroundings.CACHE] != str(made)
+    assert os.environ[surroundings.NUMBA_CACHE_ENV_VARIABLE] != str(made)
 
 
 def test_an_images_compiled_code_is_used_from_where_it_can_only_be_read(
@@ -153,19 +153,19 @@ def test_an_images_compiled_code_is_used_from_where_it_can_only_be_read(
     image = tmp_path / "image"
     (image / "kinematics_1a").mkdir(parents=True)
     (image / "kinematics_1a" / "tcp_pose.nbi").write_bytes(b"index")
-    (image / surroundings.COMPILED).write_text("{}")
+    (image / surroundings.COMPILED_CODE_MARK_FILE).write_text("{}")
     for name in ("no_proxy", "NO_PROXY", "PYTHONSAFEPATH"):
         monkeypatch.setenv(name, "")
-    monkeypatch.setenv(surroundings.CACHE, str(image))
+    monkeypatch.setenv(surroundings.NUMBA_CACHE_ENV_VARIABLE, str(image))
     monkeypatch.setattr(surroundings.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.setattr(surroundings, "_is_folder_writable", lambda folder: image not in (folder, *folder.parents))
     for _ in range(2):  # a second process finds what the first one made
-        monkeypatch.setenv(surroundings.CACHE, str(image))
+        monkeypatch.setenv(surroundings.NUMBA_CACHE_ENV_VARIABLE, str(image))
         prepare()
-        used = Path(os.environ[surroundings.CACHE])
+        used = Path(os.environ[surroundings.NUMBA_CACHE_ENV_VARIABLE])
         assert used != image
         assert (used / "kinematics_1a" / "tcp_pose.nbi").read_bytes() == b"index"
-        assert (used / surroundings.COMPILED).is_file()
+        assert (used / surroundings.COMPILED_CODE_MARK_FILE).is_file()
     (used / "kinematics_1a" / "tcp_pose.nbi").unlink()  # numba replaces it by what it compiles
     assert (image / "kinematics_1a" / "tcp_pose.nbi").read_bytes() == b"index"
     assert capsys.readouterr().err == ""
@@ -254,7 +254,7 @@ def test_the_python_api_has_a_place_for_compiled_code_where_nothing_can_be_writt
         "import numba, longreach; longreach.tcp_pose\n"
         "assert os.environ[cli.CACHE] == numba.config.CACHE_DIR != '', numba.config.CACHE_DIR\n"
     )
-    surrounded = os.environ | {"TMPDIR": str(tmp_path), surroundings.CACHE: ""}
+    surrounded = os.environ | {"TMPDIR": str(tmp_path), surroundings.NUMBA_CACHE_ENV_VARIABLE: ""}
     done = subprocess.run([sys.executable, "-c", code], env=surrounded, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "compiled code is kept in" in done.stderr

@@ -13,11 +13,11 @@ from benchmarks.diagnosis.first_day import runner
 from benchmarks.diagnosis.first_day.figures import failures, reliability, rows, wilson
 from benchmarks.diagnosis.first_day.runner import MIXTURE, Campaign, run_campaign
 from benchmarks.diagnosis.first_day.score import score_of
-from diagnosis.whole_model.probability import CONFIRMED, FEATURES, probability_of
+from diagnosis.whole_model.probability import CONFIRMED_PROBABILITY, EVIDENCE_FEATURE_NAMES, probability_of
 from longreach.cli import app
 
-STRONG = dict.fromkeys(FEATURES, 20.0)
-WEAK = dict.fromkeys(FEATURES, -20.0)
+STRONG = dict.fromkeys(EVIDENCE_FEATURE_NAMES, 20.0)
+WEAK = dict.fromkeys(EVIDENCE_FEATURE_NAMES, -20.0)
 
 
 def true(name: str, joint: int | None, tip_mm: float, **parameters: Any) -> dict[str, Any]:
@@ -59,7 +59,7 @@ LENGTH = true("link_length_error", 2, 6.0, error_m=0.004, of="a")
 
 def test_strong_evidence_is_confirmed_and_weak_is_not() -> None:
     strong, weak = (probability_of(np.array(list(figures.values()))) for figures in (STRONG, WEAK))
-    assert strong > CONFIRMED > 0.5 > weak
+    assert strong > CONFIRMED_PROBABILITY > 0.5 > weak
 
 
 def test_a_found_effect_covers_its_squares_and_a_doubtful_one_does_not() -> None:

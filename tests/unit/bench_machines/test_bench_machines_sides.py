@@ -23,7 +23,7 @@ def test_slew_stands_where_the_encoders_left_it_not_where_the_reference_turned()
         if isinstance(request, TakeLook):
             lag = machine._state.q[SLEW] - machine._state.output[SLEW]
             true = lag / (0.5 * world.plant.kinematics.backlash_rad[SLEW])
-            believed = 0.0 if ctx.knowledge.side is None else ctx.knowledge.side[SLEW]
+            believed = 0.0 if ctx.knowledge.backlash_sides is None else ctx.knowledge.backlash_sides[SLEW]
             seen.append((true, believed))
         reply = cell.perform(request)
     _, oriented, calibrated = seen

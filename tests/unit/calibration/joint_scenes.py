@@ -97,9 +97,9 @@ def path_joints(q_start=Q_START, corners=None, per_leg: int = 10):
         for share in (np.arange(per_leg) + 1.0) / per_leg:
             wanted = pose(T[:3, :3], T[:3, 3] + T[:3, :3] @ (here + share * (corner - here)))
             found = inverse_nearest(chain, wanted, qs[-1])
-            if found.q is None:
+            if found.q_rad is None:
                 raise ValueError(found.reason)
-            qs.append(found.q)
+            qs.append(found.q_rad)
         here = corner
     return np.array(qs)
 

@@ -8,7 +8,7 @@ from machine.rotations import geodesic_angle
 from server.calibration.chord_rotation import chord_weighting
 from server.calibration.chords import chord_pairs, chord_vectors, find_time_offset, positions_at
 from server.calibration.rotation_fit import fit_rotation
-from server.calibration.trajectory_matching import DEFAULT_SETTINGS, estimate_camera_rotation
+from server.calibration.trajectory_matching import DEFAULT_MATCHING_SETTINGS, estimate_camera_rotation
 
 DRIFT, JITTER = 3e-5, 1e-6
 
@@ -65,7 +65,7 @@ def test_left_out_is_the_prediction_by_all_others(drawn):
     without[7] = 1e-9
     predicted = chord_weighting(steps, DRIFT, JITTER, without)
     np.testing.assert_allclose(differences[7], (values - predicted.drift_component(values))[7], rtol=1e-5)
-    assert variances[7] == pytest.approx(predicted.spread[7], rel=1e-5)
+    assert variances[7] == pytest.approx(predicted.smoothed_variance[7], rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_all_chords_beat_chords_of_one_length_and_least_squares(kind, path):
 
 def _chords_8_cm(case: RegistrationCase):
     """Robust fit on chords of one length, after the clock's search."""
-    camera, encoder, s = case.camera, case.encoder, DEFAULT_SETTINGS
+    camera, encoder, s = case.camera, case.encoder, DEFAULT_MATCHING_SETTINGS
     Ts = encoder.Ts_base_tcp
     vo, base = camera.Ts_vo_cam[:, :3, 3], Ts[:, :3, 3] + Ts[:, :3, :3] @ T_TCP_CAM_NOMINAL[:3, 3]
     pairs = chord_pairs(positions_at(camera.t_s, encoder.t_s, base)[0], s.chord_m)

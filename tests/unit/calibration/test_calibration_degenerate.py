@@ -171,8 +171,8 @@ def test_hand_eye_never_gives_a_pose(name, method):
         found = estimate_hand_eye(t, As, t, inverse_poses(Bs))
     assert found.status is not CalibrationStatus.OK
     assert len(found.reason) > 20
-    assert found.X is None
-    assert found.Y is None
+    assert found.T_hand_cam is None
+    assert found.T_base_target is None
     assert found.covariance is None
 
 
@@ -183,7 +183,7 @@ def test_hand_eye_streams_with_wrong_times_are_refused(change):
     for times in ((change(t), t), (t, change(t))):
         found = estimate_hand_eye(times[0], As, times[1], inverse_poses(Bs))
         assert found.status is CalibrationStatus.DEGENERATE
-        assert found.X is None
+        assert found.T_hand_cam is None
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -225,7 +225,7 @@ def test_hand_eye_of_unrelated_poses(n, turn, seed):
         return Ts
 
     found = solve_ax_yb(poses(), poses())
-    if n <= 4 and found.X is not None:
+    if n <= 4 and found.T_hand_cam is not None:
         return  # twelve unknowns fit so few poses by chance
-    assert found.X is None, found.residual_median_deg
+    assert found.T_hand_cam is None, found.residual_median_deg
     assert found.reason

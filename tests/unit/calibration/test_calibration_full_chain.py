@@ -37,9 +37,9 @@ class TrueMachine:
         self.rng = rng = np.random.default_rng(seed)
         exact = chain_of(nominal())
         self.chain = Chain(
-            a=exact.a + 0.0035 * rng.normal(size=6) * (exact.a != 0.0),
-            d=exact.d + 0.0035 * rng.normal(size=6) * (exact.d != 0.0),
-            alpha=exact.alpha,
+            dh_a_m=exact.dh_a_m + 0.0035 * rng.normal(size=6) * (exact.dh_a_m != 0.0),
+            dh_d_m=exact.dh_d_m + 0.0035 * rng.normal(size=6) * (exact.dh_d_m != 0.0),
+            dh_alpha_rad=exact.dh_alpha_rad,
             theta_offset=exact.theta_offset + np.deg2rad(0.25) * rng.normal(size=6),
             q_min=exact.q_min,
             q_max=exact.q_max,

@@ -52,7 +52,7 @@ def test_exact_poses_give_exact_x_and_y():
     degrees, millimetres = errors_of(found)
     assert degrees < 1e-4
     assert millimetres < 1e-2
-    np.testing.assert_allclose(found.Y, Y_TRUE, atol=1e-5)
+    np.testing.assert_allclose(found.T_base_target, Y_TRUE, atol=1e-5)
 
 
 def test_park_martin_on_motions():
@@ -94,18 +94,20 @@ def test_offset_beyond_the_bound_is_refused():
     Ts = seen_target(hand_poses(t_cam), np.random.default_rng(5), 0.2, 0.001)
     found = estimate_hand_eye(t_hand, hand_poses(t_hand), t_cam - 0.4, Ts)
     assert found.status is CalibrationStatus.POOR_FIT
-    assert found.X is None
+    assert found.T_hand_cam is None
 
 
 def test_covariance_is_honest():
     chi2 = []
-    quick = HandEyeSettings(triples=5)
+    quick = HandEyeSettings(n_random_starts=5)
     for seed in range(60):
         As = hand_poses(np.arange(0.0, 15.0, 0.5))
         found = solve_ax_yb(As, inverse_poses(seen_target(As, np.random.default_rng(seed), 0.3, 0.002)), settings=quick)
-        assert found.X is not None
+        assert found.T_hand_cam is not None
         assert found.covariance is not None
-        error = np.concatenate((rotvec_from_rotation(X_TRUE[:3, :3] @ found.X[:3, :3].T), (X_TRUE - found.X)[:3, 3]))
+        error = np.concatenate(
+            (rotvec_from_rotation(X_TRUE[:3, :3] @ found.T_hand_cam[:3, :3].T), (X_TRUE - found.T_hand_cam)[:3, 3])
+        )
         chi2.append(error @ np.linalg.solve(found.covariance[:6, :6], error))
     assert 0.6 < np.mean(chi2) / 6.0 < 1.6
     assert np.mean(np.array(chi2) < 12.59) > 0.87
@@ -113,16 +115,18 @@ def test_covariance_is_honest():
 
 def test_as_few_poses_as_are_taken_tell_an_honest_covariance():
     """Two poses can be fitted exactly, and a distribution with heavy tails then forgets the others."""
-    quick = HandEyeSettings(triples=5)
+    quick = HandEyeSettings(n_random_starts=5)
     inside, told = 0, 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
         turns = rng.normal(0.0, np.deg2rad(25.0), (quick.poses_min, 3))
         As = np.array([pose(rotation_from_rotvec(turn), rng.uniform(-0.3, 0.3, 3)) for turn in turns])
         found = solve_ax_yb(As, inverse_poses(seen_target(As, rng, 0.2, 0.002)), quick)
-        if found.X is None or found.covariance is None:
+        if found.T_hand_cam is None or found.covariance is None:
             continue
-        error = np.concatenate((rotvec_from_rotation(X_TRUE[:3, :3] @ found.X[:3, :3].T), (X_TRUE - found.X)[:3, 3]))
+        error = np.concatenate(
+            (rotvec_from_rotation(X_TRUE[:3, :3] @ found.T_hand_cam[:3, :3].T), (X_TRUE - found.T_hand_cam)[:3, 3])
+        )
         inside += bool(error @ np.linalg.solve(found.covariance[:6, :6], error) < 12.59)
         told += 1
     assert told > 50
@@ -255,8 +259,10 @@ def test_poses_weighted_by_their_images_reach_the_optimum_of_the_reprojection():
     best = float(least_squares(misses, np.zeros(12), args=(X_TRUE, Y_TRUE)).cost)
     for name, given in (("alike", None), ("weighted", np.array(covariances))):
         found = solve_ax_yb(As, Bs, camera_covariances=given)
-        assert found.X is not None, found.reason
-        excess[name] = 0.5 * float(np.sum(misses(np.zeros(12), found.X, found.Y) ** 2)) / best - 1.0
+        assert found.T_hand_cam is not None, found.reason
+        excess[name] = (
+            0.5 * float(np.sum(misses(np.zeros(12), found.T_hand_cam, found.T_base_target) ** 2)) / best - 1.0
+        )
     assert excess["weighted"] < 0.005, excess
     assert excess["alike"] > 2.0 * excess["weighted"], excess
 

@@ -49,7 +49,7 @@ def test_every_parameter_does_what_an_independent_chain_says(qs):
         ErrorKind.COMPLIANCE: 1.5e-6,
     }
     checked = 0
-    for number, (kind, joint) in enumerate(zip(model.kinds, model.joints, strict=True)):
+    for number, (kind, joint) in enumerate(zip(model.parameter_kinds, model.parameter_joints, strict=True)):
         if ErrorKind(kind) not in by_hand:
             continue
         true = nominal_machine()
@@ -57,14 +57,14 @@ def test_every_parameter_does_what_an_independent_chain_says(qs):
         values = np.zeros(model.n)
         values[number] = amounts[ErrorKind(kind)]
         found = tcp_poses_with_errors(model, qs[:3], values)
-        assert np.allclose(found, [true.tcp(q) for q in qs[:3]], atol=1e-12), model.names[number]
+        assert np.allclose(found, [true.tcp(q) for q in qs[:3]], atol=1e-12), model.parameter_names[number]
         checked += 1
     assert checked == 20
 
 
 def test_play_puts_a_joint_half_its_width_behind_the_way_it_came(qs):
     model = error_model(machine())
-    values = np.where(model.kinds == ErrorKind.PLAY, 0.004, 0.0)
+    values = np.where(model.parameter_kinds == ErrorKind.PLAY, 0.004, 0.0)
     sides = np.tile([1.0, 0.0, 0.0, -1.0, 1.0, 0.5], (len(qs), 1))
     behind = qs - 0.5 * 0.004 * sides
     assert np.allclose(
@@ -86,8 +86,8 @@ def test_exact_data_of_a_nominal_machine_lead_to_the_goal(qs):
     rng = np.random.default_rng(1)
     here = scene(rng, true=nominal_machine())
     here.sigma_m = 1e-9
-    rigid = replace(JointPrior().errors, mean_compliance=(0.0, 0.0, 0.0), mean_play_rad=tuple(NO_PLAY))
-    prior = JointPrior(errors=rigid)
+    rigid = replace(JointPrior().kinematic_errors, mean_compliance=(0.0, 0.0, 0.0), mean_play_rad=tuple(NO_PLAY))
+    prior = JointPrior(kinematic_errors=rigid)
     run = odometry_run(here.true, qs, rng, sigma_m=0.0, affine_frac=0.0)
     estimate = estimate_jointly(machine(), [run], [here.look(Q_START)], prior)
     assert estimate.status is CalibrationStatus.OK, estimate.reason
@@ -138,8 +138,8 @@ def test_the_map_that_was_learnt_beats_the_rigid_one(qs, n):
     stiff = JointPrior()
     stiff = replace(
         stiff,
-        errors=replace(
-            stiff.errors,
+        kinematic_errors=replace(
+            stiff.kinematic_errors,
             sigma_a_m=(1e-7,),
             sigma_d_m=(1e-7,),
             sigma_zero_rad=1e-8,
@@ -168,7 +168,7 @@ def test_time_offset_and_mount_are_found(qs):
     here = scene(rng)
     estimate = estimate_jointly(machine(), [odometry_run(here.true, qs, rng, clock_s=0.12)], [here.look(Q_START)])
     assert estimate.state is not None
-    p = estimate.model.n
+    p = estimate.error_model.n
     sigma_s = float(np.sqrt(estimate.covariance[p + 19, p + 19]))
     assert sigma_s < 0.02
     assert abs(estimate.state.time_offset_s - 0.12) < 4 * sigma_s + 0.005
@@ -181,10 +181,10 @@ def test_samples_that_jump_are_outweighed(qs):
     rng = np.random.default_rng(6)
     here = scene(rng)
     run = odometry_run(here.true, qs, rng)
-    Ts = run.camera.Ts_vo_cam.copy()
+    Ts = run.camera_track.Ts_vo_cam.copy()
     hit = rng.choice(np.arange(1, len(Ts)), len(Ts) // 10, replace=False)
     Ts[hit, :3, 3] += rng.normal(0.0, 0.03, (len(hit), 3))
-    spoilt = OdometryRun(CameraTrack(run.camera.t_s, Ts), run.joints)
+    spoilt = OdometryRun(CameraTrack(run.camera_track.t_s, Ts), run.joint_track)
     estimate = estimate_jointly(machine(), [spoilt], [here.look(Q_START)])
     assert estimate.state is not None, estimate.reason
     goal = joints_for_goal(chain_of(machine()), estimate, Q_START, GOAL)
@@ -203,8 +203,8 @@ def test_looks_alone_are_an_estimate_with_a_wide_ellipse(qs):
 
 def tracks(qs, rng, **changes):
     run = odometry_run(nominal_machine(), qs, rng)
-    camera = replace(run.camera, **{k: v for k, v in changes.items() if k in ("t_s", "Ts_vo_cam")})
-    return OdometryRun(camera, changes.get("joints", run.joints))
+    camera = replace(run.camera_track, **{k: v for k, v in changes.items() if k in ("t_s", "Ts_vo_cam")})
+    return OdometryRun(camera, changes.get("joints", run.joint_track))
 
 
 def test_what_carries_nothing_is_refused_with_a_reason(qs):
@@ -214,12 +214,12 @@ def test_what_carries_nothing_is_refused_with_a_reason(qs):
     still = np.repeat(Q_START[None], len(qs), axis=0)
     short = path_joints(corners=np.array([[0.01, 0.0, 0.0], [0.0, 0.0, 0.0]]))
     good = odometry_run(here.true, qs, rng)
-    backwards = good.camera.t_s[::-1].copy()
-    nan = good.camera.Ts_vo_cam.copy()
+    backwards = good.camera_track.t_s[::-1].copy()
+    nan = good.camera_track.Ts_vo_cam.copy()
     nan[3, 0, 3] = np.nan
-    mirrored = good.camera.Ts_vo_cam.copy()
+    mirrored = good.camera_track.Ts_vo_cam.copy()
     mirrored[:, 2, 3] *= -1.0
-    noise = good.camera.Ts_vo_cam.copy()
+    noise = good.camera_track.Ts_vo_cam.copy()
     noise[:, :3, 3] = np.cumsum(rng.normal(0.0, 0.05, (len(noise), 3)), axis=0)
     cases = {
         "no look": ([good], []),
@@ -278,4 +278,4 @@ def test_no_tracks_make_it_raise(data):
 def test_steps_and_prior_have_one_entry_for_each_unknown():
     model = error_model(machine())
     assert len(state_steps(model)) == model.n + 27
-    assert len(model.names) == len(set(model.names)) == model.n
+    assert len(model.parameter_names) == len(set(model.parameter_names)) == model.n

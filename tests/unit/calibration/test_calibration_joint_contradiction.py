@@ -118,9 +118,9 @@ def test_a_scale_that_no_rig_has_is_not_explained_away_by_the_lens(scale):
     for seed in range(5):
         here = scene(np.random.default_rng(seed))
         run = odometry_run(here.true, path_joints(), np.random.default_rng(seed))
-        Ts = run.camera.Ts_vo_cam.copy()
+        Ts = run.camera_track.Ts_vo_cam.copy()
         Ts[:, :3, 3] *= scale
-        run = replace(run, camera=CameraTrack(run.camera.t_s, Ts))
+        run = replace(run, camera_track=CameraTrack(run.camera_track.t_s, Ts))
         found = estimate_jointly(machine(), [run], [here.look(Q_START)])
         noticed += found.status is CalibrationStatus.POOR_FIT or bool(doubts_of(found))
     assert noticed >= 4 if scale > 1.0 else noticed == 0
@@ -137,9 +137,9 @@ def test_a_focal_length_off_alike_in_both_eyes_is_found_by_a_path_in_depth(off):
         lens = np.array([off, *[0.0] * 6])
         bend = np.eye(3) + np.tensordot(lens, odometry_sensitivity(machine().camera, T_cam_ooi), axes=1)
         run = odometry_run(here.true, path_joints(), rng, affine_frac=0.0005)
-        Ts = run.camera.Ts_vo_cam.copy()
+        Ts = run.camera_track.Ts_vo_cam.copy()
         Ts[:, :3, 3] = Ts[:, :3, 3] @ bend.T
-        run = replace(run, camera=CameraTrack(run.camera.t_s, Ts))
+        run = replace(run, camera_track=CameraTrack(run.camera_track.t_s, Ts))
         found.append(estimate_jointly(machine(), [run], [seen_through(here.look(Q_START), lens)]))
     for estimate in found:
         sigma = np.sqrt(estimate.covariance[FOCAL - N_LENS, FOCAL - N_LENS])
@@ -165,9 +165,11 @@ def seen_through(look, lens):
 def test_odometry_that_is_turned_by_half_a_turn_is_no_small_residual(deg):
     here = scene(np.random.default_rng(3))
     run = odometry_run(here.true, path_joints(), np.random.default_rng(3))
-    Ts = run.camera.Ts_vo_cam.copy()
+    Ts = run.camera_track.Ts_vo_cam.copy()
     Ts[1:, :3, :3] = Ts[1:, :3, :3] @ rotation_from_rotvec(np.deg2rad(deg) * np.array([1.0, 0.0, 0.0]))
-    found = estimate_jointly(machine(), [replace(run, camera=CameraTrack(run.camera.t_s, Ts))], [here.look(Q_START)])
+    found = estimate_jointly(
+        machine(), [replace(run, camera_track=CameraTrack(run.camera_track.t_s, Ts))], [here.look(Q_START)]
+    )
     assert (found.status is CalibrationStatus.OK) is (deg == 0.0)
 
 

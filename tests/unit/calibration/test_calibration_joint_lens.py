@@ -12,8 +12,8 @@ from machine.poses import pose, transform_points
 from machine.rotations import rotation_from_rotvec
 from machine.targets import Board
 from server.calibration.joint_lens import (
-    LENS_NAMES,
-    LENS_STEPS,
+    LENS_DERIVATIVE_STEPS,
+    LENS_PARAMETER_NAMES,
     LensPrior,
     common_covariance,
     eyes_off,
@@ -65,7 +65,7 @@ def least_squares_pose(corners, seen, T_start):
     return T
 
 
-@pytest.mark.parametrize("number", range(7), ids=LENS_NAMES)
+@pytest.mark.parametrize("number", range(7), ids=LENS_PARAMETER_NAMES)
 @pytest.mark.parametrize(("on", "rows"), [("tool", slice(0, 6)), ("ooi", slice(6, 12))])
 def test_a_look_moves_as_the_sensitivity_says(number, on, rows):
     T_true = T_CAM_TOOL if on == "tool" else T_CAM_OOI
@@ -108,7 +108,7 @@ def test_a_board_hangs_and_is_printed_no_better_than_a_marker():
 
 
 def test_the_prior_has_one_sigma_for_each_unknown():
-    assert len(LensPrior().sigma) == len(LENS_NAMES) == len(LENS_STEPS)
+    assert len(LensPrior().sigma) == len(LENS_PARAMETER_NAMES) == len(LENS_DERIVATIVE_STEPS)
     assert (LensPrior().sigma > 0.0).all()
 
 

@@ -39,9 +39,9 @@ def test_contradictions_are_not_taken_for_scatter():
     rng = np.random.default_rng(4)
     here = scene(rng)
     run = odometry_run(here.true, path_joints(), rng)
-    Ts = run.camera.Ts_vo_cam.copy()
+    Ts = run.camera_track.Ts_vo_cam.copy()
     Ts[:, :3, 3] += rng.normal(0.0, 0.02, (len(Ts), 3))
-    broken = replace(run, camera=replace(run.camera, Ts_vo_cam=Ts))
+    broken = replace(run, camera_track=replace(run.camera_track, Ts_vo_cam=Ts))
     found = joint_estimate.estimate_jointly(machine(), [broken], [here.look(Q_START)])
     assert found.state is None
 
@@ -65,12 +65,12 @@ def test_odometry_that_drifts_far_is_not_taken_for_scatter(kind):
         rng = np.random.default_rng(100 + seed)
         here = scene(rng)
         run = odometry_run(here.true, path_joints(), rng)
-        Ts = run.camera.Ts_vo_cam.copy()
+        Ts = run.camera_track.Ts_vo_cam.copy()
         moved_m = np.linalg.norm(np.diff(Ts[:, :3, 3], axis=0), axis=1)
         walk = np.cumsum(rng.normal(size=(len(moved_m), 3)) * 0.004 * np.sqrt(moved_m)[:, None], axis=0)
         step = np.where(np.arange(len(moved_m))[:, None] > len(moved_m) // 2, rng.normal(size=3), 0.0)
         Ts[1:, :3, 3] += walk if kind == "walk" else 0.006 * step / np.linalg.norm(step).clip(1e-9)
-        bent = replace(run, camera=replace(run.camera, Ts_vo_cam=Ts))
+        bent = replace(run, camera_track=replace(run.camera_track, Ts_vo_cam=Ts))
         found = joint_estimate.estimate_jointly(machine(), [bent], [here.look(Q_START)])
         if found.state is None:
             continue
@@ -84,7 +84,9 @@ def test_a_run_whose_camera_stood_is_left_out():
     rng = np.random.default_rng(5)
     here = scene(rng)
     run = odometry_run(here.true, path_joints(), rng)
-    still = replace(run, camera=replace(run.camera, Ts_vo_cam=np.tile(np.eye(4), (len(run.camera.t_s), 1, 1))))
+    still = replace(
+        run, camera_track=replace(run.camera_track, Ts_vo_cam=np.tile(np.eye(4), (len(run.camera_track.t_s), 1, 1)))
+    )
     alone = joint_estimate.estimate_jointly(machine(), [run], [here.look(Q_START)])
     beside = joint_estimate.estimate_jointly(machine(), [run, still], [here.look(Q_START)])
     assert beside.n_samples == alone.n_samples

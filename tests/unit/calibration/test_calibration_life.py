@@ -42,8 +42,8 @@ def calibration(**changed) -> LocalCalibration:
         n_used=61,
         path_length_m=1.02,
         observability=0.2,
-        made=MadeAt(MADE_S, Q, T_MADE, 40.0),
-        tool=ToolSeen(T_CAM_TOOL, COVARIANCE),
+        made_at=MadeAt(MADE_S, Q, T_MADE, 40.0),
+        tool_marker_pose=ToolSeen(T_CAM_TOOL, COVARIANCE),
     )
     return replace(one, **changed)
 
@@ -151,21 +151,21 @@ def test_what_is_written_is_read_back_equal():
     back = parse_calibration(calibration_text(saved))
     np.testing.assert_array_equal(back.calibration.R_tcp_cam, saved.calibration.R_tcp_cam)
     np.testing.assert_array_equal(back.calibration.covariance, saved.calibration.covariance)
-    np.testing.assert_array_equal(back.calibration.made.T_base_tcp, T_MADE)
+    np.testing.assert_array_equal(back.calibration.made_at.T_base_tcp, T_MADE)
     np.testing.assert_array_equal(back.calibration.local_map.errors, found.errors)
-    np.testing.assert_array_equal(back.calibration.tool.covariance, COVARIANCE)
+    np.testing.assert_array_equal(back.calibration.tool_marker_pose.covariance, COVARIANCE)
     plain = ("machine_id", "method", "time_offset_s", "n_used", "slip", "expiry", "from_nominal_deg")
     assert all(getattr(back.calibration, name) == getattr(saved.calibration, name) for name in plain)
     assert calibration_text(parse_calibration(calibration_text(saved))) == calibration_text(back)
 
 
 def test_a_kept_run_gives_the_same_joints_at_the_camera_s_times():
-    kept = parse_calibration(calibration_text(SavedCalibration(calibration(), (run(),)))).runs[0]
-    assert len(kept.joints.t_s) < len(run().joints.t_s)
-    there, _ = kept.joints.joints_at(kept.camera.t_s)
-    before, _ = run().joints.joints_at(run().camera.t_s)
+    kept = parse_calibration(calibration_text(SavedCalibration(calibration(), (run(),)))).odometry_runs[0]
+    assert len(kept.joint_track.t_s) < len(run().joint_track.t_s)
+    there, _ = kept.joint_track.joints_at(kept.camera_track.t_s)
+    before, _ = run().joint_track.joints_at(run().camera_track.t_s)
     assert np.abs(there - before).max() < 3e-5
-    np.testing.assert_allclose(kept.camera.Ts_vo_cam, run().camera.Ts_vo_cam, atol=1e-9)
+    np.testing.assert_allclose(kept.camera_track.Ts_vo_cam, run().camera_track.Ts_vo_cam, atol=1e-9)
 
 
 EMPTY_RUN = {"camera_t_s": [], "Ts_vo_cam": [], "joints_t_s": [], "qs_rad": [], "sides": None}

@@ -113,7 +113,7 @@ def test_a_clock_offset_is_found_on_the_move():
     for seed in range(3):
         case, encoder, t_look, vectors = moving_case(seed, 0.15)
         found = fit_line_moving(case.T_init, encoder, t_look, vectors, R_TCP_CAM)
-        assert found.observable
+        assert found.offset_observable
         assert found.time_offset_s == pytest.approx(0.15, abs=0.01)
         assert goal_miss(found.fit, case.p_goal) < 0.002
 
@@ -122,7 +122,7 @@ def test_a_clock_offset_is_found_on_the_move():
 def test_all_of_the_stated_range_of_offsets_is_found(offset_s):
     case, encoder, t_look, vectors = moving_case(1, offset_s)
     found = fit_line_moving(case.T_init, encoder, t_look, vectors, R_TCP_CAM)
-    assert found.observable
+    assert found.offset_observable
     assert found.time_offset_s == pytest.approx(offset_s, abs=0.01)
     assert goal_miss(found.fit, case.p_goal) < 0.002
 
@@ -141,7 +141,7 @@ def test_an_offset_that_nothing_shows_is_not_invented():
     case, encoder, t_look, vectors = moving_case(1, 0.0)
     rest = t_look < 0.2
     found = fit_line_moving(case.T_init, encoder, t_look[rest], vectors[rest], R_TCP_CAM)
-    assert not found.observable
+    assert not found.offset_observable
     assert found.fit.status is CalibrationStatus.TOO_FEW
     with pytest.raises(CalibrationInputError):
         fit_line_moving(case.T_init, encoder, t_look, vectors[:-1], R_TCP_CAM)

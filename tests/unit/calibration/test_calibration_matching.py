@@ -161,15 +161,17 @@ def test_disagreeing_prior_inflates_and_is_told():
     small = np.deg2rad(0.5) ** 2 * np.eye(3)
     data = MountRotation(np.eye(3), small)
     fused = fuse_rotations(data, MountRotation(rotation_from_rotvec(np.array([0.2, 0.0, 0.0])), small))
-    assert fused.inflated
-    assert fused.mount.covariance[0, 0] == pytest.approx(0.5 * small[0, 0] * fused.chi2 / 3.0)
+    assert fused.covariance_inflated
+    assert fused.mount_rotation.covariance[0, 0] == pytest.approx(0.5 * small[0, 0] * fused.chi2 / 3.0)
 
 
 def test_fusion_of_equal_opinions_lies_half_way():
     small = np.deg2rad(1.0) ** 2 * np.eye(3)
     far = rotation_from_rotvec(np.deg2rad([0.0, 2.0, 0.0]))
     fused = fuse_rotations(MountRotation(np.eye(3), small), MountRotation(far, small))
-    np.testing.assert_allclose(np.rad2deg(rotvec_from_rotation(fused.mount.R_tcp_cam)), [0.0, 1.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(
+        np.rad2deg(rotvec_from_rotation(fused.mount_rotation.R_tcp_cam)), [0.0, 1.0, 0.0], atol=1e-9
+    )
 
 
 def test_prior_from_tool_marker_is_the_mount_when_the_marker_is_nominal():

@@ -112,7 +112,9 @@ def test_em_reaches_the_maximum_of_the_likelihood(outliers, use_axes):
     R, t, best = maximise(*sets, 3 if use_axes else 0)
     assert np.rad2deg(geodesic_angle(match.R_x_y, R)) < WITHIN_DEG
     assert 1e3 * np.linalg.norm(match.t_x_y - t) < 0.5  # mm
-    ours = log_likelihood(match.R_x_y, match.t_x_y, match.sigma_m, min(match.kappa, 600.0), *sets, 3 if use_axes else 0)
+    ours = log_likelihood(
+        match.R_x_y, match.t_x_y, match.sigma_m, min(match.vmf_concentration, 600.0), *sets, 3 if use_axes else 0
+    )
     assert ours > best - 0.5
 
 
@@ -131,8 +133,8 @@ def test_large_concentration_does_not_overflow():
     x, _, y, Rs_y = pose_sets(5)
     R = rotation_from_rotvec(np.deg2rad([6.0, -8.0, 5.0]))
     match = register_poses(x, R @ Rs_y, y, Rs_y, MixtureSettings(kappa_max=1e5))
-    assert match.kappa == 1e5
-    assert np.isfinite(match.pairing).all()
+    assert match.vmf_concentration == 1e5
+    assert np.isfinite(match.pairing_probabilities).all()
     assert np.rad2deg(geodesic_angle(match.R_x_y, R)) < 0.05
 
 
@@ -140,6 +142,6 @@ def test_observations_far_away_are_taken_as_outliers_by_the_volume():
     x, Rs_x, y, Rs_y = pose_sets(6)
     far = np.vstack((x, x.mean(axis=0) + np.array([[0.5, 0.5, 0.5]])))
     match = register_poses(far, np.vstack((Rs_x, Rs_x[:1])), y, Rs_y, MixtureSettings(use_axes=False))
-    shares = match.pairing.sum(axis=0)
+    shares = match.pairing_probabilities.sum(axis=0)
     assert shares[-1] < 0.01
     assert np.median(shares[:-1]) > 0.9

@@ -196,4 +196,4 @@ def test_a_plain_lens_of_these_pictures_is_read(tmp_path: Path) -> None:
     file = tmp_path / "lens.yaml"
     file.write_text(yaml.safe_dump(LENS | FOUR | {"distortion_model": "plumb_bob", "binning_x": 1}), encoding="utf-8")
     lens = read_lens(file)
-    assert (lens.size_px, lens.eye.distortion) == ((640, 480), (-0.01, 0.02, -0.01, 0.003))
+    assert (lens.size_px, lens.eye_calibration.distortion) == ((640, 480), (-0.01, 0.02, -0.01, 0.003))

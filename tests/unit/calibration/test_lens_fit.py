@@ -76,21 +76,21 @@ def test_other_programs_read_the_same_rig(tmp_path: Path) -> None:
         for eye, found in enumerate((rig.left, rig.right)):
             kept = 4 if files == ("kalibr.yaml",) else 5
             numbers = [found.fx_px, found.fy_px, found.cx_px, found.cy_px, *found.distortion[:kept]]
-            assert np.abs(np.array(numbers) - fit.lenses[eye, : 4 + kept]).max() < 1e-9, files
-        assert fit.rig is not None
-        assert np.abs(rig.t_right_left_m - fit.rig[3:]).max() < 1e-9, files
-        assert np.abs(cv2.Rodrigues(rig.R_right_left)[0].ravel() - fit.rig[:3]).max() < 1e-9, files
+            assert np.abs(np.array(numbers) - fit.lens_parameters[eye, : 4 + kept]).max() < 1e-9, files
+        assert fit.rig_parameters is not None
+        assert np.abs(rig.t_right_left_m - fit.rig_parameters[3:]).max() < 1e-9, files
+        assert np.abs(cv2.Rodrigues(rig.R_right_left)[0].ravel() - fit.rig_parameters[:3]).max() < 1e-9, files
 
 
 def test_views_that_cannot_tell_are_refused_and_a_bent_one_is_left_out() -> None:
     with pytest.raises(LensFitError, match="at least 6"):
         fit_lens(views(1, 1)[:5], SIZE)
     several = views(2, 1)
-    points, px = several[3].eyes[0] or (np.zeros(0), np.zeros(0))
+    points, px = several[3].eye_correspondences[0] or (np.zeros(0), np.zeros(0))
     bent = px + np.random.default_rng(0).normal(scale=3.0, size=px.shape)
     several[3] = BoardView("bent", ((points, bent),))
     fit = fit_lens(several, SIZE)
-    assert [name for name, _ in fit.dropped] == ["bent"]
+    assert [name for name, _ in fit.dropped_views] == ["bent"]
     flat = coverage_of(views(3, 1, tilt=0.05), fit_lens(views(3, 1, tilt=0.05), SIZE))
     assert any("tilt the board" in text for text in flat.advice)
 

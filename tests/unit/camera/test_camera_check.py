@@ -218,7 +218,7 @@ def test_one_eye_darker_than_the_other_is_named() -> None:
 
 
 def corners_of(pair: Pair, marker_id: int) -> tuple[Array | None, Array | None]:
-    view = next(one for one in ArucoPoseSource(MACHINE).observe(*pair, 0).views if one.marker_id == marker_id)
+    view = next(one for one in ArucoPoseSource(MACHINE).observe(*pair, 0).marker_views if one.marker_id == marker_id)
     return view.corners_left_px, view.corners_right_px
 
 
@@ -329,9 +329,13 @@ def test_stream_latency_where_the_clock_is_ours() -> None:
 def test_stream_loss_by_sequence_and_by_stamp() -> None:
     whole = times(100)
     kept = np.delete(np.arange(100), [10, 20, 21, 50])
-    for sequence, skipped, lost in ((whole.sequence[kept], 0, 4), (np.arange(96), 0, 4), (whole.sequence[kept], 4, 0)):
+    for sequence, skipped, lost in (
+        (whole.sequence_numbers[kept], 0, 4),
+        (np.arange(96), 0, 4),
+        (whole.sequence_numbers[kept], 4, 0),
+    ):
         part = StreamTimes(
-            whole.t_exposure_ns[kept], whole.t_receive_ns[kept], sequence, whole.connection[kept], skipped
+            whole.t_exposure_ns[kept], whole.t_receive_ns[kept], sequence, whole.connection_numbers[kept], skipped
         )
         finding = named(check_stream(part))["loss"]
         assert finding.figures["lost"] == lost
@@ -356,7 +360,7 @@ def test_stream_clock_drift_is_told() -> None:
 
 
 def test_stored_pairs_are_not_judged_by_their_arrival() -> None:
-    found = named(check_stream(replace(times(late_ns=np.linspace(0.0, 2e9, 60)), stored=True)))
+    found = named(check_stream(replace(times(late_ns=np.linspace(0.0, 2e9, 60)), is_recorded=True)))
     assert set(found) == {"loss", "stamps"}
     assert all(one.level is Level.OK for one in found.values())
 
@@ -385,15 +389,15 @@ def test_no_stream_at_all() -> None:
 
 
 def test_gathering_keeps_some_pairs_and_all_times() -> None:
-    gathering = CheckSampler(keep=3, seconds=3.0)
+    gathering = CheckSampler(pairs_max=3, duration_s=3.0)
     image = np.zeros((4, 4), np.uint8)
     for number in range(30):
         sequence = number + (5 if number > 20 else 0)
         gathering.add(StereoFrame(image, image, number, number * 100_000_000, sequence, 1))
     gathered = gathering.sample(2, own_clock=False, wanted_hz=None)
-    assert len(gathered.pairs) == 3
-    assert [stamp for _, _, stamp in gathered.pairs] == [0, 10, 20]
+    assert len(gathered.image_pairs) == 3
+    assert [stamp for _, _, stamp in gathered.image_pairs] == [0, 10, 20]
     assert gathering.rate_hz == pytest.approx(10.0)
     assert gathering.missing_count == 5
-    assert gathered.times.skipped == 2
-    assert gathered.pairs[0][0] is not image  # a copy: sources may reuse their buffers
+    assert gathered.stream_times.n_skipped == 2
+    assert gathered.image_pairs[0][0] is not image  # a copy: sources may reuse their buffers

@@ -108,7 +108,7 @@ async def test_a_silent_camera_gives_no_images() -> None:
 
 
 async def test_a_process_that_hangs_is_ended_and_another_one_started(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.camera.client.HUNG_LOOKS", 3)
+    monkeypatch.setattr("server.camera.client.SILENT_HEARTBEATS_MAX", 3)
     async with running_client("http://127.0.0.1:9/stream") as client:
         await until(lambda: "refused" in client.stream_text)
         first = client.process_id

@@ -21,7 +21,7 @@ class Pipe:
 
 @pytest.fixture
 def client(monkeypatch):
-    monkeypatch.setattr(module, "RESTART_S", 0.01)
+    monkeypatch.setattr(module, "RESTART_DELAY_S", 0.01)
     made = VisionClient(VisionSettings(HttpSource("http://127.0.0.1:9/stream"), threads=1), MACHINE)
     made._pipe = Pipe()
     return made
@@ -61,7 +61,7 @@ async def test_closing_ends_the_tries(client, monkeypatch):
 
 def test_a_source_that_can_never_work_is_told_once_and_lives_on(monkeypatch):
     """Else it would be taken for a process that hangs, and be started again and again."""
-    monkeypatch.setattr(process, "LIFE_S", 0.01)
+    monkeypatch.setattr(process, "HEARTBEAT_PERIOD_S", 0.01)
     ours, theirs = multiprocessing.Pipe()
     telling = threading.Thread(target=process._report_and_wait, args=(theirs, "no such folder"))
     telling.start()

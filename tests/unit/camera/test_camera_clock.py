@@ -6,7 +6,7 @@ import pytest
 from server.camera.contracts import StereoFrame
 from server.camera.health.findings import FaultCode, Pair
 from server.camera.health.stamps import StampMonitor
-from server.camera.pipeline import STEP_PAIRS, CameraClock
+from server.camera.pipeline import CLOCK_STEP_PAIRS, CameraClock
 from server.camera.smallest_offset import DRIFT_MAX_PPM
 
 MS = 1_000_000
@@ -84,7 +84,7 @@ def test_a_clock_that_is_set_is_found_again(step_ms: float) -> None:
     assert stream.late_ms(300)[60:].max() < 3.0
     stream.set_ns = round(step_ms * MS)
     after = stream.late_ms(400)
-    settled = after[STEP_PAIRS:]
+    settled = after[CLOCK_STEP_PAIRS:]
     assert settled.min() > -0.01
     assert settled[30:].max() < 3.0
     if step_ms > 0.0:  # the new offset is smaller: at once
@@ -130,7 +130,7 @@ def test_a_clock_that_is_set_back_while_the_line_is_slow_is_followed_by_its_own_
     stream = Stream(jitter_ms=1.0)
     stream.late_ms(300)
     stream.slow_ns, stream.set_ns = 300 * MS, -200 * MS
-    after = stream.late_ms(60)[STEP_PAIRS:]
+    after = stream.late_ms(60)[CLOCK_STEP_PAIRS:]
     assert after.min() > -5.0
     assert after.max() < 5.0
 

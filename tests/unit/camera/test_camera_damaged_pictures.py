@@ -9,7 +9,7 @@ import pytest
 
 from server.camera.errors import CameraError, StreamError
 from server.camera.health.findings import FaultCode
-from server.camera.health.image_health import JUMP_MIN_PX, JumpMonitor
+from server.camera.health.image_health import MARKER_JUMP_MIN_PX, JumpMonitor
 from server.camera.sources.folder import read_grey
 from server.camera.sources.jpeg_scan import damage_of
 from server.camera.sources.side_by_side import decode_grey
@@ -146,7 +146,7 @@ def test_both_eyes_shifted_by_whole_blocks_are_found_at_rest_and_in_motion(block
 
 @pytest.mark.parametrize("period_ms", [150, 200, 300])
 def test_a_slow_camera_shows_shifts_beyond_what_a_machine_can_do_in_its_interval(period_ms: int) -> None:
-    least_px = JUMP_MIN_PX * (period_ms / 120) ** 2
+    least_px = MARKER_JUMP_MIN_PX * (period_ms / 120) ** 2
     for blocks in (1, 2):  # more would meet another corner of the marker
         found = findings([0.0] * 4 + [BLOCK_PX * blocks] + [0.0] * 4, period_ns=period_ms * 1_000_000)
         assert not any(found[:4])
@@ -162,4 +162,4 @@ def test_a_machine_that_starts_and_stops_does_not_jump() -> None:
     speed_px = np.concatenate([np.zeros(5), np.linspace(0.0, 7.0, 10), np.full(10, 7.0), np.linspace(7.0, 0.0, 6)])
     assert not any(findings(list(np.cumsum(speed_px))))
     assert not any(findings(list(np.cumsum(6.0 * speed_px)), period_ns=200_000_000))
-    assert JUMP_MIN_PX == BLOCK_PX / 2
+    assert MARKER_JUMP_MIN_PX == BLOCK_PX / 2

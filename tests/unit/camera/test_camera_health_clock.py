@@ -14,7 +14,7 @@ from server.camera.health.image_health import ImageHealth
 from server.camera.health.stamps import STARTING_PAIRS
 from server.camera.pipeline import CameraClock
 from server.camera.sources.side_by_side import split_side_by_side
-from server.targets.tool_mask import SHAFT_PX, ToolMask, blown_up, plate_and_shaft
+from server.targets.tool_mask import MASK_EXTENSION_PX, ToolMask, blown_up, plate_and_shaft
 from server.vision.contracts import MarkerView
 
 MS = 1_000_000
@@ -81,7 +81,7 @@ def codes(findings: tuple[Finding, ...]) -> set[FaultCode]:
 def test_a_new_connection_may_have_a_new_clock_and_its_first_pictures_are_for_no_look() -> None:
     health = ImageHealth()
     health.check(frame(9))
-    found = [health.inspect(replace(frame(number), connection=2)) for number in range(1, 20)]
+    found = [health.inspect(replace(frame(number), connection_number=2)) for number in range(1, 20)]
     assert [codes(one) for one in found] == [{FaultCode.STARTING}] * STARTING_PAIRS + [set()] * (19 - STARTING_PAIRS)
     assert found[0][0].forbids_look
     assert not found[0][0].forbids_odometry  # its own stamps serve it
@@ -91,10 +91,10 @@ def test_a_new_connection_may_have_a_new_clock_and_its_first_pictures_are_for_no
 def test_a_dead_camera_that_gives_its_last_picture_to_every_caller_is_frozen(stamp: str) -> None:
     """A gateway whose grabber hangs: it answers each connection with what it has, and closes."""
     health = ImageHealth()
-    health.check(replace(frame(1), connection=1))
+    health.check(replace(frame(1), connection_number=1))
     for connection in range(2, 9):
         t_ns = connection * 700 * MS
-        again = replace(frame(1), connection=connection, t_receive_mono_ns=t_ns)
+        again = replace(frame(1), connection_number=connection, t_receive_mono_ns=t_ns)
         again = again if stamp == "the old one" else replace(again, t_exposure_ns=t_ns)
         found = codes(health.inspect(again))
         assert {FaultCode.FROZEN, FaultCode.STARTING} <= found
@@ -136,7 +136,7 @@ def test_mask_covers_the_tool_and_remembers_it() -> None:
     np.testing.assert_allclose(blown_up(corners, 2.0), [[5, 5], [25, 5], [25, 25], [5, 25]], atol=1e-12)
     shaft = plate_and_shaft(corners, 2.0)
     np.testing.assert_allclose(shaft[:2], [[5, 5], [25, 5]], atol=1e-12)
-    np.testing.assert_allclose(shaft[2:], [[25, 25 + SHAFT_PX], [5, 25 + SHAFT_PX]], atol=1e-9)
+    np.testing.assert_allclose(shaft[2:], [[25, 25 + MASK_EXTENSION_PX], [5, 25 + MASK_EXTENSION_PX]], atol=1e-9)
     mask = ToolMask([10], 2.0)
     mask.update([MarkerView(10, corners, None, 0.1, True, ""), MarkerView(1, corners, corners, 0.1, True, "")])
     assert len(mask.left_polygons) == 1

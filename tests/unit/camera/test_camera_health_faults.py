@@ -11,7 +11,7 @@ from health_pictures import CAMERA, HEIGHT, MS, PERIOD_MS, WIDTH, Camera, moved_
 
 from server.camera.contracts import StereoFrame
 from server.camera.health.findings import FaultCode, Finding
-from server.camera.health.image_health import GOOD_PAIRS, ImageHealth
+from server.camera.health.image_health import RECOVERY_PAIRS, ImageHealth
 from server.camera.health.stamps import silence_text
 from server.vision.contracts import Image
 
@@ -87,8 +87,8 @@ def test_a_sick_pair_is_named_at_once_and_good_pairs_clear_it(name: str) -> None
     assert text in named.text
     assert ";" in named.text  # the remedy
     assert named.forbids_look
-    after = [health.before_use(camera.next()) for _ in range(3 * GOOD_PAIRS)]
-    assert all(after[:GOOD_PAIRS])
+    after = [health.before_use(camera.next()) for _ in range(3 * RECOVERY_PAIRS)]
+    assert all(after[:RECOVERY_PAIRS])
     assert after[-1] == ()
 
 
@@ -233,7 +233,7 @@ def test_a_scene_with_an_edge_along_its_rows_is_usable_again_after_a_fault(name:
     grey = {"black": dark, "white": white, "frozen": eyes, "blurred": soft}[name]
     sick = [health.before_use(camera.frame(*grey)) for _ in range(5)]
     assert all(sick[1:])
-    after = [health.before_use(good()) for _ in range(3 * GOOD_PAIRS)]
+    after = [health.before_use(good()) for _ in range(3 * RECOVERY_PAIRS)]
     assert after[-1] == ()
 
 

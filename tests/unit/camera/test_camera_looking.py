@@ -31,11 +31,11 @@ MS = 1_000_000
 
 def observation(t_ns: int, views: tuple[MarkerView, ...] = ()) -> PairObservation:
     unseen = ObjectPose("tool", PoseStatus.NOT_SEEN, "", None, None, (), 0.0, 0.0)
-    return PairObservation(t_ns, unseen, replace(unseen, on="ooi"), views, ())
+    return PairObservation(t_ns, unseen, replace(unseen, object_name="ooi"), views, ())
 
 
 def unsearched(number: int, **changes: object) -> FrameReport:
-    return report(number, observation=replace(observation(number * 66 * MS), searched=False), **changes)
+    return report(number, observation=replace(observation(number * 66 * MS), fully_searched=False), **changes)
 
 
 def odometry_pose(t_ns: int, status: OdometryStatus = OdometryStatus.OK) -> OdometryPose:
@@ -215,10 +215,10 @@ def test_pipeline_reports_poses_odometry_preview_and_rate() -> None:
     pipeline.switch_odometry(True, masks=True)
     again = process(8)
     assert len(made) == 2  # a fresh start frame
-    assert (again.pose_source, again.observation.views, again.skipped) == ("mono", (), 3)
+    assert (again.pose_source, again.observation.marker_views, again.n_skipped) == ("mono", (), 3)
     ended = pipeline.switch_odometry(False)
     assert ended is not None
     assert ended.points_vo.shape == (7, 3)  # for looking at
-    assert ended.still == (None, None)  # of one pair nothing is told
+    assert ended.still_masks == (None, None)  # of one pair nothing is told
     assert pipeline.switch_odometry(False) is None
     assert process(9).odometry is None

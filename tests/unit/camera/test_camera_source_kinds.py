@@ -24,7 +24,7 @@ from server.camera.rectification import rectification_of, rectifying_maps
 from server.camera.sources import device
 from server.camera.sources.device import DeviceStereoSource
 from server.camera.sources.opening import RectifyingSource, open_source
-from server.camera.sources.rtsp import FFMPEG_OPTIONS, FFMPEG_VARIABLE, RtspStereoSource
+from server.camera.sources.rtsp import FFMPEG_ENV_VARIABLE, FFMPEG_OPTIONS, RtspStereoSource
 from server.camera.sources.settings import (
     DeviceSource,
     EurocSource,
@@ -175,8 +175,8 @@ def test_rtsp_takes_the_streams_stamps_and_comes_back() -> None:
     one, other = frames
     assert one is not None
     assert other is not None
-    assert (one.t_exposure_ns, one.connection) == (40_000_000, 1)
-    assert (other.t_exposure_ns, other.connection) == (20_000_000, 2)
+    assert (one.t_exposure_ns, one.connection_number) == (40_000_000, 1)
+    assert (other.t_exposure_ns, other.connection_number) == (20_000_000, 2)
     assert abs(float(other.left.mean()) - 90.0) < 2.0
     assert "secret" not in source.state
     assert first.released
@@ -193,7 +193,7 @@ def test_rtsp_without_stamps_goes_by_arrival_as_a_new_clock() -> None:
     source.close()
     assert frame is not None
     assert frame.t_exposure_ns == frame.t_receive_mono_ns
-    assert frame.connection == 2
+    assert frame.connection_number == 2
     assert "rtsp_transport;tcp" in FFMPEG_OPTIONS
 
 
@@ -228,7 +228,7 @@ def test_rtsp_that_nobody_serves_is_told() -> None:
     state = until(lambda one: "trying again" in one.state, source)
     source.close()
     assert "gives no stream" in state
-    assert FFMPEG_VARIABLE not in os.environ  # a video file opened next must not be read by these options
+    assert FFMPEG_ENV_VARIABLE not in os.environ  # a video file opened next must not be read by these options
 
 
 def euroc_data(root: Path, left: list[int], right: list[int]) -> None:
@@ -418,7 +418,7 @@ def test_rectifying_source_gives_rectified_pairs_with_the_same_stamps() -> None:
     frame = source.read(0.0)
     assert frame is not None
     assert source.read(0.0) is None
-    assert (frame.t_exposure_ns, frame.t_receive_mono_ns, frame.sequence, frame.connection) == (7, 8, 9, 2)
+    assert (frame.t_exposure_ns, frame.t_receive_mono_ns, frame.sequence, frame.connection_number) == (7, 8, 9, 2)
     assert (source.skipped, source.state, source.ended) == (3, "source's own", False)
     maps = rectifying_maps(rig, rectification_of(rig, 60.0))
     for image, (x, y), got in ((left, maps[0], frame.left), (right, maps[1], frame.right)):

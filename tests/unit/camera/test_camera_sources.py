@@ -11,7 +11,7 @@ from camera_stand_in import CameraStandIn, jpeg_of, part_of, picture
 from server.camera.errors import CameraError, StreamError
 from server.camera.sources.folder import FolderStereoSource
 from server.camera.sources.http import HttpStereoSource
-from server.camera.sources.live import HELD_UP_NS, NewestOnlyBox
+from server.camera.sources.live import STALL_MIN_NS, NewestOnlyBox
 from server.camera.sources.opening import open_source
 from server.camera.sources.settings import FileSource, FolderSource, HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side, split_side_by_side
@@ -26,7 +26,7 @@ def test_http_pairs_carry_stamps_and_halves() -> None:
         frame = source.read(WAIT_S)
         source.close()
     assert frame is not None
-    assert (frame.t_exposure_ns, frame.sequence, frame.connection) == (123_456, 3, 1)
+    assert (frame.t_exposure_ns, frame.sequence, frame.connection_number) == (123_456, 3, 1)
     assert frame.left.shape == frame.right.shape == (60, 80)
     assert abs(float(frame.left.mean()) - 50.0) < 2.0  # grey levels
     assert abs(float(frame.right.mean()) - 200.0) < 2.0
@@ -70,14 +70,14 @@ def test_http_comes_back_after_a_lost_stream_and_after_garbage() -> None:
         camera.send(part_of(body, 2, 2))  # waits for the new connection
         frame = source.read(WAIT_S)
         assert frame is not None
-        assert (frame.sequence, frame.connection) == (2, 2)
+        assert (frame.sequence, frame.connection_number) == (2, 2)
         camera._connected.clear()
         assert camera._client is not None
         camera._client.sendall(b"garbage" * 2000)
         camera.send(part_of(body, 3, 3))
         frame = source.read(WAIT_S)
         assert frame is not None
-        assert (frame.sequence, frame.connection) == (3, 3)
+        assert (frame.sequence, frame.connection_number) == (3, 3)
         source.close()
 
 
@@ -271,7 +271,7 @@ def test_what_waited_while_this_process_was_held_up_is_not_stamped_as_of_now(sta
         source = HttpStereoSource(HttpSource(camera.url))
         camera.send(part_of(jpeg_of(picture(50, 200)), stamp_ns, 1))
         assert source.read(WAIT_S) is not None
-        source._heartbeat._last_ns -= 10 * HELD_UP_NS  # no thread of it ran
+        source._heartbeat._last_ns -= 10 * STALL_MIN_NS  # no thread of it ran
         camera.send(part_of(jpeg_of(picture(50, 200)), stamp_ns, 2))
         frame = source.read(2.0 if stamp_ns is None else WAIT_S)
         connections = source._connection

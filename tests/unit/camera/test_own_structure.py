@@ -114,9 +114,9 @@ def test_a_run_of_odometry_says_what_stood_still_in_each_eye_where_asked(asked):
     pipeline.close()
     assert ended is not None
     if not asked:
-        assert ended.still == (None, None)
+        assert ended.still_masks == (None, None)
         return
-    left, right = ended.still
+    left, right = ended.still_masks
     assert left is not None
     assert right is not None
     assert (left > 0)[400:, :320].mean() > 0.98

@@ -25,7 +25,7 @@ def points_ahead(n: int, seed: int) -> Array:
 def project_eye(eye: EyeCalibration, points_eye: Array) -> Array:
     """Raw pixels (n, 2) of points (n, 3) [m] in the eye's own frame, in front of it: OpenCV's own models."""
     points, zero = np.ascontiguousarray(points_eye, dtype=float).reshape(-1, 1, 3), np.zeros(3)
-    project = cv2.fisheye.projectPoints if eye.model == "fisheye" else cv2.projectPoints
+    project = cv2.fisheye.projectPoints if eye.lens_model == "fisheye" else cv2.projectPoints
     return np.asarray(project(points, zero, zero, eye.matrix, eye.coefficients)[0], dtype=float).reshape(-1, 2)
 
 

@@ -40,7 +40,7 @@ def parsed(*texts: str, size_px: tuple[int, int] = SIZE_PX) -> RigCalibration:
 def assert_same(rig: RigCalibration, other: RigCalibration) -> None:
     assert (rig.width_px, rig.height_px) == (other.width_px, other.height_px)
     for eye, wanted in ((rig.left, other.left), (rig.right, other.right)):
-        assert eye.model == wanted.model
+        assert eye.lens_model == wanted.lens_model
         np.testing.assert_allclose(eye.matrix, wanted.matrix, rtol=1e-12)
         np.testing.assert_allclose(eye.distortion, wanted.distortion, atol=1e-15)
     np.testing.assert_allclose(rig.R_right_left, other.R_right_left, atol=1e-12)
@@ -79,7 +79,7 @@ def test_opencv_in_metres_millimetres_and_two_files() -> None:
 def test_round_trip_through_opencv_itself(rig: RigCalibration, tmp_path: Path) -> None:
     path = tmp_path / "stereo.yml"
     store = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    if rig.left.model == "fisheye":
+    if rig.left.lens_model == "fisheye":
         store.write("model", "fisheye")
     for name, value in (
         ("cameraMatrix1", rig.left.matrix),
@@ -136,7 +136,7 @@ def test_ros_other_lens_models() -> None:
         text.replace("plumb_bob", "equidistant").replace("[-0.35, 0.15, 5e-4, -2e-4, 0]", "[-0.01, 0.002, 0, 0]")
         for text in (ROS_LEFT, ROS_RIGHT)
     ]
-    assert parsed(*[text.replace("cols: 5", "cols: 4") for text in wide]).left.model == "fisheye"
+    assert parsed(*[text.replace("cols: 5", "cols: 4") for text in wide]).left.lens_model == "fisheye"
     rational = [
         text.replace("plumb_bob", "rational_polynomial")
         .replace("cols: 5", "cols: 8")
@@ -161,7 +161,7 @@ def test_euroc_pair() -> None:
 
 def test_kalibr_camchain() -> None:
     rig = parsed(KALIBR)
-    assert rig.left.model == rig.right.model == "fisheye"
+    assert rig.left.lens_model == rig.right.lens_model == "fisheye"
     np.testing.assert_allclose(rig.t_right_left_m, [-0.11, 0.001, 0.002])
 
 
@@ -285,8 +285,8 @@ def test_four_coefficients_without_a_model_are_refused_and_with_one_are_read_as_
     D = "[-0.01, 0.02, -0.01, 0.003]"
     with pytest.raises(CalibrationFileError, match=r"does not state which; add the line `model: pinhole` or"):
         parsed(opencv_with(D), size_px=(640, 480))
-    assert parsed(opencv_with(D, "model: fisheye\n"), size_px=(640, 480)).left.model == "fisheye"
-    assert parsed(opencv_with(D, "model: pinhole\n"), size_px=(640, 480)).left.model == "brown"
+    assert parsed(opencv_with(D, "model: fisheye\n"), size_px=(640, 480)).left.lens_model == "fisheye"
+    assert parsed(opencv_with(D, "model: pinhole\n"), size_px=(640, 480)).left.lens_model == "brown"
     with pytest.raises(CalibrationFileError, match="'omni' is not read; known are"):
         parsed(opencv_with(D, "model: omni\n"), size_px=(640, 480))
 

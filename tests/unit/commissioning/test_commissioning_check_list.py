@@ -4,7 +4,7 @@ import pytest
 from commissioning_states import StandInLink, StandInOperator, health, sample, site
 
 from server.commissioning import check_list
-from server.commissioning.check_list import STEPS, Step, StepRequirement, go_through
+from server.commissioning.check_list import CHECK_LIST_STEPS, Step, StepRequirement, go_through
 from server.commissioning.contracts import StepResult, Verdict
 from server.commissioning.moving import NotReadyError
 from server.link.contracts import LinkPhase
@@ -35,16 +35,16 @@ def impatient(monkeypatch):
 
 
 def test_numbers_and_names_are_unique_and_failures_point_back():
-    assert [each.number for each in STEPS] == list(range(1, 9))
-    assert len({each.name for each in STEPS}) == 8
-    assert all(before < each.number for each in STEPS for before in each.after)
+    assert [each.number for each in CHECK_LIST_STEPS] == list(range(1, 9))
+    assert len({each.name for each in CHECK_LIST_STEPS}) == 8
+    assert all(before < each.number for each in CHECK_LIST_STEPS for before in each.prerequisite_steps)
 
 
 def test_whatever_moves_needs_leave_open_valves_and_a_proven_link():
-    for each in STEPS:
-        if StepRequirement.LEAVE in each.needs:
-            assert StepRequirement.VALVES in each.needs
-            assert {1, 2} <= set(each.after)
+    for each in CHECK_LIST_STEPS:
+        if StepRequirement.LEAVE in each.requirements:
+            assert StepRequirement.VALVES in each.requirements
+            assert {1, 2} <= set(each.prerequisite_steps)
 
 
 @pytest.mark.parametrize("error", [LinkRefusedError("ENABLE"), NotReadyError("no room"), ValueError("no motion")])

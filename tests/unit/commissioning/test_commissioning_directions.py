@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from commissioning_states import CHAIN, Q
 
-from server.commissioning.camera_axes import ANGLE_MAX_DEG, CameraDisplacements, axes_figures, wrong_mounting
+from server.commissioning.camera_axes import DIRECTION_ERROR_MAX_DEG, CameraDisplacements, axes_figures, wrong_mounting
 from server.commissioning.joint_signs import (
     ExpectedDirection,
     expected_motion,
@@ -22,23 +22,23 @@ STEP = float(np.deg2rad(2.0))
 def test_positive_slew_is_counter_clockwise_from_above_so_left(slew_deg):
     q = Q.copy()
     q[0] = np.deg2rad(slew_deg)
-    assert expected_motion(CHAIN, q, 0, STEP).words == ("left",)
-    assert expected_motion(CHAIN, q, 0, -STEP).words == ("right",)
+    assert expected_motion(CHAIN, q, 0, STEP).accepted_words == ("left",)
+    assert expected_motion(CHAIN, q, 0, -STEP).accepted_words == ("right",)
 
 
 def test_positive_lift_goes_up():
-    assert expected_motion(CHAIN, Q, 1, STEP).words[0] == "up"
-    assert expected_motion(CHAIN, Q, 1, -STEP).words[0] == "down"
+    assert expected_motion(CHAIN, Q, 1, STEP).accepted_words[0] == "up"
+    assert expected_motion(CHAIN, Q, 1, -STEP).accepted_words[0] == "down"
 
 
 def test_a_boom_that_hangs_tilts_out_and_up():
-    assert set(expected_motion(CHAIN, Q, 2, STEP).words) == {"up", "out"}
+    assert set(expected_motion(CHAIN, Q, 2, STEP).accepted_words) == {"up", "out"}
 
 
 def test_the_last_wrist_joint_turns_the_tool_about_its_own_line():
     expected = expected_motion(CHAIN, Q, 5, float(np.deg2rad(6.0)))
     back = expected_motion(CHAIN, Q, 5, float(-np.deg2rad(6.0)))
-    assert {expected.words[0], back.words[0]} == {"clockwise", "counter-clockwise"}
+    assert {expected.accepted_words[0], back.accepted_words[0]} == {"clockwise", "counter-clockwise"}
     assert "6.0 deg" in expected.text
 
 
@@ -105,7 +105,7 @@ def test_every_other_mounting_of_the_48_is_noticed(order, signs):
     assert (wrong_mounting(seen) == "") is is_true
 
 
-@pytest.mark.parametrize(("deg", "ok"), [(ANGLE_MAX_DEG - 1.0, True), (ANGLE_MAX_DEG + 1.0, False)])
+@pytest.mark.parametrize(("deg", "ok"), [(DIRECTION_ERROR_MAX_DEG - 1.0, True), (DIRECTION_ERROR_MAX_DEG + 1.0, False)])
 def test_the_angle_is_held_to_its_limit(deg, ok):
     a = np.deg2rad(deg)
     leg = np.array([[0.08, 0.0, 0.0]])

@@ -104,7 +104,7 @@ def right_answers(wrong=()):
     answers = {}
     for index, name in enumerate(NAMES):
         step = jog_step(site(), Q, index)
-        answers[f"joint_signs.{name}"] = expected_motion(CHAIN, Q, index, step).words[0]
+        answers[f"joint_signs.{name}"] = expected_motion(CHAIN, Q, index, step).accepted_words[0]
     opposite = {"left": "right", "up": "down", "out": "in", "right": "left", "down": "up", "in": "out"}
     for name in wrong:
         answers[f"joint_signs.{name}"] = opposite[answers[f"joint_signs.{name}"]]
@@ -190,7 +190,7 @@ def test_valves_that_open_while_nobody_commands_fail_the_dry_run():
 
 
 async def test_a_motion_that_ends_before_it_is_stopped_is_told_as_that(monkeypatch):
-    monkeypatch.setattr(stopping, "SILENCE_S", 0.05)
+    monkeypatch.setattr(stopping, "LINK_SILENCE_DURATION_S", 0.05)
 
     class Faulty(StandInLink):
         async def run(self, trajectory):

@@ -53,7 +53,7 @@ def test_the_diagnosed_machine_stands_at_the_goal_when_the_planner_gets_the_nomi
     known = compensation_of(MACHINE, SEVERAL)
     here = known.tcp_poses(Q[None], np.ones(6))[0]
     T_goal = pose(here[:3, :3], here[:3, 3] + np.array([0.1, -0.15, 0.2]))
-    q_goal = inverse_nearest(CHAIN, known.nominal_goal(CHAIN, Q, T_goal, np.ones(6)), Q).q
+    q_goal = inverse_nearest(CHAIN, known.nominal_goal(CHAIN, Q, T_goal, np.ones(6)), Q).q_rad
     assert q_goal is not None
     there = known.tcp_poses(q_goal[None], np.ones(6))[0]
     assert np.linalg.norm(there[:3, 3] - T_goal[:3, 3]) < 2e-6
@@ -78,14 +78,14 @@ def test_the_joint_estimate_starts_from_diagnosed_numbers():
     known = compensation_of(MACHINE, SEVERAL)
     believed, prior = known.believed_machine(), known.joint_prior()
     assert believed.joints[2].theta_offset_rad == pytest.approx(MACHINE.joints[2].theta_offset_rad - 0.004)
-    assert prior.errors.mean_compliance[1] == pytest.approx(1e-6)
-    assert prior.errors.mean_play_rad[0] == pytest.approx(0.002)
-    assert prior.errors.sigma_play_rad[0] < 4.5e-4
+    assert prior.kinematic_errors.mean_compliance[1] == pytest.approx(1e-6)
+    assert prior.kinematic_errors.mean_play_rad[0] == pytest.approx(0.002)
+    assert prior.kinematic_errors.sigma_play_rad[0] < 4.5e-4
 
 
 def test_what_cannot_be_compensated_is_said():
     known = compensation_of(MACHINE, (entry("valve_lag", 2, time_constant_s=0.05), *SEVERAL))
-    lines = known.sorted.lines()
+    lines = known.effects_by_use.lines()
     assert "valve_lag, joint 2: not compensated" in lines
     assert "gravity_sag, joint 2: kinematics" in lines
 
@@ -102,8 +102,8 @@ def test_what_the_learnt_map_has_no_number_for_is_told_as_such():
     ):
         known = compensation_of(MACHINE, (entry(name, joint, **more),))
         found = error_model(known.believed_machine(), known.believed_errors())
-        changed = found.n != plain.n or not np.allclose(found.mean, plain.mean)
-        (line,) = known.sorted.lines()
+        changed = found.n != plain.n or not np.allclose(found.prior_mean, plain.prior_mean)
+        (line,) = known.effects_by_use.lines()
         assert changed is not any(word in line for word in ("until a calibration", "not compensated")), line
 
 
@@ -113,7 +113,7 @@ def test_a_file_of_a_sister_crane_or_of_another_geometry_is_refused(tmp_path):
     path.write_text(text.replace("[machine]", "[machine]\nserial = 'B-2'", 1), encoding="utf-8")
     with pytest.raises(CompensationError, match=r"serial 'B-2'; the server drives 'A-1'"):
         read_compensation(replace(MACHINE, serial="A-1"), path)
-    assert read_compensation(MACHINE, path).sorted.used
+    assert read_compensation(MACHINE, path).effects_by_use.compensated
     longer = replace(MACHINE.joints[1], a_m=MACHINE.joints[1].a_m + 0.01)
     other = replace(MACHINE, joints=(MACHINE.joints[0], longer, *MACHINE.joints[2:]))
     with pytest.raises(CompensationError, match="a_m of joint 'lift'"):
@@ -127,7 +127,7 @@ def test_a_file_of_a_sister_crane_or_of_another_geometry_is_refused(tmp_path):
     mount = MACHINE.T_tcp_cam_left.copy()
     mount[0, 3] += 0.05
     remounted = replace(MACHINE, T_tcp_cam_left=mount)
-    assert read_compensation(remounted, path).sorted.used  # nothing of the camera was diagnosed
+    assert read_compensation(remounted, path).effects_by_use.compensated  # nothing of the camera was diagnosed
     turned = machine_file(tmp_path, "effects", (entry("hand_eye_rotation", None, angle_rad=0.02),))
     with pytest.raises(CompensationError, match="T_tcp_cam_left is not that"):
         read_compensation(remounted, turned)
@@ -148,7 +148,7 @@ def test_a_diagnosed_file_is_read(tmp_path):
     settings = ServerSettings.model_validate({"compensation": {"machine_file": str(machine_file(tmp_path, "effects"))}})
     known = compensation_from(settings, MACHINE)
     assert known is not None
-    assert [one.name for one in known.sorted.used] == [one.name for one in SEVERAL]
+    assert [one.name for one in known.effects_by_use.compensated] == [one.name for one in SEVERAL]
 
 
 @pytest.mark.parametrize("word", ["undecided", "outside"])
@@ -202,8 +202,8 @@ def test_moves_by_a_diagnosed_play_come_to_their_goal_whoever_follows_it(joint):
     for _ in range(3):
         here = known.tcp_poses(q[None], np.ones(6))[0]  # where it stands, having come from below
         T_base_cam = here @ MACHINE.T_tcp_cam_left
-        ctx.knowledge.side = side_at_goal(ctx)
+        ctx.knowledge.backlash_sides = side_at_goal(ctx)
         seen = inverse_pose(T_base_cam) @ here @ T_tool, inverse_pose(T_base_cam) @ T_base_ooi
-        q = inverse_nearest(CHAIN, goal_from_look(ctx, q, R, *seen), q).q
+        q = inverse_nearest(CHAIN, goal_from_look(ctx, q, R, *seen), q).q_rad
     there = known.tcp_poses(q[None], np.ones(6))[0]
     assert np.linalg.norm(there[:3, 3] - T_goal[:3, 3]) < 1e-4

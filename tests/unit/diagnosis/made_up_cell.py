@@ -18,7 +18,7 @@ def made_up(truth: tuple[float, float, float], seed: int = 4, noise: float = 1.0
     base_noise = rng.normal(0.0, noise, N)
 
     def whitened(sets: ParameterSets) -> np.ndarray:
-        sizes = np.stack([sets.joint[:, 0, slot.column] for slot in (GAIN, ASYMMETRY, LAG)], axis=1)
+        sizes = np.stack([sets.joint_parameters[:, 0, slot.column] for slot in (GAIN, ASYMMETRY, LAG)], axis=1)
         return base_noise + (np.array(truth) - sizes) @ (40.0 * COLUMNS)
 
     block, _ = blocks_of([N // 2, N // 2])
@@ -30,7 +30,7 @@ def made_up(truth: tuple[float, float, float], seed: int = 4, noise: float = 1.0
         joint=1,
         unit="rad/s",
         candidates=candidates_of_effects(("flow_gain_error", "valve_asymmetry", "valve_lag"), (1,)),
-        base=neutral_sets(1),
+        baseline_parameters=neutral_sets(1),
         whitened=whitened,
         rows=ResidualRows(fold, block, zero, zero),
         scale=np.ones(N),

@@ -55,8 +55,12 @@ def random_sets(n: int, sets: int, seed: int, share: float = 1.0) -> ParameterSe
     for effect in (one for one in EFFECTS if is_dynamic(one)):
         for joint in [None] if effect.scope == "machine" else range(1, n + 1):
             for slot in slots_of(effect.name, joint):
-                values = rng.uniform(slot.low, slot.high, sets)
-                near = slot.neutral + share * (values - slot.neutral) if math.isfinite(slot.neutral) else values
-                inside = np.clip(near, slot.low, slot.high)
+                values = rng.uniform(slot.lower_bound, slot.typical_max, sets)
+                near = (
+                    slot.neutral_value + share * (values - slot.neutral_value)
+                    if math.isfinite(slot.neutral_value)
+                    else values
+                )
+                inside = np.clip(near, slot.lower_bound, slot.typical_max)
                 drawn.put(slot, np.round(inside) if slot.parameter == "order" else inside)
     return drawn

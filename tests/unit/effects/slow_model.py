@@ -16,11 +16,11 @@ def nominal_rows(plant: Actuators, drive: Drive) -> tuple[list[list[float]], lis
     n, T = plant.n, plant.cycle_s
     dt = T / plant.substeps
     delay = round(plant.transport_delay_s / T)
-    q = list(drive.sent[drive.latest[0]])
+    q = list(drive.sent[drive.latest_sent_indices[0]])
     lagged, x, xd = [0.0] * n, [0.0] * n, [0.0] * n
     us, qs = [], []
-    for k in range(drive.cycles):
-        q_ref = drive.sent[drive.latest[max(k - delay, 0)]]
+    for k in range(drive.n_cycles):
+        q_ref = drive.sent[drive.latest_sent_indices[max(k - delay, 0)]]
         u = [0.0] * n
         for j in range(n):
             kv, wn, zeta, kp, tau = plant.joints[j]
@@ -154,15 +154,15 @@ def slow_rows(plant: Actuators, joint: np.ndarray, machine: np.ndarray, drive: D
         for _ in range(60):  # the angle that reads `start`
             one.q -= (one.encoder() - start) / (1.0 + one.p[columns.SCALE])
         one.side = one.oil = one.pushed = one.q
-        one.ref = float(drive.sent[drive.latest[0], j])
+        one.ref = float(drive.sent[drive.latest_sent_indices[0], j])
     kept = [0]
     for i in range(1, len(drive.sent)):
-        kept.append(kept[-1] if uniform(i, columns.LOSS_STREAM) < machine[columns.LOSS] else i)
+        kept.append(kept[-1] if uniform(i, columns.PACKET_LOSS_RANDOM_SEED) < machine[columns.LOSS] else i)
     delay = (plant.whole_delay_s + machine[columns.DELAY]) / T  # the rest of it is in the drive
     rows: dict[str, list[list[float]]] = {"ref": [], "u": [], "enc": [], "link": []}
-    for k in range(drive.cycles):
+    for k in range(drive.n_cycles):
         whole = math.floor(delay + 1e-9)
-        near, far = (drive.sent[kept[drive.latest[max(k - d, 0)]]] for d in (whole, whole + 1))
+        near, far = (drive.sent[kept[drive.latest_sent_indices[max(k - d, 0)]]] for d in (whole, whole + 1))
         target = near + (delay - whole) * (far - near)
         for j, one in enumerate(joints):
             one.take_reference(float(target[j]), T)

@@ -132,17 +132,17 @@ def test_draws_from_the_prior_stay_inside_the_bounds(effect) -> None:
 def test_every_slot_of_every_effect_has_a_column_of_its_own() -> None:
     taken: set[tuple[str, int]] = set()
     for effect in EFFECTS:
-        for option in effect.choice.options if effect.choice else ("",):
+        for option in effect.quantity_choice.options if effect.quantity_choice else ("",):
             for slot in slots_of(effect.name, 1 if effect.scope == "joint" else None, option):
                 assert (slot.scope, slot.column) not in taken, slot
                 taken.add((slot.scope, slot.column))
-                assert neutral_sets(3).get(slot) == slot.neutral
+                assert neutral_sets(3).get(slot) == slot.neutral_value
     sizes = {scope: len([one for one in taken if one[0] == scope]) for scope in ("joint", "machine")}
     neutral, held = neutral_sets(3), {"base_tilt": 1}  # about the upright it is the first encoder's bias
     directions = {effect.name: effect.direction for effect in EFFECTS if effect.direction is not None}
-    not_fitted = {name: len(one.default) - one.fitted for name, one in directions.items()}
+    not_fitted = {name: len(one.default_vector) - one.n_fitted_components for name, one in directions.items()}
     assert {name: count for name, count in not_fitted.items() if count > 0} == held
-    columns = {"joint": neutral.joint.shape[2], "machine": neutral.machine.shape[1]}
+    columns = {"joint": neutral.joint_parameters.shape[2], "machine": neutral.machine_parameters.shape[1]}
     known_swing = 3  # of a joint that has one already: no slot moves it
     assert columns == {"joint": sizes["joint"] + known_swing, "machine": sizes["machine"] + sum(held.values())}
 
@@ -164,7 +164,13 @@ def test_the_documentation_lists_every_effect_with_its_bounds() -> None:
         line = lines[effect.name]
         assert f"| {effect.stage}, {effect.scope} |" in line
         for one in effect.parameters:
-            assert f"`{one.name}` [{one.unit}] {one.low:g} .. {one.high:g}, start {one.start:g}" in line
-            assert one.most is None or f"poor ones up to {one.most:g}" in line
-            assert one.lightest is None or f"on light arms up to {one.lightest:g}" in line
-        assert effect.choice is None or f"`{effect.choice.name}` {' or '.join(effect.choice.options)}" in line
+            assert (
+                f"`{one.name}` [{one.unit}] {one.plausible_min:g} .. {one.plausible_max:g}, start {one.start_value:g}"
+                in line
+            )
+            assert one.poor_machine_max is None or f"poor ones up to {one.poor_machine_max:g}" in line
+            assert one.light_arm_max is None or f"on light arms up to {one.light_arm_max:g}" in line
+        assert (
+            effect.quantity_choice is None
+            or f"`{effect.quantity_choice.name}` {' or '.join(effect.quantity_choice.options)}" in line
+        )

@@ -19,7 +19,7 @@ def read(text: str, n: int = 6) -> tuple[EffectEntry, ...]:
 
 def test_a_file_without_effects_has_none() -> None:
     assert read("[machine]\nname = 'x'\n") == ()
-    assert np.array_equal(pack_effects((), 6).joint, neutral_sets(6).joint)
+    assert np.array_equal(pack_effects((), 6).joint_parameters, neutral_sets(6).joint_parameters)
 
 
 def test_entries_are_read() -> None:
@@ -92,10 +92,12 @@ def test_every_effect_written_is_read_back_the_same() -> None:
     entries = []
     for effect in EFFECTS:
         parameters: dict[str, object] = {entry.name: entry.draw_value(rng) for entry in effect.parameters}
-        if effect.choice:
-            parameters[effect.choice.name] = effect.choice.options[1]
+        if effect.quantity_choice:
+            parameters[effect.quantity_choice.name] = effect.quantity_choice.options[1]
         if effect.direction:
-            parameters[effect.direction.name] = [float(x) for x in rng.normal(size=len(effect.direction.default))]
+            parameters[effect.direction.name] = [
+                float(x) for x in rng.normal(size=len(effect.direction.default_vector))
+            ]
         entries.append(make_entry(effect, 3 if effect.scope == "joint" else None, parameters))
     back = read(entries_to_toml(entries))
     assert [one.name for one in back] == [one.name for one in entries]
@@ -124,18 +126,18 @@ def test_an_effect_beyond_a_baseline_adds_and_limits_take_the_smaller() -> None:
         ],
         6,
     )
-    assert packed.joint[0, 1, DEADBAND] == pytest.approx(0.05)
-    assert packed.joint[0, 0, RATE] == 0.2
-    assert packed.machine[0, FLOW_LIMIT] == 0.7
-    assert packed.joint[0, 2, [LENGTH_A, LENGTH_D]] == pytest.approx([0.01, 0.02])
-    assert packed.joint[0, 2, FLEX_HZ] == 4.0
-    assert packed.joint[0, 2, KNOWN_GAIN] == 0.0
-    assert packed.machine[0, HAND_EYE_ROTATION] == pytest.approx([0.02, 0.0, -0.01])
+    assert packed.joint_parameters[0, 1, DEADBAND] == pytest.approx(0.05)
+    assert packed.joint_parameters[0, 0, RATE] == 0.2
+    assert packed.machine_parameters[0, FLOW_LIMIT] == 0.7
+    assert packed.joint_parameters[0, 2, [LENGTH_A, LENGTH_D]] == pytest.approx([0.01, 0.02])
+    assert packed.joint_parameters[0, 2, FLEX_HZ] == 4.0
+    assert packed.joint_parameters[0, 2, KNOWN_GAIN] == 0.0
+    assert packed.machine_parameters[0, HAND_EYE_ROTATION] == pytest.approx([0.02, 0.0, -0.01])
 
 
 def test_a_second_swing_of_a_joint_keeps_its_own_frequency_and_a_third_is_refused() -> None:
     swings = [entry("link_flexibility", 2, gain=gain, frequency_hz=hz) for gain, hz in ((0.9, 3.8), (0.2, 2.1))]
-    both = pack_effects(swings, 3).joint[0, 1]
+    both = pack_effects(swings, 3).joint_parameters[0, 1]
     assert both[[FLEX_GAIN, FLEX_HZ, KNOWN_GAIN, KNOWN_HZ]] == pytest.approx([0.2, 2.1, 0.9, 3.8])
     assert read(entries_to_toml(swings)) == tuple(swings)
     with pytest.raises(MachineFileError, match="link_flexibility, joint 2: a third oscillation"):
@@ -144,11 +146,11 @@ def test_a_second_swing_of_a_joint_keeps_its_own_frequency_and_a_third_is_refuse
 
 def test_what_a_hypothesis_is_put_on_leaves_it_a_swing_of_its_own() -> None:
     known = entry("link_flexibility", 1, gain=0.9, frequency_hz=3.8)
-    under = pack_under([known], 2).joint[0, 0]
+    under = pack_under([known], 2).joint_parameters[0, 0]
     assert under[[FLEX_GAIN, KNOWN_GAIN, KNOWN_HZ]] == pytest.approx([0.0, 0.9, 3.8])
-    assert under[FLEX_HZ] == neutral_sets(1).joint[0, 0, FLEX_HZ]
+    assert under[FLEX_HZ] == neutral_sets(1).joint_parameters[0, 0, FLEX_HZ]
     full = [known, entry("link_flexibility", 1, gain=0.2, frequency_hz=2.1)]
-    assert np.array_equal(pack_under(full, 2).joint, pack_effects(full, 2).joint)
+    assert np.array_equal(pack_under(full, 2).joint_parameters, pack_effects(full, 2).joint_parameters)
 
 
 def test_a_parameter_that_an_effect_does_not_have_is_refused_where_entries_are_packed() -> None:

@@ -60,10 +60,10 @@ def test_a_joint_by_itself_moves_as_it_does_among_all(seed: int) -> None:
     """Run alone it goes through a loop of its own."""
     plant, loss = plant_of_hiab(delay_s=0.0035), 0.2 * (seed - 1)
     run, sets = drive(plant, 0.8, loads=True), random_sets(6, 2, seed, share=0.4)
-    sets.machine[:, LOSS] = loss
+    sets.machine_parameters[:, LOSS] = loss
     found = []
     for limit in (1e9, np.inf):  # a pump that never lacks, and none to share
-        sets.machine[:, FLOW_LIMIT] = limit
+        sets.machine_parameters[:, FLOW_LIMIT] = limit
         found.append(simulate(plant, sets, run))
     shared, among = found
     for name in ("ref", "u", "enc", "link"):
@@ -72,7 +72,7 @@ def test_a_joint_by_itself_moves_as_it_does_among_all(seed: int) -> None:
     for j in range(6):
         columns = {name: getattr(run, name)[:, j : j + 1].copy() for name in signals}
         starts = {name: getattr(run, name)[j : j + 1].copy() for name in ("enc_start", "u_start")}
-        own = ParameterSets(sets.joint[:, j : j + 1].copy(), sets.machine)
+        own = ParameterSets(sets.joint_parameters[:, j : j + 1].copy(), sets.machine_parameters)
         alone = simulate(replace(plant, joints=plant.joints[j : j + 1]), own, replace(run, **columns, **starts))
         for name in ("ref", "u", "enc", "link"):
             assert np.array_equal(getattr(alone, name)[..., 0], getattr(among, name)[..., j]), (name, j)
@@ -84,7 +84,7 @@ def test_all_terms_at_once_equal_the_slow_reference(seed: int) -> None:
     run = drive(plant, 0.8, loads=True)
     sets = random_sets(6, 1, seed, share=0.4)
     fast = simulate(plant, sets, run)
-    slow = slow_rows(plant, sets.joint[0], sets.machine[0], run)
+    slow = slow_rows(plant, sets.joint_parameters[0], sets.machine_parameters[0], run)
     for name in ("ref", "u", "enc", "link"):
         assert getattr(fast, name)[0] == pytest.approx(slow[name], abs=1e-9), name
     assert np.ptp(fast.enc[0], axis=0).min() > 1e-3  # it moved
@@ -111,10 +111,12 @@ def test_each_parameter_moves_the_output(effect) -> None:
     base = packed("internal_leakage", 2, drift_rad_s=0.01) if effect.name == "payload_error" else neutral_sets(6)
     slots = slots_of(effect.name, None if effect.scope == "machine" else 2)
     for slot in slots:
-        base.put(slot, slot.start)
+        base.put(slot, slot.start_value)
     for slot in slots:
         moved = base.repeated_sets(2)
-        further = slot.start + (1.0 if slot.parameter == "order" else 0.05 * (min(slot.high, 2.0) - slot.low))
+        further = slot.start_value + (
+            1.0 if slot.parameter == "order" else 0.05 * (min(slot.typical_max, 2.0) - slot.lower_bound)
+        )
         moved.put(slot, further, 1)
         traces = simulate(plant, moved, run)
         change = max(float(np.abs(one[1] - one[0]).max()) for one in (traces.ref, traces.u, traces.enc, traces.link))
@@ -136,7 +138,7 @@ def test_sets_do_not_touch_each_other() -> None:
     many = random_sets(6, 5, seed=3)
     together = simulate(plant, many, run)
     for s in range(5):
-        alone = type(many)(many.joint[s : s + 1].copy(), many.machine[s : s + 1].copy())
+        alone = type(many)(many.joint_parameters[s : s + 1].copy(), many.machine_parameters[s : s + 1].copy())
         assert np.array_equal(simulate(plant, alone, run).link[0], together.link[s])
 
 

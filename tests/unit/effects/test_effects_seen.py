@@ -46,7 +46,7 @@ def packed(name: str, **parameters: object) -> ParameterSets:
 
 def corners(sets: ParameterSets) -> np.ndarray:
     seen = seen_corners(sets, MACHINE.camera, MARKERS, POSES, LATER, 1e-3)
-    return np.stack([seen.left, seen.right])
+    return np.stack([seen.left_px, seen.right_px])
 
 
 def test_without_effects_it_is_the_nominal_camera() -> None:
@@ -69,7 +69,12 @@ def test_every_image_parameter_is_felt_finite_and_neutral_is_exact(effect) -> No
 
     sizes = [slot for slot in slots_of(effect.name, None) if slot.parameter == effect.size.name]
     for slot in sizes:
-        for value, same in ((slot.neutral, True), (slot.start, False), (slot.low, None), (slot.high, None)):
+        for value, same in (
+            (slot.neutral_value, True),
+            (slot.start_value, False),
+            (slot.lower_bound, None),
+            (slot.typical_max, None),
+        ):
             changed = neutral_sets(6)
             changed.put(slot, value)
             assert np.isfinite(measured(changed)).all()
@@ -102,8 +107,8 @@ def test_a_larger_print_is_a_nearer_marker() -> None:
             for d in (1.0, 1.1)
         ]
     )
-    wide = seen_corners(packed("marker_size_error", scale_frac=0.1), MACHINE.camera, (marker,), flat).left[1, 0]
-    near = seen_corners(NONE, MACHINE.camera, (marker,), flat).left[0, 0]
+    wide = seen_corners(packed("marker_size_error", scale_frac=0.1), MACHINE.camera, (marker,), flat).left_px[1, 0]
+    near = seen_corners(NONE, MACHINE.camera, (marker,), flat).left_px[0, 0]
     assert wide == pytest.approx(near, abs=1e-6)
 
 
@@ -121,13 +126,13 @@ def test_the_shutter_shears_by_speed_and_row() -> None:
     nominal = corners(NONE)
     sheared = corners(packed("rolling_shutter", readout_s=0.01)) - nominal
     later = seen_corners(NONE, MACHINE.camera, MARKERS, LATER)
-    rate = (np.stack([later.left, later.right]) - nominal) / 1e-3
+    rate = (np.stack([later.left_px, later.right_px]) - nominal) / 1e-3
     row = nominal[..., 1:] / (MACHINE.camera.height_px - 1.0) - 0.5
     assert sheared == pytest.approx(rate * row * 0.01, abs=1e-9)
     of_first_row = corners(packed("rolling_shutter", readout_s=0.01, stamp_row=1)) - nominal
     assert of_first_row == pytest.approx(rate * (row + 0.5) * 0.01, abs=1e-9)
     still = seen_corners(packed("rolling_shutter", readout_s=0.01), MACHINE.camera, MARKERS, POSES)
-    assert np.array_equal(still.left, nominal[0])
+    assert np.array_equal(still.left_px, nominal[0])
 
 
 def test_the_mount_turns_in_its_own_axes_and_moves_in_the_tcps() -> None:

@@ -113,7 +113,7 @@ def test_payload_deepens_sag_and_alone_changes_nothing() -> None:
     alone = packed("payload_error", None, mass_kg=100.0)
     assert np.array_equal(link_poses(ARM, alone, QS), link_poses(ARM, NONE, QS))
     soft = packed("gravity_sag", 2, compliance_rad_nm=1e-6)
-    loaded = ParameterSets(soft.joint, alone.machine)
+    loaded = ParameterSets(soft.joint_parameters, alone.machine_parameters)
     q = np.array([[0.3, 0.2, -0.5, 0.0, 0.5, 0.0]])
     assert tcp_poses(ARM, loaded, q)[0, 2, 3] < tcp_poses(ARM, soft, q)[0, 2, 3] - 1e-3
 
@@ -149,7 +149,12 @@ def test_every_parameter_is_felt_finite_and_neutral_is_exact(effect) -> None:
     nominal = link_poses(ARM, base, QS)
     for option in effect.choice.options if effect.choice else ("",):
         for slot in slots_of(effect.name, joint, option):
-            for value, same in ((slot.neutral, True), (slot.start, False), (slot.low, None), (slot.high, None)):
+            for value, same in (
+                (slot.neutral_value, True),
+                (slot.start_value, False),
+                (slot.lower_bound, None),
+                (slot.typical_max, None),
+            ):
                 changed = base.repeated_sets(1)
                 changed.put(slot, value)
                 poses = link_poses(ARM, changed, QS)
@@ -166,7 +171,7 @@ def encoder_readings(sets, q_true):
 
 def test_encoders_are_inverted_and_rest_on_either_side_of_their_play() -> None:
     sets = packed("encoder_eccentricity", 2, amplitude_rad=0.03, order=4, phase_rad=0.5)
-    sets.joint[0, 3] = packed("encoder_scale", 4, scale_frac=-0.1).joint[0, 3]
+    sets.joint_parameters[0, 3] = packed("encoder_scale", 4, scale_frac=-0.1).joint_parameters[0, 3]
     assert true_angles(sets, encoder_readings(sets, QS)) == pytest.approx(QS, abs=1e-12)
     assert np.array_equal(true_angles(NONE, QS), QS)
     play = packed("backlash", 2, width_rad=0.01)

@@ -17,10 +17,10 @@ CHAIN = """<robot name="r"><link name="base"/><link name="boom"><inertial><mass 
 
 def test_limits_and_masses_are_the_urdfs_own() -> None:
     first, second = urdf_chain(CHAIN, "base", "tip")
-    assert (first.lower, first.upper, first.mass) == (-1.0, 1.5, 40.0)
-    assert (second.lower, second.upper, second.mass) == (0.0, 2.0, None)
+    assert (first.lower_limit, first.upper_limit, first.child_mass_kg) == (-1.0, 1.5, 40.0)
+    assert (second.lower_limit, second.upper_limit, second.child_mass_kg) == (0.0, 2.0, None)
     turned = urdf_chain(CHAIN.replace('lower="-1" upper="1.5"', 'effort="9"'), "base", "tip")[0]
-    assert (turned.lower, turned.upper) == (-np.inf, np.inf)
+    assert (turned.lower_limit, turned.upper_limit) == (-np.inf, np.inf)
 
 
 def test_an_empty_first_line_is_no_fault() -> None:

@@ -51,7 +51,7 @@ def test_without_reference_and_command_link_controller_and_actuator_are_one_cell
     merge = merge_of(whole.stretches)
     assert merge is not None
     assert merge.stages == ("link", "controller", "actuator")
-    replayer = replayer_of(whole.nominal, whole.stretches)
+    replayer = replayer_of(whole.nominal_machine, whole.stretches)
     assert replayer is not None
     (cell,), coupled = merged_cells(replayer, whole.stretches, neutral_sets(2))
     assert coupled is None  # the one cell holds all joints already
@@ -85,6 +85,6 @@ def test_together_refuses_another_machine():
 
 def test_together_refuses_clocks_known_in_one_only():
     first = draw("sag-bias", 2).first
-    other = replace(first, run=replace(first.run, plc_to_pc_offset_s=None))
+    other = replace(first, run_info=replace(first.run_info, plc_to_pc_offset_s=None))
     with pytest.raises(DiagnosisError, match="plc_to_pc_offset_s is missing in recording 2"):
         join_recordings([first, other])

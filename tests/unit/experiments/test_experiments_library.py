@@ -9,7 +9,15 @@ import pytest
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.experiments.described import describe_motions, experiment_of, spline_course
-from diagnosis.experiments.library import MARGIN_RAD, PER_S, SAMPLE_S, SPEED_SHARE, Motion, Postures, library_motions
+from diagnosis.experiments.library import (
+    ACCELERATION_SPEED_RATIO_PER_S,
+    JOINT_LIMIT_MARGIN_RAD,
+    SAMPLE_PERIOD_S,
+    SPEED_LIMIT_FRAC,
+    Motion,
+    Postures,
+    library_motions,
+)
 from diagnosis.experiments.postures import candidate_postures, gravity_extremes, look_posture_choices
 from diagnosis.log.nominal import nominal_of
 from machine.effects.layout import neutral_sets
@@ -34,12 +42,12 @@ def library(nominal):
 def test_motions_keep_range_speed_and_acceleration(nominal, library):
     gain = nominal.actuators.joints[:, 0]
     for one in library:
-        assert (one.q >= nominal.q_min + MARGIN_RAD - 1e-9).all(), one.name
-        assert (one.q <= nominal.q_max - MARGIN_RAD + 1e-9).all(), one.name
-        speed = np.gradient(one.q, SAMPLE_S, axis=0)
-        assert (np.abs(speed).max(axis=0) <= 1.01 * SPEED_SHARE * gain).all(), one.name
-        acceleration = np.abs(np.gradient(speed, SAMPLE_S, axis=0)[2:-2]).max(axis=0)
-        assert (acceleration <= 1.3 * PER_S * gain).all(), (one.name, acceleration / gain)
+        assert (one.q >= nominal.q_min + JOINT_LIMIT_MARGIN_RAD - 1e-9).all(), one.name
+        assert (one.q <= nominal.q_max - JOINT_LIMIT_MARGIN_RAD + 1e-9).all(), one.name
+        speed = np.gradient(one.q, SAMPLE_PERIOD_S, axis=0)
+        assert (np.abs(speed).max(axis=0) <= 1.01 * SPEED_LIMIT_FRAC * gain).all(), one.name
+        acceleration = np.abs(np.gradient(speed, SAMPLE_PERIOD_S, axis=0)[2:-2]).max(axis=0)
+        assert (acceleration <= 1.3 * ACCELERATION_SPEED_RATIO_PER_S * gain).all(), (one.name, acceleration / gain)
 
 
 @pytest.mark.parametrize("half_range_rad", [3.0, 0.05, 0.02, 0.0])
@@ -77,7 +85,7 @@ def test_descriptions_survive_json_to_half_a_milliradian(library):
         assert isinstance(back, Motion)
         rows = len(back.q)
         assert np.abs(back.q - one.q[:rows]).max() < 5e-4, one.name
-        assert (back.name, back.kind) == (one.name, one.kind)
+        assert (back.name, back.segment_kind) == (one.name, one.kind)
 
 
 def test_postures_survive_json():

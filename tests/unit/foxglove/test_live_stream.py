@@ -25,7 +25,7 @@ from machine.urdf import urdf_text
 from recording.clock import mono_ns
 from server.errors import SettingsError
 from server.faces import shell
-from server.faces.foxglove import BACKLOG, FoxgloveFace, check_foxglove, foxglove_face
+from server.faces.foxglove import VIEWER_BACKLOG_MESSAGES_MAX, FoxgloveFace, check_foxglove, foxglove_face
 from server.jobs.engine import Job, JobEvent
 from server.jobs.records import ErrorMm
 from server.link.contracts import PlcSample
@@ -166,7 +166,9 @@ async def test_a_viewer_that_stalls_costs_nothing_and_the_other_sees_the_present
                 service.cell.link.latest = sample(10**9 + number)
                 service.cell.vision.latest_preview = (b"\xff\xd8" + bytes(IMAGE_BYTES), 10**9 + number)
                 face.publish(10**9 + number, time.time_ns())
-            assert resident_kb() - before_kb < 4 * BACKLOG * IMAGE_BYTES / 1024  # queue, socket buffers, and slack
+            assert (
+                resident_kb() - before_kb < 4 * VIEWER_BACKLOG_MESSAGES_MAX * IMAGE_BYTES / 1024
+            )  # queue, socket buffers, and slack
             assert (time.process_time() - cpu_s) / 4000 < 0.02  # s a round: what it takes without any viewer, and slack
             async with Viewer(face.port) as other:
                 service.cell.link.latest = sample(2 * 10**9, q=(0.7, *Q[1:]))
@@ -236,7 +238,7 @@ def connect_idly(port, count):
 @needs_sdk
 @pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="descriptors cannot be counted here")
 async def test_it_gives_its_descriptors_back_before_a_stop_has_none(service, monkeypatch, caplog):
-    monkeypatch.setattr(shell, "PAUSE_S", 0.5)
+    monkeypatch.setattr(shell, "FACE_RESTART_DELAY_S", 0.5)
     limit = 2 * len(os.listdir("/proc/self/fd")) + 200
     monkeypatch.setattr(shell.resource, "getrlimit", lambda _which: (limit, limit))
     async with foxglove_face(service, FoxgloveSettings(enabled=True, port=free_port())) as face:
@@ -265,5 +267,5 @@ async def test_a_stop_has_a_descriptor_while_the_viewers_are_still_being_closed(
     async with asyncio.timeout(30.0):
         await until(lambda: not face._aside)
     assert not stopping.done()
-    assert len(os.listdir("/proc/self/fd")) <= before - shell.SPARE // 2 + 8
+    assert len(os.listdir("/proc/self/fd")) <= before - shell.SPARE_DESCRIPTORS_MIN // 2 + 8
     await stopping

@@ -17,7 +17,7 @@ from test_live_stream import IMAGE_BYTES, KINDS, again, free_port, needs_sdk, re
 
 from machine.urdf import urdf_text
 from recording.clock import mono_ns
-from server.faces.foxglove import BACKLOG, FoxgloveFace
+from server.faces.foxglove import VIEWER_BACKLOG_MESSAGES_MAX, FoxgloveFace
 from server.jobs.engine import Job, JobEvent
 
 __all__ = ["service"]
@@ -108,7 +108,7 @@ async def test_one_that_stalls_costs_nothing_and_the_other_sees_the_present(face
             service.cell.vision.latest_preview = (b"\xff\xd8" + bytes(IMAGE_BYTES), 10**9 + number)
             face.publish(10**9 + number, time.time_ns())
         assert (time.process_time() - cpu_s) / 1000 < 0.02  # s a round, with the library's own threads
-        assert resident_kb() - before_kb < 4 * BACKLOG * IMAGE_BYTES / 1024
+        assert resident_kb() - before_kb < 4 * VIEWER_BACKLOG_MESSAGES_MAX * IMAGE_BYTES / 1024
         service.cell.link.latest = sample(2 * 10**9, q=(0.7, 0.0, 0.0, 0.0, 0.0, 0.0))
         async with viewer(face, ["/joint_states"]) as lines:
             _, found = await read(lines, face, service, ["/joint_states"])

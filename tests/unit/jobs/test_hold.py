@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from server.jobs.hold import CHALLENGE_NS, SILENCE_NS, Challenge, HoldToRun, reply_to
+from server.jobs.hold import CHALLENGE_NS, HOLD_SILENCE_MAX_NS, Challenge, HoldToRun, reply_to
 
 MS = 1_000_000
 
@@ -31,12 +31,12 @@ def test_silence_ends_it_after_250_ms_and_for_ever():
     held = hold()
     challenge = asked(held, 0)
     held.answer(challenge.seq, reply_to(challenge.nonce), "plan-a")
-    held.poll(SILENCE_NS)
+    held.poll(HOLD_SILENCE_MAX_NS)
     assert held.why_ended == ""
-    assert held.poll(SILENCE_NS + MS) is None
+    assert held.poll(HOLD_SILENCE_MAX_NS + MS) is None
     assert "silent for 251 ms" in held.why_ended
     assert not held.answer(challenge.seq, reply_to(challenge.nonce), "plan-a")
-    assert held.poll(SILENCE_NS + 40 * MS) is None
+    assert held.poll(HOLD_SILENCE_MAX_NS + 40 * MS) is None
 
 
 def test_a_burst_of_late_answers_renews_nothing():
@@ -61,7 +61,7 @@ def test_a_wrong_answer_does_not_count(seq, reply, bond):
     held = hold()
     asked(held, 0)
     assert not held.answer(seq, reply, bond)
-    held.poll(SILENCE_NS + MS)
+    held.poll(HOLD_SILENCE_MAX_NS + MS)
     assert held.why_ended != ""
 
 

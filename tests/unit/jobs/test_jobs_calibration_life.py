@@ -38,7 +38,7 @@ class Counted(World):
     def perform(self, request):
         self.paths += isinstance(request, StartOdometry)
         if isinstance(request, TakeLook):
-            self.pairs.append(request.pairs)
+            self.pairs.append(request.n_pairs)
         reply = super().perform(request)
         if isinstance(request, TakeLook) and reply.T_cam_tool is not None:
             reply = replace(reply, T_cam_tool=reply.T_cam_tool @ self.tool_slip)
@@ -58,11 +58,11 @@ def again(world, ctx):
 
 def test_a_run_leaves_a_calibration_with_its_place_and_its_map():
     world, ctx = positioned()
-    life = ctx.knowledge.life
+    life = ctx.knowledge.kept_calibration
     assert life.valid_at(world.t_ns * 1e-9, world.q, ctx.tcp(world.q)).ok
     assert life.local_map.n_looks >= 1
-    assert life.tool is not None
-    assert np.linalg.norm(life.made.T_base_tcp[:3, 3] - ctx.tcp(world.q)[:3, 3]) > 0.3  # made before the move
+    assert life.tool_marker_pose is not None
+    assert np.linalg.norm(life.made_at.T_base_tcp[:3, 3] - ctx.tcp(world.q)[:3, 3]) > 0.3  # made before the move
 
 
 def test_a_kept_calibration_spares_the_path():
@@ -81,12 +81,12 @@ def test_an_old_one_is_renewed_by_the_job_and_refused_by_a_single_step():
     with pytest.raises(JobFailedError, match=r"13\.0 h old.*calibrate") as refused:
         preview(ctx, taken, world.t_ns)
     assert refused.value.code == "calibration_too_old"
-    kept = ctx.knowledge.life
+    kept = ctx.knowledge.kept_calibration
     run(retract(ctx, 400.0), world)
     result, story = again(world, ctx)
     assert result.reached
     assert world.paths == before + 1
-    assert ctx.knowledge.life is not kept
+    assert ctx.knowledge.kept_calibration is not kept
     assert any("calibrating again" in getattr(item, "text", "") for item in story)
 
 
@@ -107,7 +107,7 @@ def test_after_a_slip_nothing_moves_until_somebody_calibrates():
     run(retract(ctx, 400.0), world)
     result, _ = run(position(ctx, True, lambda: world.t_ns), world)  # asked for a new one: it starts afresh
     assert result.calibration is not None
-    assert not ctx.knowledge.life.slip
+    assert not ctx.knowledge.kept_calibration.slip
 
 
 def test_a_calibration_after_a_slip_does_not_mix_the_old_mount_with_the_new_one():
@@ -117,12 +117,12 @@ def test_a_calibration_after_a_slip_does_not_mix_the_old_mount_with_the_new_one(
         rotation_from_rotvec(np.deg2rad([0.0, 4.0, 0.0])), np.array([0.0, 0.01, 0])
     )
     run(good_look(ctx), world)
-    assert ctx.knowledge.life.slip
+    assert ctx.knowledge.kept_calibration.slip
     taken, _ = run(good_look(ctx), world)  # as told: tighten, look, calibrate, look
     run(assurance.calibrate(ctx, taken), world)
     taken, _ = run(good_look(ctx), world)
-    assert (len(ctx.knowledge.runs), len(ctx.knowledge.looks)) == (1, 2)
-    assert not ctx.knowledge.life.slip
+    assert (len(ctx.knowledge.odometry_runs), len(ctx.knowledge.look_observations)) == (1, 2)
+    assert not ctx.knowledge.kept_calibration.slip
     run(execute(ctx, preview(ctx, taken, world.t_ns), 1), world)
     assert np.abs(world.error_mm()).max() < 3.0
 
@@ -130,7 +130,7 @@ def test_a_calibration_after_a_slip_does_not_mix_the_old_mount_with_the_new_one(
 def test_without_a_slip_a_further_calibration_adds_to_what_is_known():
     world, ctx, taken = calibrated()
     run(assurance.calibrate(ctx, taken), world)
-    assert (len(ctx.knowledge.runs), len(ctx.knowledge.looks)) == (2, 2)
+    assert (len(ctx.knowledge.odometry_runs), len(ctx.knowledge.look_observations)) == (2, 2)
 
 
 def test_a_slip_seen_between_preview_and_execute_stops_the_move():
@@ -162,7 +162,7 @@ def test_a_camera_that_turned_a_little_is_calibrated_anew_and_nobody_is_called(d
     assert result.reached
     assert np.abs(world.error_mm()).max() < 3.0
     assert world.paths == paths + 1
-    assert len(ctx.knowledge.runs) == 1
+    assert len(ctx.knowledge.odometry_runs) == 1
     assert any("calibrating again: the tool marker moved" in getattr(item, "text", "") for item in story)
 
 
@@ -192,18 +192,18 @@ def test_a_path_that_has_expired_does_not_become_young_by_another_one():
     world.t_ns += 13 * H
     taken, _ = run(good_look(ctx), world)
     run(assurance.calibrate(ctx, taken), world)
-    assert len(ctx.knowledge.runs) == 1
+    assert len(ctx.knowledge.odometry_runs) == 1
 
 
 def test_the_limits_of_the_settings_are_those_that_count(tmp_path):
     world, ctx = positioned()
     file = tmp_path / "calibration.json"
     CalibrationStore(file).save_if_changed(ctx.knowledge)
-    knowledge, strict = Knowledge(), replace(ctx.knowledge.life.expiry, age_max_s=1800.0)
+    knowledge, strict = Knowledge(), replace(ctx.knowledge.kept_calibration.expiry, age_max_s=1800.0)
     CalibrationStore(file).restore(knowledge, ctx.machine_id, CHAIN.n, world.t_ns * 1e-9 + 5 * 3600.0, strict)
     assert "5.0 h old (limit 0.5 h)" in knowledge.calibration_note
     CalibrationStore(file).restore(knowledge, ctx.machine_id, CHAIN.n, world.t_ns * 1e-9, strict)
-    assert knowledge.life.expiry == strict
+    assert knowledge.kept_calibration.expiry == strict
 
 
 def test_a_calibration_is_of_its_machine_file_and_of_what_was_compensated():
@@ -215,7 +215,7 @@ def test_a_calibration_is_of_its_machine_file_and_of_what_was_compensated():
 
 def test_a_number_that_cannot_be_written_ends_no_job(tmp_path):
     _, ctx = positioned()
-    ctx.knowledge.life = replace(ctx.knowledge.life, residual_rms_mm=float("nan"))
+    ctx.knowledge.kept_calibration = replace(ctx.knowledge.kept_calibration, residual_rms_mm=float("nan"))
     CalibrationStore(tmp_path / "calibration.json").save_if_changed(ctx.knowledge)
     assert "not saved" in ctx.knowledge.calibration_note
 
@@ -225,7 +225,7 @@ def test_the_papers_method_knows_no_slip():
     slipped(world)
     taken, _ = run(good_look(ctx.with_method("paper")), world)
     assert taken.error is not None
-    assert not ctx.knowledge.life.slip
+    assert not ctx.knowledge.kept_calibration.slip
 
 
 def calibrated():
@@ -260,7 +260,7 @@ def test_an_unsure_move_gets_a_further_path_first(monkeypatch):
     world, ctx, taken = calibrated()
     predict(monkeypatch, 2.6, 2.4)
     assured, story = run(assured_preview(ctx, taken, 0, 0), world)
-    assert (world.paths, assured.paths, len(ctx.knowledge.runs)) == (2, 1, 2)
+    assert (world.paths, assured.paths, len(ctx.knowledge.odometry_runs)) == (2, 1, 2)
     assert any("5.2 mm (2 sigma, allowed 5)" in getattr(item, "text", "") for item in story)
 
 
@@ -308,7 +308,7 @@ def test_kept_on_disk_it_is_taken_up_by_the_next_server(tmp_path):
     world, ctx = positioned()
     store, file = CalibrationStore(tmp_path / "runs" / "calibration.json"), tmp_path / "runs" / "calibration.json"
     store.save_if_changed(ctx.knowledge)
-    assert parse_calibration(file.read_text()).calibration.n_used == ctx.knowledge.life.n_used
+    assert parse_calibration(file.read_text()).calibration.n_used == ctx.knowledge.kept_calibration.n_used
     fresh = replace(ctx, knowledge=Knowledge())
     CalibrationStore(file).restore(fresh.knowledge, ctx.machine_id, CHAIN.n, world.t_ns * 1e-9)
     assert fresh.knowledge.calibration_note == ""
@@ -336,7 +336,7 @@ def test_a_spoilt_file_is_a_note_and_never_a_crash(tmp_path, spoil, word):
     knowledge = Knowledge()
     CalibrationStore(file).restore(knowledge, ctx.machine_id, CHAIN.n, world.t_ns * 1e-9)
     assert word in knowledge.calibration_note
-    assert knowledge.mount is None
+    assert knowledge.mount_rotation_estimate is None
 
 
 def test_another_machine_another_arm_and_an_old_file_are_not_taken_up(tmp_path):
@@ -352,7 +352,7 @@ def test_another_machine_another_arm_and_an_old_file_are_not_taken_up(tmp_path):
         knowledge = Knowledge()
         CalibrationStore(file).restore(knowledge, machine_id, n, t_s)
         assert word in knowledge.calibration_note
-        assert knowledge.life is None
+        assert knowledge.kept_calibration is None
 
 
 def test_a_disk_that_takes_nothing_is_noted_and_ends_no_job(tmp_path):
@@ -370,7 +370,9 @@ def test_the_engine_s_clock_gives_the_age_in_calendar_time():
 
 def test_oil_that_became_much_warmer_ends_it():
     world, ctx = positioned()
-    ctx.knowledge.life = replace(ctx.knowledge.life, made=replace(ctx.knowledge.life.made, oil_temperature_c=30.0))
+    ctx.knowledge.kept_calibration = replace(
+        ctx.knowledge.kept_calibration, made_at=replace(ctx.knowledge.kept_calibration.made_at, oil_temperature_c=30.0)
+    )
     cool = replace(world.perform(Settle()), oil_temperature_c=50.0)
     assert calibration_validity(ctx, cool).ok
     assert calibration_validity(ctx, replace(cool, oil_temperature_c=60.0)).status is ValidityStatus.TEMPERATURE

@@ -8,7 +8,7 @@ from test_jobs_plans import CHAIN, MACHINE, Q_START, World, context
 
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.plans.drive_steps import (
-    STARTED_RAD,
+    START_SHIFT_MAX_RAD,
     begin_drive,
     clearance_of,
     refuse_unsafe_reference,
@@ -69,7 +69,7 @@ def test_no_way_is_driven_to_where_the_reference_is():
     assert way_to(context(), Q_START, Q_START, "nowhere") == ()
     (step,) = way_to(context(), Q_START, there, "to where it begins")
     assert np.array_equal(step.trajectory.q[-1], there)
-    assert steps_hash((step,)) == steps_hash((step,)) != steps_hash((replace(step, then="look"),))
+    assert steps_hash((step,)) == steps_hash((step,)) != steps_hash((replace(step, follow_up="look"),))
 
 
 def test_a_wall_that_a_look_has_found_since_refuses_the_kept_drive():
@@ -85,7 +85,7 @@ def test_a_machine_that_has_moved_since_is_not_driven():
     requests, _ = performed(begin_drive(ctx, [motion()], world.q_ref, "a drive"), world)
     assert sum(isinstance(request, Arm) for request in requests) == 1
     assert ctx.knowledge.q_start is not None
-    world.q_ref = world.q_ref + 2.0 * STARTED_RAD
+    world.q_ref = world.q_ref + 2.0 * START_SHIFT_MAX_RAD
     with pytest.raises(PlanRefusedError, match="moved by"):
-        performed(begin_drive(ctx, [motion()], world.q_ref - 2.0 * STARTED_RAD, "a drive"), world)
+        performed(begin_drive(ctx, [motion()], world.q_ref - 2.0 * START_SHIFT_MAX_RAD, "a drive"), world)
     assert (world.moved, CHAIN.n) == (0, 6)

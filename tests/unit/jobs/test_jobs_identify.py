@@ -11,7 +11,7 @@ from test_jobs_plans import World, context, run
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.diagnosing import Diagnosis
 from server.jobs.engine import Job, JobState
-from server.jobs.identification import ALL_PARTS, Identification, Session
+from server.jobs.identification import IDENTIFICATION_PART_NAMES, Identification, Session
 from server.jobs.plans import drive_steps
 from server.jobs.plans.identifying import drive_identification, plan_identification
 from server.jobs.request_bodies import IdentifyRequest, PlanIdentifyRequest
@@ -53,14 +53,14 @@ def stage():
 def test_a_plan_moves_nothing_and_its_hash_drives_every_part_once(stage, tmp_path):
     told = planned(stage.ctx, stage.world, stage.desk)
     assert stage.world.moved == 0
-    assert [part.name for part in told.parts] == list(ALL_PARTS)
+    assert [part.name for part in told.parts] == list(IDENTIFICATION_PART_NAMES)
     assert told.tcp_speed_max_mm_s <= 150.0
     assert told.clearance_mm >= 50.0
     assert any("encoder_bias of joint 1" in text for text in told.cannot)
     start = stage.world.q_ref.copy()
     requests, driven = performed(driving(stage.ctx, stage.world, stage.desk, told), stage.world)
     assert np.allclose(stage.world.q_ref, start, atol=1e-9)
-    marks = [mark for one in requests if isinstance(one, Move) for mark in one.marks]
+    marks = [mark for one in requests if isinstance(one, Move) for mark in one.segment_marks]
     assert [mark.repeat_of for mark in marks].count("repeats") == 4
     assert {mark.kind for mark in marks} == {"repeat", "sweep", "multisine", "workcycle", "steps", "staircase", "hold"}
     assert [one.kind for one in requests if isinstance(one, BeginSegment)] == ["static"]
@@ -87,7 +87,7 @@ def test_a_pause_keeps_what_was_driven_and_only_the_rest_is_planned(stage, tmp_p
     assert "6 of 8 parts remain (multisine" in stage.desk.next_step
     assert stage.diagnoses.asked == []
     rest = planned(stage.ctx, stage.world, stage.desk, resume=True)
-    assert [part.name for part in rest.parts] == list(ALL_PARTS[2:])
+    assert [part.name for part in rest.parts] == list(IDENTIFICATION_PART_NAMES[2:])
     _, driven = performed(driving(stage.ctx, stage.world, stage.desk, rest), stage.world)
     stage.desk.after_drive(Job("b" * 12, "identify", "anna", JobState.DONE, result=driven), tmp_path / "two.mcap")
     assert stage.diagnoses.asked == [(tmp_path / "one.mcap", tmp_path / "two.mcap")]
@@ -121,7 +121,7 @@ def test_where_no_marker_is_seen_the_plan_says_what_stays_open(stage):
         planned(stage.ctx, stage.world, stage.desk)
     told = planned(stage.ctx, stage.world, stage.desk, wall_free=True)
     assert told.looks == 0
-    assert [part.name for part in told.parts] == list(ALL_PARTS[:-1])
+    assert [part.name for part in told.parts] == list(IDENTIFICATION_PART_NAMES[:-1])
     assert any("no marker of the object is visible" in text for text in told.cannot)
     assert "no wall is known" in told.caution
 
@@ -145,7 +145,7 @@ class Interrupted:
             raise JobFailedError("PLC state is 1200 ms old", "plc_silent")
         if isinstance(request, TakeLook):
             self.world.look_status = list(LookStatus)[1] if due and self.kind == "camera" else LookStatus.OK
-            return self.world.look(request.pairs)
+            return self.world.look(request.n_pairs)
         if isinstance(request, Settle | ReadMachine):
             return MachineReading(self.q_ref.copy(), self.q_ref.copy(), self.world.t_ns, self.world.t_ns)
         return None
@@ -177,13 +177,15 @@ def test_two_hundred_interruptions_leave_whole_parts_and_a_next_step(stage, tmp_
         steps = [step.purpose for part in whole.parts if part.name in done for step in part.steps]
         assert driven[: len(steps)] == steps  # what counts as done was driven to its end
         if failed is None:
-            assert done == list(ALL_PARTS)
+            assert done == list(IDENTIFICATION_PART_NAMES)
             continue
         stage.desk.after_drive(
             Job("a" * 12, "identify", "anna", JobState.FAILED, reason=str(failed)), tmp_path / "x.mcap"
         )
         assert "plan the rest with resume" in stage.desk.next_step
-        assert stage.desk.session.left == tuple(name for name in ALL_PARTS if name not in done)
+        assert stage.desk.session.remaining_parts == tuple(
+            name for name in IDENTIFICATION_PART_NAMES if name not in done
+        )
 
 
 def replace_session(session, planned_whole):

@@ -35,7 +35,7 @@ class Wall(World):
 def marked(monkeypatch):
     monkeypatch.setattr("server.jobs.plans.seeing.anchor_covariance", lambda target, T: np.zeros((6, 6)))
     world, ctx = Wall(), context()
-    ctx.knowledge.marks = tuple(SimpleNamespace(target_id=number) for number in range(3))
+    ctx.knowledge.found_marks = tuple(SimpleNamespace(target_id=number) for number in range(3))
     return world, ctx
 
 

@@ -10,7 +10,7 @@ from server.camera.contracts import VisionSettings
 from server.camera.looking import POSES_MAX, TrackCollector
 from server.camera.sources.settings import HttpSource
 from server.errors import JobFailedError
-from server.jobs.performer import WATCHED_MAX, Performer
+from server.jobs.performer import WATCHED_PAIRS_MAX, Performer
 from server.jobs.requests import Move, StartOdometry, StartWatching
 from server.link.contracts import MotionEnded
 from server.motion.contracts import JointTrajectory
@@ -79,9 +79,9 @@ async def test_only_poses_found_as_asked_for_are_watched():
 async def test_what_is_watched_is_bounded():
     performer, vision = made()
     await performer.perform(StartWatching("stereo"))
-    for _ in range(WATCHED_MAX + 5):
+    for _ in range(WATCHED_PAIRS_MAX + 5):
         vision.report(SEEN)
-    assert len(performer._watched) == WATCHED_MAX
+    assert len(performer._watched) == WATCHED_PAIRS_MAX
 
 
 def test_an_odometry_that_nobody_ends_is_bounded():

@@ -75,7 +75,7 @@ class World:
             case Move():
                 return self.move(request.trajectory)
             case TakeLook():
-                return self.look(request.pairs)
+                return self.look(request.n_pairs)
             case StartOdometry():
                 self.trace.clear()
                 return None
@@ -195,17 +195,17 @@ def previewed():
 def test_preview_moves_nothing_and_execute_fires_it_once():
     world, ctx, plan = previewed()
     assert world.moved == 0
-    run(execute(ctx, check_executable(ctx.knowledge.previewed, plan.plan_hash, 10), 1), world)
+    run(execute(ctx, check_executable(ctx.knowledge.previewed_plan, plan.plan_hash, 10), 1), world)
     assert world.moved >= 1
     with pytest.raises(PlanRefusedError, match="no plan was previewed"):
-        check_executable(ctx.knowledge.previewed, plan.plan_hash, 10)
+        check_executable(ctx.knowledge.previewed_plan, plan.plan_hash, 10)
 
 
 def test_a_new_look_ends_the_plan_made_from_the_one_before():
     world, ctx, plan = previewed()
     run(take_look(ctx), world)
     with pytest.raises(PlanRefusedError, match="since the last look"):
-        check_executable(ctx.knowledge.previewed, plan.plan_hash, 10)
+        check_executable(ctx.knowledge.previewed_plan, plan.plan_hash, 10)
 
 
 def test_another_hash_an_expired_plan_and_a_moved_machine_are_refused():
@@ -288,4 +288,4 @@ def test_a_machine_whose_file_names_no_posture_is_not_parked():
 
 def test_the_stand_in_world_is_reachable():
     T_goal = World().T_base_ooi @ pose(np.eye(3), np.array([0, 0, 0.1])) @ inverse_pose(MACHINE.T_tcp_tool)
-    assert inverse_nearest(CHAIN, T_goal, Q_START).q is not None
+    assert inverse_nearest(CHAIN, T_goal, Q_START).q_rad is not None

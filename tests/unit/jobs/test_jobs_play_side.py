@@ -60,9 +60,9 @@ def test_after_a_silence_no_side_is_known():
 
 def test_a_look_never_keeps_a_side_that_no_encoder_told():
     world, ctx = World(), context()
-    ctx.knowledge.side = -np.ones(6)  # from a motion that was stopped on its way, say
+    ctx.knowledge.backlash_sides = -np.ones(6)  # from a motion that was stopped on its way, say
     run(good_look(ctx), world)
-    assert np.all(ctx.knowledge.looks[-1].side == 0.0)
+    assert np.all(ctx.knowledge.look_observations[-1].backlash_sides == 0.0)
 
 
 def test_a_look_takes_the_side_that_its_own_reading_tells():
@@ -75,4 +75,4 @@ def test_a_look_takes_the_side_that_its_own_reading_tells():
 
     world, ctx = Followed(), context()
     run(good_look(ctx), world)
-    assert np.all(ctx.knowledge.looks[-1].side == -1.0)
+    assert np.all(ctx.knowledge.look_observations[-1].backlash_sides == -1.0)

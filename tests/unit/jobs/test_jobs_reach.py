@@ -38,7 +38,9 @@ def test_what_is_previewed_as_reachable_is_reached_and_nothing_is_kept():
     world, ctx = World(), context()
     assert previewed(world, ctx, world.T_base_ooi).status == "reachable"
     known = ctx.knowledge
-    assert (known.target, known.last_look, known.T_base_ooi, known.life, known.mount) == (None,) * 5
+    assert (known.target, known.last_look, known.T_base_ooi, known.kept_calibration, known.mount_rotation_estimate) == (
+        None,
+    ) * 5
     assert world.moved == 0
     result, _ = run(position(ctx, recalibrate=True, clock_ns=lambda: world.t_ns), world)
     assert result.reached
@@ -59,12 +61,12 @@ def test_a_goal_farther_than_a_calibration_holds_is_approached_first():
 def test_a_kept_calibration_that_does_not_hold_at_the_goal_is_made_again_nearer():
     world, ctx = World(), context()
     run(position(ctx, recalibrate=True, clock_ns=lambda: world.t_ns), world)
-    made = ctx.knowledge.life
+    made = ctx.knowledge.kept_calibration
     world.T_base_ooi = world.T_base_ooi @ pose(np.eye(3), np.array([1.2, 0.0, 0.0]))
     result, story = run(position(ctx, recalibrate=False, clock_ns=lambda: world.t_ns), world)
     assert result.reached
     assert any(move.kind == "approach" for move in result.moves)
-    assert ctx.knowledge.life is not made
+    assert ctx.knowledge.kept_calibration is not made
     assert any("calibrating again" in getattr(item, "text", "") for item in story)
 
 

@@ -9,7 +9,7 @@ import pytest
 from recording.clock import mono_ns
 from server.errors import JobFailedError
 from server.jobs.requests import Correct, NextPair
-from server.jobs.steering import FIRST_PAIR_S, GRACE_S, Steering
+from server.jobs.steering import FIRST_PAIR_TIMEOUT_S, STEER_TIMEOUT_GRACE_S, Steering
 from server.link.contracts import MotionEnded
 from server.link.errors import LinkRefusedError
 from server.motion.contracts import JointTrajectory
@@ -93,7 +93,7 @@ async def test_a_pair_comes_with_the_joints_at_its_own_exposure(cell):
     one = report(age_s=0.2)
     cell.vision.report(one)
     seen = await steering.next_pair(asked(time_offset_s=-0.05))
-    assert (seen.number, seen.fault, seen.tool, seen.ended) == (1, "", "the tool", False)
+    assert (seen.number, seen.fault, seen.tool, seen.motion_ended) == (1, "", "the tool", False)
     assert seen.q_rad[0] == pytest.approx((one.t_exposure_mapped_ns - OFFSET_NS) * 1e-9 - 0.05, abs=1e-6)
     assert seen.t_play_s == pytest.approx(0.7, abs=0.05)
     await steering.forget_motion()
@@ -182,7 +182,7 @@ async def test_the_end_is_told_and_an_early_one_fails(cell):
     cell.link.motion.set_result(MotionEnded(1, True, "reached", 0))
     await asyncio.sleep(0.0)
     cell.vision.report(report())
-    assert (await steering.next_pair(asked())).ended
+    assert (await steering.next_pair(asked())).motion_ended
     await steering.wait_for_end()
     await steering.start(PATH)
     cell.link.motion.set_result(MotionEnded(2, False, "underrun", 0))
@@ -198,7 +198,7 @@ async def test_a_stopped_motion_leaves_no_task_behind(cell):
     await asyncio.sleep(0.0)
     assert {task.get_name() for task in asyncio.all_tasks()}.isdisjoint({"steered-motion", "new-tail"})
     cell.vision.report(report())
-    assert (await steering.next_pair(asked())).ended
+    assert (await steering.next_pair(asked())).motion_ended
 
 
 async def test_a_pair_that_waited_behind_a_stall_is_too_old_to_act_upon(cell):
@@ -219,12 +219,12 @@ async def test_a_pair_that_waited_behind_a_stall_is_too_old_to_act_upon(cell):
 async def test_only_a_pair_without_a_fault_lets_the_motion_go_on(cell):
     steering = await begun(cell)
     (first_ns,) = cell.link.until  # before the trajectory is asked for
-    assert 0 < first_ns - mono_ns() <= FIRST_PAIR_S * 1e9
+    assert 0 < first_ns - mono_ns() <= FIRST_PAIR_TIMEOUT_S * 1e9
     cell.vision.report(report())
     before_ns = mono_ns()
     await steering.next_pair(asked(silence_max_s=0.15))
     after_ns = mono_ns()
-    assert before_ns <= cell.link.until[1] - int((0.15 + GRACE_S) * 1e9) <= after_ns
+    assert before_ns <= cell.link.until[1] - int((0.15 + STEER_TIMEOUT_GRACE_S) * 1e9) <= after_ns
     cell.vision.report(report(warnings=("left eye is dark",)))
     await steering.next_pair(asked(after=1))
     await steering.next_pair(asked(after=2, silence_max_s=0.01))  # silence

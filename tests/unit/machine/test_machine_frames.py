@@ -31,9 +31,9 @@ def test_axis_of_joint_6_is_minus_z_tcp_so_n_and_s_span_the_plane_across_it():
 
 
 def test_table_1_twists_and_link_7():
-    assert np.rad2deg(CHAIN.alpha) == pytest.approx([90, 0, 90, 90, -90, 90], abs=1e-12)
-    assert np.nonzero(CHAIN.a)[0].tolist() == [0, 1, 2]
-    assert CHAIN.d[[1, 4]].tolist() == [0.0, 0.0]
+    assert np.rad2deg(CHAIN.dh_alpha_rad) == pytest.approx([90, 0, 90, 90, -90, 90], abs=1e-12)
+    assert np.nonzero(CHAIN.dh_a_m)[0].tolist() == [0, 1, 2]
+    assert CHAIN.dh_d_m[[1, 4]].tolist() == [0.0, 0.0]
     assert np.abs(CHAIN.T_flange_tcp - [[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]]).max() < 1e-12
 
 

@@ -39,7 +39,9 @@ CHAINS = {
 def test_inverse_recovers_1000_of_1000_joint_vectors(name):
     chain = CHAINS[name]
     found = [inverse_nearest(chain, tcp_pose(chain, q), q) for q in QS]
-    assert sum(f.q is not None and np.abs(f.q - q).max() < 1e-7 for f, q in zip(found, QS, strict=True)) == len(QS)
+    assert sum(f.q_rad is not None and np.abs(f.q_rad - q).max() < 1e-7 for f, q in zip(found, QS, strict=True)) == len(
+        QS
+    )
 
 
 @pytest.mark.parametrize("name", CHAINS)
@@ -50,15 +52,15 @@ def test_every_branch_reproduces_its_pose(name):
         branches = inverse_all(chain, T, q)
         counts.append(len(branches))
         for branch in branches:
-            assert np.abs(tcp_pose(chain, branch.q) - T).max() < 1e-9  # m, and rotation entries
-            inside = bool(np.all(branch.q >= chain.q_min - 1e-9) and np.all(branch.q <= chain.q_max + 1e-9))
+            assert np.abs(tcp_pose(chain, branch.q_rad) - T).max() < 1e-9  # m, and rotation entries
+            inside = bool(np.all(branch.q_rad >= chain.q_min - 1e-9) and np.all(branch.q_rad <= chain.q_max + 1e-9))
             assert branch.inside_limits == inside
     assert max(counts) == 8
 
 
 def test_branches_are_eight_different_postures():
     branches = inverse_all(CHAIN, tcp_pose(CHAIN, np.deg2rad([10.0, 30.0, -60.0, 20.0, -40.0, 15.0])))
-    turned = np.array([np.concatenate([np.cos(b.q), np.sin(b.q)]) for b in branches])
+    turned = np.array([np.concatenate([np.cos(b.q_rad), np.sin(b.q_rad)]) for b in branches])
     apart = np.abs(turned[:, None] - turned[None]).max(axis=2) + np.eye(8)
     assert apart.min() > 0.01
 
@@ -72,21 +74,21 @@ def test_it_is_sound_at_and_near_theta5_zero(theta5_rad):
         found = inverse_nearest(CHAIN, T, q)
         assert found.status is InverseStatus.SINGULAR
         assert "joint 5 (wrist2) is at" in found.reason
-        assert found.q is not None
-        assert np.abs(tcp_pose(CHAIN, found.q) - T).max() < 2e-9  # m
-        assert found.sigma_min == pytest.approx(sigma_min(tcp_jacobian(CHAIN, found.q)), abs=1e-12)
+        assert found.q_rad is not None
+        assert np.abs(tcp_pose(CHAIN, found.q_rad) - T).max() < 2e-9  # m
+        assert found.sigma_min == pytest.approx(sigma_min(tcp_jacobian(CHAIN, found.q_rad)), abs=1e-12)
 
 
 def test_exactly_at_theta5_zero_theta4_stays_where_it_is():
     q = np.deg2rad([10.0, 30.0, -60.0, 25.0, 0.0, -40.0])
     found = inverse_nearest(CHAIN, tcp_pose(CHAIN, q), q)
-    assert found.q is not None
-    assert np.abs(found.q - q).max() < 1e-7  # rad
+    assert found.q_rad is not None
+    assert np.abs(found.q_rad - q).max() < 1e-7  # rad
     other = q + np.deg2rad([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     found = inverse_nearest(CHAIN, tcp_pose(CHAIN, q), other)
-    assert found.q is not None
-    assert found.q[3] + found.q[5] == pytest.approx(q[3] + q[5], abs=1e-7)
-    assert found.q[3] == pytest.approx(other[3], abs=1e-7)
+    assert found.q_rad is not None
+    assert found.q_rad[3] + found.q_rad[5] == pytest.approx(q[3] + q[5], abs=1e-7)
+    assert found.q_rad[3] == pytest.approx(other[3], abs=1e-7)
 
 
 def test_over_the_slew_axis_theta1_stays_where_it_is():
@@ -104,43 +106,43 @@ def test_over_the_slew_axis_theta1_stays_where_it_is():
     assert abs(radius((low + high) / 2.0)) < 1e-12
     T = tcp_pose(chain, q)
     found = inverse_nearest(chain, T, q)
-    assert found.q is not None
-    assert np.abs(found.q - q).max() < 1e-6
+    assert found.q_rad is not None
+    assert np.abs(found.q_rad - q).max() < 1e-6
     assert found.status is InverseStatus.SINGULAR
     assert "slew axis" in found.reason
 
 
 def test_stretched_booms_are_named():
-    forearm_bend = np.arctan2(CHAIN.d[3], CHAIN.a[2]) - CHAIN.theta_offset[2]  # -3.8 deg
+    forearm_bend = np.arctan2(CHAIN.dh_d_m[3], CHAIN.dh_a_m[2]) - CHAIN.theta_offset[2]  # -3.8 deg
     chain = chain_with(q_max={2: 0.0})
     q = np.array([0.2, 0.5, forearm_bend, 0.3, -0.6, 0.1])
     found = inverse_nearest(chain, tcp_pose(chain, q), q)
     assert found.status is InverseStatus.SINGULAR
     assert "booms are in line" in found.reason
-    assert found.q is not None
-    assert np.abs(tcp_pose(chain, found.q) - tcp_pose(chain, q)).max() < 1e-7
+    assert found.q_rad is not None
+    assert np.abs(tcp_pose(chain, found.q_rad) - tcp_pose(chain, q)).max() < 1e-7
 
 
 def test_angles_take_the_turn_nearest_to_where_the_machine_stands():
     chain = chain_with(q_min={3: -7.0, 5: -7.0}, q_max={3: 7.0, 5: 7.0})
     q = np.array([0.3, 0.5, -1.2, 3.5, -0.7, -4.0])
     found = inverse_nearest(chain, tcp_pose(chain, q), q)
-    assert found.q is not None
-    assert np.abs(found.q - q).max() < 1e-7
+    assert found.q_rad is not None
+    assert np.abs(found.q_rad - q).max() < 1e-7
     lower = q - np.array([0.0, 0.0, 0.0, 2 * np.pi, 0.0, 0.0])
     found = inverse_nearest(chain, tcp_pose(chain, q), lower)
-    assert found.q is not None
-    assert found.q[3] == pytest.approx(lower[3], abs=1e-7)
+    assert found.q_rad is not None
+    assert found.q_rad[3] == pytest.approx(lower[3], abs=1e-7)
     far = q + np.array([0.0, 0.0, 0.0, 40.0, 0.0, 0.0])  # no turn there lies inside: the nearest that does
     found = inverse_nearest(chain, tcp_pose(chain, q), far)
-    assert found.q is not None
-    assert -7.0 <= found.q[3] <= 7.0
+    assert found.q_rad is not None
+    assert -7.0 <= found.q_rad[3] <= 7.0
 
 
 def test_out_of_reach_names_distance_limit_and_remedy():
     far = inverse_nearest(CHAIN, pose(np.eye(3), np.array([9.0, 0.0, 1.0])), np.zeros(6))
     assert far.status is InverseStatus.OUT_OF_REACH
-    assert far.q is None
+    assert far.q_rad is None
     assert "joint 2 (lift)" in far.reason
     assert "reaches at most 4.05 m" in far.reason
     assert "nearer" in far.reason
@@ -167,7 +169,7 @@ def test_each_joint_limit_is_found_and_named(index):
         found = inverse_nearest(dataclasses.replace(tight, q_max=q_max), T, q)
         assert found.status is status
         if status is InverseStatus.JOINT_LIMIT:
-            assert found.q is None
+            assert found.q_rad is None
             assert f"joint {index + 1}" in found.reason
             assert f"{np.rad2deg(q[index]):.1f} deg" in found.reason
             assert f".. {np.rad2deg(q_max[index]):.1f} deg" in found.reason
@@ -192,7 +194,7 @@ def test_broken_contracts_raise():
 
 
 def test_kernels_run_as_plain_python_with_the_same_result(monkeypatch):
-    arguments = (CHAIN.a, CHAIN.d, tcp_pose(CHAIN, QS[5]), QS[5] + CHAIN.theta_offset)
+    arguments = (CHAIN.dh_a_m, CHAIN.dh_d_m, tcp_pose(CHAIN, QS[5]), QS[5] + CHAIN.theta_offset)
     count, angles = inverse.solve_angles(*arguments)
     for name in ("_arm_angles", "_wrist_rotation", "_wrist_angles"):
         monkeypatch.setattr(inverse, name, getattr(inverse, name).py_func)

@@ -71,7 +71,7 @@ def test_neighbouring_links_differ_by_one_row_of_table_1():
 @pytest.mark.parametrize("kernel", ["_tcp_pose", "_tcp_jacobian"])
 def test_kernels_run_as_plain_python_with_the_same_result(kernel):
     compiled = getattr(kinematics, kernel)
-    arguments = (CHAIN.a, CHAIN.d, CHAIN.alpha, QS[3] + CHAIN.theta_offset, CHAIN.T_flange_tcp)
+    arguments = (CHAIN.dh_a_m, CHAIN.dh_d_m, CHAIN.dh_alpha_rad, QS[3] + CHAIN.theta_offset, CHAIN.T_flange_tcp)
     assert np.abs(compiled.py_func(*arguments) - compiled(*arguments)).max() < 1e-14
 
 
@@ -96,16 +96,16 @@ def test_wrong_shapes_and_values_are_refused():
 
 
 def test_chain_copies_its_arrays_and_refuses_wrong_ones():
-    a = CHAIN.a.copy()
-    chain = dataclasses.replace(CHAIN, a=a)
+    a = CHAIN.dh_a_m.copy()
+    chain = dataclasses.replace(CHAIN, dh_a_m=a)
     a[0] = 99.0
-    assert chain.a[0] == CHAIN.a[0]
+    assert chain.dh_a_m[0] == CHAIN.dh_a_m[0]
     with pytest.raises(ValueError, match="read-only"):
-        chain.d[0] = 1.0
+        chain.dh_d_m[0] = 1.0
     with pytest.raises(MachineError, match=r"d has shape \(5,\)"):
-        dataclasses.replace(CHAIN, d=np.zeros(5))
+        dataclasses.replace(CHAIN, dh_d_m=np.zeros(5))
     with pytest.raises(MachineError, match="alpha"):
-        dataclasses.replace(CHAIN, alpha=np.full(6, np.nan))
+        dataclasses.replace(CHAIN, dh_alpha_rad=np.full(6, np.nan))
 
 
 def test_chain_of_takes_every_column_from_its_field():
@@ -117,7 +117,12 @@ def test_chain_of_takes_every_column_from_its_field():
     )
     chain = chain_of(dataclasses.replace(MACHINE, joints=joints))
     k = np.arange(6.0)
-    for column, wanted in ((chain.a, k), (chain.d, k + 10), (chain.alpha, k + 20), (chain.theta_offset, k + 30)):
+    for column, wanted in (
+        (chain.dh_a_m, k),
+        (chain.dh_d_m, k + 10),
+        (chain.dh_alpha_rad, k + 20),
+        (chain.theta_offset, k + 30),
+    ):
         assert np.array_equal(column, wanted)
     assert isinstance(chain, Chain)
     assert chain.joint_label(1) == "joint 2 (lift)"

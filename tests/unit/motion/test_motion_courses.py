@@ -40,10 +40,10 @@ def test_the_plc_plays_the_spline_that_was_foretold():
 def test_too_fast_a_course_is_made_smaller():
     course = waves(0.3)  # slewing so at 3 m: far beyond the TCP's 0.15 m/s
     plain = limit_excess(MACHINE, CHAIN, course_trajectory(course), PAPER_PLAN_SETTINGS, 0.9)
-    assert plain.factor > 2.0
+    assert plain.time_factor > 2.0
     found = fitted_course(MACHINE, CHAIN, course, PAPER_PLAN_SETTINGS)
     assert isinstance(found, JointTrajectory)
-    assert limit_excess(MACHINE, CHAIN, found, PAPER_PLAN_SETTINGS, 0.9).factor <= 1.0
+    assert limit_excess(MACHINE, CHAIN, found, PAPER_PLAN_SETTINGS, 0.9).time_factor <= 1.0
     assert np.ptp(found.q[:, 0]) < 0.5 * np.ptp(course.q[:, 0])
     assert found.duration_s == pytest.approx(20.0)
 

@@ -39,7 +39,7 @@ def test_every_part_is_inside_all_limits_and_comes_back_to_rest(machine, part):
     home = HOME[: chain.n]
     driven = fitted_course(machine, chain, part_course(machine, chain, part, home, SETTINGS), SETTINGS)
     assert isinstance(driven, JointTrajectory)
-    assert limit_excess(machine, chain, driven, SETTINGS, SETTINGS.limit_share).factor <= 1.0
+    assert limit_excess(machine, chain, driven, SETTINGS, SETTINGS.limit_share).time_factor <= 1.0
     for end in (0, -1):
         assert np.allclose(driven.q[end], home, atol=1e-9)
         assert not driven.qd[end].any()
@@ -70,13 +70,13 @@ def test_postures_see_a_marker_keep_off_the_wall_and_say_what_stays_open():
     assert len(found.q) == 12
     assert (markers_in_view(MACHINE, Ts, T_base_ooi, MACHINE.T_tcp_cam_left[:3, :3], 10.0) >= 1).all()
     assert (clearances(Ts, MACHINE.T_tcp_tool, wall) >= 0.05).all()
-    left = {(name, joint): ratio for name, joint, ratio in found.known}
+    left = {(name, joint): ratio for name, joint, ratio in found.parameter_sigma_ratios}
     assert left["gravity_sag", 2] < 0.2
     assert left["hand_eye_rotation", None] < 0.3
     assert left["encoder_bias", 3] < 0.4
     assert left["encoder_bias", 1] > 0.9  # a slew zero and an object turned about the slew axis look alike
     near = choose_postures(MACHINE, CHAIN, HOME, seen, wall, 4, 0.01)
-    assert dict(((n, j), r) for n, j, r in near.known)["gravity_sag", 2] > left["gravity_sag", 2]
+    assert dict(((n, j), r) for n, j, r in near.parameter_sigma_ratios)["gravity_sag", 2] > left["gravity_sag", 2]
 
 
 def test_without_room_for_a_look_there_is_no_posture():
@@ -90,4 +90,4 @@ def test_an_arm_of_other_kinematics_is_looked_from_as_well_or_the_plan_says_why_
     seen, _ = in_front(chain, HOME[:4])
     found = choose_postures(FOUR, chain, HOME[:4], seen, None, 12, 0.01)
     assert len(found.q) == min(12, found.in_view) > 3
-    assert {name for name, _, _ in found.known} >= {"encoder_bias", "gravity_sag", "hand_eye_rotation"}
+    assert {name for name, _, _ in found.parameter_sigma_ratios} >= {"encoder_bias", "gravity_sag", "hand_eye_rotation"}

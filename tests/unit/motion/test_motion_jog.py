@@ -9,7 +9,7 @@ from motion_scenes import Q_USUAL, chain, machine, ooi_ahead, posture, wall_of
 from machine.kinematics import sigma_min, tcp_jacobian, tcp_pose, tcp_poses
 from machine.rotations import rotvec_from_rotation
 from server.motion.contracts import PlanStatus, sample_trajectory
-from server.motion.jog import PRESS_S, JogSpeed, jog_axes, plan_jog
+from server.motion.jog import PRESS_DURATION_MAX_S, JogSpeed, jog_axes, plan_jog
 from server.motion.settings import DEFAULT_PLAN_SETTINGS
 from server.motion.wall_clearance import clearances
 
@@ -118,8 +118,8 @@ def test_the_tool_does_not_enter_a_singularity_and_a_single_joint_leaves_it():
 def test_one_press_is_bounded():
     planned = jogged(Q_USUAL, "x", 1)
     assert planned.ends_by == ""
-    assert planned.path.length_m == pytest.approx(SPEED.tcp_m_s * PRESS_S, rel=1e-9)
-    assert planned.path.duration_s < 2.0 * PRESS_S
+    assert planned.path.length_m == pytest.approx(SPEED.tcp_m_s * PRESS_DURATION_MAX_S, rel=1e-9)
+    assert planned.path.duration_s < 2.0 * PRESS_DURATION_MAX_S
 
 
 def test_an_axis_that_the_machine_does_not_have_is_refused_with_those_it_has():

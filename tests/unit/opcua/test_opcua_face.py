@@ -16,7 +16,7 @@ from recording.clock import mono_ns
 from server.errors import SettingsError
 from server.faces import opcua as face_module
 from server.faces.opcua import OpcUaValue, OperationalMode, check_opcua, opcua_face, opcua_values
-from server.faces.shell import CONNECTIONS_MAX, running_face
+from server.faces.shell import FACE_CONNECTIONS_MAX, running_face
 from server.link.contracts import LinkHealth, LinkPhase, PlcSample
 from server.settings import OpcUaSettings
 
@@ -44,7 +44,7 @@ def service(tmp_path):
 
 
 def by_path(service) -> dict[tuple[str, ...], OpcUaValue]:
-    return {one.path: one for one in opcua_values(service)}
+    return {one.browse_path: one for one in opcua_values(service)}
 
 
 def test_axes_are_in_degrees_with_their_names(service):
@@ -54,19 +54,20 @@ def test_axes_are_in_degrees_with_their_names(service):
         assert found[(*axis, "AssetId")].value == joint.name
         position = found[(*axis, "ParameterSet", "ActualPosition")]
         assert position.value == pytest.approx(math.degrees(q), abs=1e-4)
-        assert (position.unit, position.fresh) == ("DD", True)
+        assert (position.unece_unit_code, position.is_fresh) == ("DD", True)
 
 
 def test_what_the_plc_has_not_told_lately_is_not_fresh(service):
     now_ns = service.cell.link.latest.t_mono_ns
     at = {
-        age_s: {one.path: one.fresh for one in opcua_values(service, now_ns + int(age_s * 1e9))} for age_s in (0.2, 0.3)
+        age_s: {one.browse_path: one.is_fresh for one in opcua_values(service, now_ns + int(age_s * 1e9))}
+        for age_s in (0.2, 0.3)
     }
     assert at[0.2][POSITION_2] is True
     assert at[0.3][POSITION_2] is False
     assert at[0.3][(*PARAMETERS, "Model")] is True  # nothing of the PLC's
     service.cell.link.latest = None
-    assert by_path(service)[POSITION_2].fresh is False
+    assert by_path(service)[POSITION_2].is_fresh is False
 
 
 def test_the_machine_tells_its_serial_number(service):
@@ -88,9 +89,9 @@ def test_faults_are_told_as_the_companion_specification_names_them(service):
 
 
 def test_the_paths_never_change(service):
-    before = [one.path for one in opcua_values(service)]
+    before = [one.browse_path for one in opcua_values(service)]
     service.cell.link.latest = None
-    assert [one.path for one in opcua_values(service)] == before
+    assert [one.browse_path for one in opcua_values(service)] == before
     assert len(set(before)) == len(before)
 
 
@@ -125,7 +126,7 @@ def stand_in(tmp_path, monkeypatch):
     """A library that notes whether an event loop was running where it was imported; there is no server in it."""
     for name in [name for name in sys.modules if name.split(".")[0] == "asyncua"]:
         monkeypatch.delitem(sys.modules, name)
-    deepest = tmp_path.joinpath(*face_module.SPACE.split(".")[:-1])
+    deepest = tmp_path.joinpath(*face_module.ASYNCUA_ADDRESS_SPACE_MODULE.split(".")[:-1])
     deepest.mkdir(parents=True)
     for folder in (deepest, *deepest.parents[:3]):
         if folder != tmp_path:
@@ -142,7 +143,7 @@ async def test_the_library_is_never_imported_by_the_loop(service, stand_in):
     with pytest.raises(AttributeError):  # it has no `ua`: what comes behind the import is another test's
         async with opcua_face(service, OpcUaSettings(enabled=True)):
             pass
-    assert set(stand_in()) == {face_module.SPACE.rsplit(".", depth)[0] for depth in range(4)}
+    assert set(stand_in()) == {face_module.ASYNCUA_ADDRESS_SPACE_MODULE.rsplit(".", depth)[0] for depth in range(4)}
     assert set(stand_in().values()) == {False}
 
 
@@ -150,7 +151,7 @@ def test_checking_the_settings_loads_it_when_it_is_wanted_only(stand_in):
     check_opcua(OpcUaSettings())
     assert stand_in() == {}
     check_opcua(OpcUaSettings(enabled=True))
-    assert face_module.SPACE in stand_in()
+    assert face_module.ASYNCUA_ADDRESS_SPACE_MODULE in stand_in()
 
 
 def free_port() -> int:
@@ -160,7 +161,7 @@ def free_port() -> int:
 
 
 async def node(client, path):
-    index = await client.get_namespace_index(face_module.NAMESPACE)
+    index = await client.get_namespace_index(face_module.OPCUA_NAMESPACE_URI)
     return await client.nodes.objects.get_child([f"{index}:{name}" for name in path])
 
 
@@ -179,7 +180,7 @@ async def until(check):
 async def test_a_client_reads_everything_and_changes_nothing(service, monkeypatch):
     from asyncua import Client, ua
 
-    monkeypatch.setattr(face_module, "PERIOD_S", 0.02)
+    monkeypatch.setattr(face_module, "OPCUA_UPDATE_PERIOD_S", 0.02)
     port = free_port()
     async with (
         opcua_face(service, OpcUaSettings(enabled=True, port=port)),
@@ -193,7 +194,7 @@ async def test_a_client_reads_everything_and_changes_nothing(service, monkeypatc
 
         await until(good)
         for one in opcua_values(service):
-            assert await (await node(client, one.path)).read_value() == one.value, one.path
+            assert await (await node(client, one.browse_path)).read_value() == one.value, one.browse_path
         assert (
             await (await position.get_child([f"{position.nodeid.NamespaceIndex}:EngineeringUnits"])).read_value()
             == "DD"
@@ -207,7 +208,7 @@ async def test_a_client_reads_everything_and_changes_nothing(service, monkeypatc
         await until(followed)
 
         for one in opcua_values(service):
-            variable = await node(client, one.path)
+            variable = await node(client, one.browse_path)
             with pytest.raises(ua.UaStatusCodeError):
                 await variable.write_value(one.value)
             assert await variable.get_methods() == []
@@ -239,9 +240,9 @@ async def test_idle_connections_leave_descriptors_for_a_stop(service):
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     async with opcua_face(service, OpcUaSettings(enabled=True, port=port)), asyncio.timeout(30.0):
-        opened = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS_MAX + 5)]
-        for reader, _ in opened[CONNECTIONS_MAX:]:
+        opened = [await asyncio.open_connection("127.0.0.1", port) for _ in range(FACE_CONNECTIONS_MAX + 5)]
+        for reader, _ in opened[FACE_CONNECTIONS_MAX:]:
             assert await reader.read() == b""
-        assert not any(reader.at_eof() for reader, _ in opened[:CONNECTIONS_MAX])
+        assert not any(reader.at_eof() for reader, _ in opened[:FACE_CONNECTIONS_MAX])
         for _, writer in opened:
             writer.close()

@@ -30,8 +30,10 @@ def state(name: str) -> State:
 
 
 def test_another_machine_is_another_export() -> None:
-    axes = (replace(PARAMETERS.table.axes[0], qd_max=0.1), *PARAMETERS.table.axes[1:])
-    other = build_bundle_files(replace(PARAMETERS, table=replace(PARAMETERS.table, axes=axes)), st_sources())
+    axes = (replace(PARAMETERS.limit_table.axes[0], qd_max=0.1), *PARAMETERS.limit_table.axes[1:])
+    other = build_bundle_files(
+        replace(PARAMETERS, limit_table=replace(PARAMETERS.limit_table, axes=axes)), st_sources()
+    )
     changed = {path for path, data in exported().items() if data != other[path]}
     assert {"README.md", "twincat/GVLs/GVL_HmMachine.TcGVL", "vectors/eap.pcap", "MANIFEST.txt"} <= changed
     assert "twincat/POUs/FB_HmLink.TcPOU" not in changed
@@ -39,8 +41,8 @@ def test_another_machine_is_another_export() -> None:
 
 def test_the_gate_judges_the_golden_trajectories_as_they_claim() -> None:
     q_ref = state("state-hold").q_ref
-    assert check_trajectory(command("trajectory").knots, q_ref, PARAMETERS.table) == ()
-    refused = check_trajectory(command("trajectory-refused").knots, q_ref, PARAMETERS.table)
+    assert check_trajectory(command("trajectory").knots, q_ref, PARAMETERS.limit_table) == ()
+    refused = check_trajectory(command("trajectory-refused").knots, q_ref, PARAMETERS.limit_table)
     assert RejectCode.IMPLIED_SPEED in {refusal.code for refusal in refused}
     assert command_field_at(state("state-refusal").reject_offset) == ("knot[1].q[0]", "LREAL", 288)
 

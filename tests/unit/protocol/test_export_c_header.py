@@ -93,6 +93,6 @@ def test_every_field_and_code_is_asserted_or_numbered():
     for kind, prefix in ((codes.RejectCode, "REJECT_CODE"), (codes.FaultBit, "FAULT_BIT"), (codes.Mode, "MODE")):
         for member in kind:
             assert f"HM_{prefix}_{member.name} = {int(member)}" in HEADER
-    fields = len(layout.HEADER.fields) + len(layout.STATE_BODY.fields)
+    fields = len(layout.HEADER_LAYOUT.fields) + len(layout.STATE_BODY_LAYOUT.fields)
     assert HEADER.count("HM_ASSERT(offsetof(hm_state_t") == HEADER.count("HM_ASSERT(sizeof(((hm_state_t") == fields
     assert "CRC-32 (IEEE 802.3, as zlib's) of all bytes before" in HEADER

@@ -19,7 +19,7 @@ def page(path: str) -> str:
 
 
 def test_tables_are_the_generated_ones():
-    for block in (*layout.BLOCKS, layout.LIMITS):
+    for block in (*layout.MESSAGE_BLOCK_LAYOUTS, layout.LIMIT_TABLE_LAYOUT):
         assert layout.offsets_markdown(block) in page("docs/offsets.md")
     assert timeouts.table_markdown() in page("docs/timeouts.md")
     assert plc_states.mermaid_diagram() in page("docs/states.md")
@@ -63,7 +63,7 @@ def test_every_variable_that_a_page_names_exists():
         assert re.search(rf"^\s+{name}\b.*:", io, re.MULTILINE), name
     for name in set(re.findall(r"MAIN\.fbPlc\.(\w+)", text)):
         assert re.search(rf"^\s+{name} :", sources["FB_HmPlc.st"], re.MULTILINE), name
-    fields = {field.name for field in (*layout.HEADER.fields, *layout.STATE_BODY.fields)}
+    fields = {field.name for field in (*layout.HEADER_LAYOUT.fields, *layout.STATE_BODY_LAYOUT.fields)}
     named = set(re.findall(r"MAIN\.uTx\.m\.(\w+)", text))
     assert len(named) > 5
     assert named <= fields
@@ -73,8 +73,8 @@ def test_every_variable_that_a_page_names_exists():
 
 def test_the_start_page_leads_to_a_dry_run():
     text = page("README.md")
-    assert f"{cfg_id(PARAMETERS.table):#010x}" in text
-    assert f"| axes | {', '.join(axis.name for axis in PARAMETERS.table.axes)} |" in text
+    assert f"{cfg_id(PARAMETERS.limit_table):#010x}" in text
+    assert f"| axes | {', '.join(axis.name for axis in PARAMETERS.limit_table.axes)} |" in text
     assert "`longreach commission --framing eap --plc-host 10.1.2.4`" in text
     assert "bDryRun : BOOL := TRUE" in page(f"twincat/{GLOBALS}")
     assert text.index("**Import**") < text.index("**Dry run**") < text.index("**PC**")
@@ -85,7 +85,7 @@ def test_the_commissioning_page_begins_with_closed_valves_and_has_every_joint():
     text = page("docs/commissioning.md")
     assert text.index("**Dry run** (`bDryRun` TRUE)") < text.index("**Valves, joint by joint** (`bDryRun` FALSE")
     limits = constants("GVL_HmMachine")
-    for j, axis in enumerate(PARAMETERS.table.axes):
+    for j, axis in enumerate(PARAMETERS.limit_table.axes):
         (row,) = re.findall(rf"^\| {axis.name} \| (.+) \|$", text, re.MULTILINE)
         shown = [float(x) for x in row.split(" | ")]
         own = [limits[name][1][j] for name in ("Q_MIN", "Q_MAX", "QD_MAX", "QDD_MAX")]  # type: ignore[index]

@@ -15,7 +15,7 @@ from protocol.errors import MalformedError
 from protocol.framing import EapFraming, RawFraming
 from protocol.layout import COMMAND_SIZE, STATE_SIZE
 from protocol.messages import Command, State
-from protocol.twincat.golden import KEY, framed_datagram, golden_messages
+from protocol.twincat.golden import EXAMPLE_AUTH_KEY, framed_datagram, golden_messages
 from sim_plc.plc.knot_ring import KnotRing, PlaybackView
 
 CONVERSATION = {golden.name: golden for golden in golden_messages(PARAMETERS)}
@@ -84,18 +84,18 @@ def test_the_simulated_plc_takes_the_trajectory_and_refuses_the_other_as_the_sta
     assert isinstance(bad, Command)
     assert isinstance(told, State)
     view = PlaybackView(good.knots[0].q[:6])
-    ring = KnotRing(PARAMETERS.table)
+    ring = KnotRing(PARAMETERS.limit_table)
     assert ring.check(good, view) is None
     objection = ring.check(bad, view)
     assert objection is not None
-    assert (objection.code, objection.offset) == (RejectCode.IMPLIED_SPEED, 288)
+    assert (objection.code, objection.field_offset) == (RejectCode.IMPLIED_SPEED, 288)
     assert (told.reject_code, told.reject_offset, told.reject_seq) == (37, 288, bad.seq)
 
 
 def test_the_servo_command_is_signed_with_the_key_it_names():
     payload = CONVERSATION["servo"].payload
-    assert payload[1280:1296] == hmac.digest(KEY, payload[:1280], "sha256")[:16]
-    assert bytes(range(32)) == KEY
+    assert payload[1280:1296] == hmac.digest(EXAMPLE_AUTH_KEY, payload[:1280], "sha256")[:16]
+    assert bytes(range(32)) == EXAMPLE_AUTH_KEY
     with pytest.raises(MalformedError) as refused:
         decode_command(payload, bytes(32))
     assert refused.value.code is RejectCode.AUTH

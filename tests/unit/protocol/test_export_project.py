@@ -12,7 +12,7 @@ from longreach.export_command import plc_parameters, st_sources
 from protocol.errors import LocalProtocolError
 from protocol.twincat.bundle import build_bundle_files, project
 from protocol.twincat.pou import parse_pou
-from protocol.twincat.solution import NAME
+from protocol.twincat.solution import PLC_PROJECT_NAME
 
 SOURCE = """\
 (* purpose; METHOD and END_VAR in a comment are text *)
@@ -97,7 +97,7 @@ def test_twincat_files_are_well_formed_and_their_ids_unique():
 
 
 def test_ids_do_not_depend_on_the_machine():
-    other = project(replace(PARAMETERS, machine="other", range_margin_rad=0.1), st_sources())
+    other = project(replace(PARAMETERS, machine_name="other", range_margin_rad=0.1), st_sources())
     identity = re.compile(rb'Id="(\{[^"]+\})"')
     assert other["GVLs/GVL_HmMachine.TcGVL"] != exported()["twincat/GVLs/GVL_HmMachine.TcGVL"]
     for path, data in other.items():
@@ -186,13 +186,13 @@ MSBUILD = "{http://schemas.microsoft.com/developer/msbuild/2003}"
 
 
 def plc_project():
-    return ElementTree.fromstring(exported()[f"twincat/{NAME}.plcproj"])
+    return ElementTree.fromstring(exported()[f"twincat/{PLC_PROJECT_NAME}.plcproj"])
 
 
 def test_the_project_lists_every_file_of_the_program_and_no_other():
     listed = [item.get("Include").replace("\\", "/") for item in plc_project().iter(f"{MSBUILD}Compile")]
     exported_files = {path.removeprefix("twincat/") for path in exported() if path.startswith("twincat/")}
-    own = {f"{NAME}.plcproj", f"{NAME}.tsproj", f"{NAME}.sln"}
+    own = {f"{PLC_PROJECT_NAME}.plcproj", f"{PLC_PROJECT_NAME}.tsproj", f"{PLC_PROJECT_NAME}.sln"}
     assert len(listed) == len(set(listed))
     assert set(listed) == exported_files - own
     folders = {item.get("Include") for item in plc_project().iter(f"{MSBUILD}Folder")}
@@ -218,7 +218,7 @@ def test_the_task_has_the_machines_cycle_and_calls_main():
 
 
 def test_solution_project_and_task_agree():
-    solution = exported()[f"twincat/{NAME}.sln"].decode()
+    solution = exported()[f"twincat/{PLC_PROJECT_NAME}.sln"].decode()
     (found,) = re.findall(r'^Project\("(\{[^"]+\})"\) = "\w+", "([^"]+)", "(\{[^"]+\})"$', solution, re.MULTILINE)
     root = ElementTree.fromstring(exported()[f"twincat/{found[1]}"])
     assert root.find("Project").get("ProjectGUID").upper() == found[2]
@@ -229,5 +229,5 @@ def test_solution_project_and_task_agree():
     context = plc.find("Instance/Contexts/Context")
     assert int(task.get("CycleTime")) * 100 == int(context.findtext("CycleTime")) == PARAMETERS.cycle_ns
     assert task.findtext("Name") == context.findtext("Name") == "PlcTask"
-    ids = re.findall(r"\{[0-9a-fA-F-]{36}\}", exported()[f"twincat/{NAME}.plcproj"].decode())
+    ids = re.findall(r"\{[0-9a-fA-F-]{36}\}", exported()[f"twincat/{PLC_PROJECT_NAME}.plcproj"].decode())
     assert len(ids) == len(set(ids))

@@ -46,10 +46,10 @@ def place(name: str) -> tuple[dict[str, int], int]:
 @pytest.mark.parametrize(
     ("name", "size", "blocks"),
     [
-        ("ST_HmCmd", 1304, (layout.HEADER, layout.COMMAND_BODY, layout.COMMAND_TAIL)),
-        ("ST_HmKnot", 200, (layout.KNOT,)),
-        ("ST_HmState", 568, (layout.HEADER, layout.STATE_BODY)),
-        ("ST_HmLimits", 288, (layout.LIMITS,)),
+        ("ST_HmCmd", 1304, (layout.HEADER_LAYOUT, layout.COMMAND_BODY_LAYOUT, layout.COMMAND_TAIL_LAYOUT)),
+        ("ST_HmKnot", 200, (layout.KNOT_LAYOUT,)),
+        ("ST_HmState", 568, (layout.HEADER_LAYOUT, layout.STATE_BODY_LAYOUT)),
+        ("ST_HmLimits", 288, (layout.LIMIT_TABLE_LAYOUT,)),
     ],
 )
 def test_every_field_lies_where_the_table_says_with_and_without_alignment(name, size, blocks):
@@ -116,9 +116,9 @@ def test_every_reject_code_carries_its_remedy():
 
 def test_layout_constants():
     found = constants("GVL_HmLayout")
-    for field in (*layout.HEADER.fields, *layout.COMMAND_BODY.fields):
+    for field in (*layout.HEADER_LAYOUT.fields, *layout.COMMAND_BODY_LAYOUT.fields):
         assert found.pop(f"OFS_{field.name.upper()}") == ("UDINT", field.offset)
-    for field in layout.KNOT.fields:
+    for field in layout.KNOT_LAYOUT.fields:
         assert found.pop(f"OFS_KNOT_{field.name.upper()}") == ("UDINT", field.offset)
     assert {name: value for name, (_, value) in found.items()} == {
         "CMD_SIZE": 1304, "STATE_SIZE": 568, "LIMITS_SIZE": 288, "HEADER_SIZE": 32, "AXES": 8, "KNOTS": 6,
@@ -142,21 +142,21 @@ def test_bit_constants_have_the_type_of_their_field():
 
 def test_times_are_those_of_the_table():
     found = constants("GVL_HmTimes")
-    for limit in timeouts.ALL:
-        assert found[limit.name.upper().replace(" ", "_") + "_NS"] == ("ULINT", limit.ns)
+    for limit in timeouts.ALL_TIMEOUTS:
+        assert found[limit.name.upper().replace(" ", "_") + "_NS"] == ("ULINT", limit.duration_ns)
     assert found["START_TOLERANCE"] == ("LREAL", timeouts.START_TOLERANCE_RAD)
     assert found["RING_KNOTS"] == ("UDINT", 64)
 
 
 def test_machine_constants_are_the_parameters_to_the_last_bit():
     found = constants("GVL_HmMachine")
-    axes = PARAMETERS.table.axes
+    axes = PARAMETERS.limit_table.axes
     columns = {
         "Q_MIN": [axis.q_min for axis in axes],
         "Q_MAX": [axis.q_max for axis in axes],
         "QD_MAX": [axis.qd_max for axis in axes],
         "QDD_MAX": [axis.qdd_max for axis in axes],
-        "KP": PARAMETERS.kp,
+        "KP": PARAMETERS.kp_frac_per_rad,
         "PT1_SHARE": PARAMETERS.pt1_share,
         "LAG_WARN": PARAMETERS.lag_warn,
         "LAG_FAULT": PARAMETERS.lag_fault,
@@ -167,7 +167,7 @@ def test_machine_constants_are_the_parameters_to_the_last_bit():
     assert found["CYCLE_NS"] == ("ULINT", 1_000_000)
     assert found["CYCLE_S"] == ("LREAL", 1_000_000 * 1e-9)
     assert found["SUPPLY_FAULT"] == ("REAL", 2e6)
-    assert found["FADE_SPEED_FACTOR"] == ("LREAL", timeouts.FADE_SPEED_FACTOR)
+    assert found["FADE_SPEED_FACTOR"] == ("LREAL", timeouts.PLAUSIBLE_SPEED_FACTOR)
 
 
 def test_cfg_id_is_the_crc_of_the_exported_limits():
@@ -177,7 +177,7 @@ def test_cfg_id_is_the_crc_of_the_exported_limits():
     head = (found["N_AXES"][1], 0, times["KNOT_SPACING_MIN_NS"][1], times["KNOT_SPACING_MAX_NS"][1])
     table = struct.pack("<IIQQd32d", *head, times["START_TOLERANCE"][1], *(x for column in columns for x in column))
     assert len(table) == 288
-    assert zlib.crc32(table) == found["CFG_ID_EXPECTED"][1] == cfg_id(PARAMETERS.table)
+    assert zlib.crc32(table) == found["CFG_ID_EXPECTED"][1] == cfg_id(PARAMETERS.limit_table)
 
 
 def next_states() -> dict[tuple[str, str], str]:

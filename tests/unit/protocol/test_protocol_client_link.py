@@ -154,7 +154,7 @@ def test_states_are_taken_once_and_in_order() -> None:
     assert pc.link.receive(datagram, pc.t_ns) == []  # late
     assert pc.link.receive(encode_state(pc.state), pc.t_ns) == []  # twice
     pc.feed(seq=pc.state.seq + 4)
-    assert (pc.link.counters.lost, pc.link.counters.stale) == (3, 2)
+    assert (pc.link.counters.lost, pc.link.counters.duplicate_or_late) == (3, 2)
     far = pc.feed(seq=pc.state.seq + 5000)
     assert far == [DatagramDropped(RejectCode.SEQ_JUMP, far[0].text)]
 

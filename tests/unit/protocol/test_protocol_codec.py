@@ -52,7 +52,7 @@ _SPECIAL = {
     "axis_status": st.tuples(*(U32,) * 8),
     "ver_minor": U8,
 }
-_WIRE = {f.name: f for block in (layout.HEADER, layout.STATE_BODY) for f in block.fields}
+_WIRE = {f.name: f for block in (layout.HEADER_LAYOUT, layout.STATE_BODY_LAYOUT) for f in block.fields}
 _KINDS = {"UINT": U16, "UDINT": U32, "ULINT": U64}
 
 
@@ -60,9 +60,9 @@ def _state_field(name: str) -> st.SearchStrategy:
     if name in _SPECIAL:
         return _SPECIAL[name]
     field = _WIRE[name]
-    if field.iec in _KINDS:
-        return _KINDS[field.iec]
-    return {("LREAL", 8): AXES64, ("REAL", 8): AXES32, ("REAL", 1): F32}[field.iec, field.count]
+    if field.iec_type in _KINDS:
+        return _KINDS[field.iec_type]
+    return {("LREAL", 8): AXES64, ("REAL", 8): AXES32, ("REAL", 1): F32}[field.iec_type, field.array_length]
 
 
 STATES = st.builds(State, **{f.name: _state_field(f.name) for f in fields(State)})

@@ -9,7 +9,7 @@ from protocol import codes, layout, plc_states, timeouts
 PAGE = (Path(__file__).parents[3] / "docs" / "plc-link.md").read_text()
 
 
-@pytest.mark.parametrize("block", layout.BLOCKS, ids=lambda block: block.name)
+@pytest.mark.parametrize("block", layout.MESSAGE_BLOCK_LAYOUTS, ids=lambda block: block.name)
 def test_offsets(block: layout.Block) -> None:
     assert layout.offsets_markdown(block) in PAGE
 

@@ -92,7 +92,7 @@ GOOD: tuple[tuple[str, Command, GateView], ...] = (
 def test_what_is_safe_passes_unchanged(name: str, command: Command, view: GateView) -> None:
     verdict = gate(command, view, TABLE)
     assert verdict.refusals == (), name
-    assert verdict.sent is command
+    assert verdict.command_to_send is command
 
 
 def with_value(knots: tuple[Knot, ...], index: int, axis: int, **values: float) -> tuple[Knot, ...]:
@@ -237,9 +237,9 @@ BAD = bad_cases()
 def test_what_is_not_safe_becomes_a_stop_with_its_reason(case: Bad) -> None:
     verdict = gate(case.command, case.view, TABLE)
     assert case.code in {refusal.code for refusal in verdict.refusals}
-    assert verdict.sent.mode is Mode.STOP
-    assert verdict.sent.knots == ()
-    assert (verdict.sent.session, verdict.sent.seq) == (case.command.session, case.command.seq)
+    assert verdict.command_to_send.mode is Mode.STOP
+    assert verdict.command_to_send.knots == ()
+    assert (verdict.command_to_send.session, verdict.command_to_send.seq) == (case.command.session, case.command.seq)
     for refusal in verdict.refusals:
         assert refusal.subject
         assert refusal.remedy

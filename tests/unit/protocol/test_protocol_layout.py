@@ -21,33 +21,39 @@ def c_fields(*blocks: Block) -> list[tuple[str, type]]:
     fields = []
     for block in blocks:
         for field in block.fields:
-            kind = C_TYPES[field.iec]
-            fields.append((f"{field.name}_{field.offset}", kind if field.count == 1 else kind * field.count))
+            kind = C_TYPES[field.iec_type]
+            fields.append(
+                (f"{field.name}_{field.offset}", kind if field.array_length == 1 else kind * field.array_length)
+            )
     return fields
 
 
 class NaturalKnot(ctypes.LittleEndianStructure):
-    _fields_ = c_fields(layout.KNOT)
+    _fields_ = c_fields(layout.KNOT_LAYOUT)
 
 
 class NaturalCommand(ctypes.LittleEndianStructure):
     _fields_ = (
-        *c_fields(layout.HEADER, layout.COMMAND_BODY),
+        *c_fields(layout.HEADER_LAYOUT, layout.COMMAND_BODY_LAYOUT),
         ("knots", NaturalKnot * layout.KNOTS_PER_COMMAND),
-        *c_fields(layout.COMMAND_TAIL),
+        *c_fields(layout.COMMAND_TAIL_LAYOUT),
     )
 
 
 class NaturalState(ctypes.LittleEndianStructure):
-    _fields_ = c_fields(layout.HEADER, layout.STATE_BODY)
+    _fields_ = c_fields(layout.HEADER_LAYOUT, layout.STATE_BODY_LAYOUT)
 
 
 @pytest.mark.parametrize(
     ("natural", "size", "blocks"),
     [
-        (NaturalKnot, layout.KNOT_SIZE, (layout.KNOT,)),
-        (NaturalCommand, layout.COMMAND_SIZE, (layout.HEADER, layout.COMMAND_BODY, layout.COMMAND_TAIL)),
-        (NaturalState, layout.STATE_SIZE, (layout.HEADER, layout.STATE_BODY)),
+        (NaturalKnot, layout.KNOT_SIZE, (layout.KNOT_LAYOUT,)),
+        (
+            NaturalCommand,
+            layout.COMMAND_SIZE,
+            (layout.HEADER_LAYOUT, layout.COMMAND_BODY_LAYOUT, layout.COMMAND_TAIL_LAYOUT),
+        ),
+        (NaturalState, layout.STATE_SIZE, (layout.HEADER_LAYOUT, layout.STATE_BODY_LAYOUT)),
     ],
 )
 def test_a_c_compiler_puts_every_field_where_the_table_says(

@@ -109,9 +109,9 @@ def test_diagram_has_every_state() -> None:
 def test_sequence_rule(last: int, step: int) -> None:
     verdict = classify_sequence(last, (last + step) % 2**32)
     if step == 1:
-        assert (verdict.kind, verdict.lost, verdict.is_usable) == (SequenceKind.NEXT, 0, True)
+        assert (verdict.kind, verdict.n_lost, verdict.is_usable) == (SequenceKind.NEXT, 0, True)
     elif 2 <= step <= 1000:
-        assert (verdict.kind, verdict.lost, verdict.is_usable) == (SequenceKind.GAP, step - 1, True)
+        assert (verdict.kind, verdict.n_lost, verdict.is_usable) == (SequenceKind.GAP, step - 1, True)
     elif step == 0:
         assert verdict.kind is SequenceKind.DUPLICATE
     elif -1000 <= step < 0:
@@ -180,16 +180,16 @@ def _playback(n: int) -> Playback:
 
 def test_window_begins_at_the_start_until_the_plc_has_the_trajectory() -> None:
     window = _playback(100).window(_plc(traj_id=3, playing=50, last=60))
-    assert (window.knot_first, len(window.knots), window.before) == (0, 6, None)
-    assert window.flags == CommandFlag(0)
+    assert (window.knot_first, len(window.knots), window.knot_before) == (0, 6, None)
+    assert window.command_flags == CommandFlag(0)
 
 
 @pytest.mark.parametrize(("last", "starts"), [(5, False), (15, False), (16, True), (60, True)])
 def test_a_motion_starts_with_800_ms_of_it_in_the_plc(last: int, starts: bool) -> None:
     window = _playback(100).window(_plc(7, 0, last))
-    assert (CommandFlag.START in window.flags) is starts
+    assert (CommandFlag.START in window.command_flags) is starts
     whole = _playback(10).window(_plc(7, 0, 9))
-    assert CommandFlag.START in whole.flags
+    assert CommandFlag.START in whole.command_flags
 
 
 def test_window_prefills_what_the_plc_lacks_while_the_ring_has_room() -> None:
@@ -198,7 +198,7 @@ def test_window_prefills_what_the_plc_lacks_while_the_ring_has_room() -> None:
     assert playback.window(_plc(7, 0, 57)).knot_first == 58  # 58..63: the ring of 64 is full then
     assert playback.window(_plc(7, 0, 58)).knot_first == 0  # no room: the next unplayed ones again
     assert playback.window(_plc(7, 20, 70)).knot_first == 71
-    assert playback.window(_plc(7, 20, 70)).before == playback.knots[70]
+    assert playback.window(_plc(7, 20, 70)).knot_before == playback.knots[70]
 
 
 def test_window_at_the_end_carries_the_end_flag() -> None:
@@ -208,10 +208,10 @@ def test_window_at_the_end_carries_the_end_flag() -> None:
         window = playback.window(_plc(7, 90, last))
         assert window.knot_first + len(window.knots) == 100
         assert len(window.knots) == 6
-        assert CommandFlag.LAST_IS_END in window.flags
+        assert CommandFlag.LAST_IS_END in window.command_flags
     short = _playback(3).window(_plc(7, 0, 2))
     assert (short.knot_first, len(short.knots)) == (0, 3)
-    assert CommandFlag.LAST_IS_END in short.flags
+    assert CommandFlag.LAST_IS_END in short.command_flags
 
 
 def test_offset_follows_the_fastest_exchange() -> None:

@@ -8,7 +8,7 @@ import pytest
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 typesys = pytest.importorskip("rosbags.typesys")
 
-from recording.foreign.ros_bag import CONTROLLER_STATE, CONTROLLER_STATES  # noqa: E402
+from recording.foreign.ros_bag import CONTROLLER_STATE_DEFINITIONS, CONTROLLER_STATE_TYPE  # noqa: E402
 
 T0_NS = 1_700_000_000_000_000_000
 STEP_S = 0.01
@@ -36,7 +36,9 @@ class BagMaker:
 
     def __init__(self, path: Path, plugin: str, distribution: int = 0) -> None:
         self.store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        self.store.register(typesys.get_types_from_msg(CONTROLLER_STATES[distribution], CONTROLLER_STATE))
+        self.store.register(
+            typesys.get_types_from_msg(CONTROLLER_STATE_DEFINITIONS[distribution], CONTROLLER_STATE_TYPE)
+        )
         self._writer = rosbag2.Writer(path, version=9, storage_plugin=getattr(rosbag2.StoragePlugin, plugin))
         self._connections: dict[str, object] = {}
 
@@ -86,7 +88,7 @@ class BagMaker:
             accelerations=[],
             time_from_start=self.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
         )
-        kind = self.store.types[CONTROLLER_STATE]
+        kind = self.store.types[CONTROLLER_STATE_TYPE]
         given = {
             "header": self.header(t),
             "joint_names": names,
@@ -100,7 +102,7 @@ class BagMaker:
         fields = [name for name in kind.__dataclass_fields__ if not name.startswith("__")]
         rest = {name: many if name.startswith("multi_dof") else self.point([]) for name in fields if name not in given}
         message = kind(**{name: value for name, value in {**rest, **given}.items() if name in fields})
-        self.write(topic, CONTROLLER_STATE, message, t)
+        self.write(topic, CONTROLLER_STATE_TYPE, message, t)
 
     def array(self, topic: str, t: float, values: object) -> None:
         layout = self.make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)

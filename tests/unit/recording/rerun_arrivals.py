@@ -13,7 +13,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from longreach.rerun_view import convert, import_rerun_module
 from machine.description import parse_machine_toml
-from recording.messages import CODECS
+from recording.messages import ROW_CODEC_BY_TOPIC
 from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, LOG_TOPIC, TRANSFORM_TOPIC
 
 FLOAT32_TOL = 2e-7  # Rerun keeps transforms and pinholes as float32: a share of the value, or as much of a metre
@@ -91,8 +91,8 @@ def _there(target: Path) -> tuple[Rows, dict[str, bytes]]:
 
 def _arrival(topic: str, schema: str, written: list[Any], there: list[Any], compared: Comparisons) -> Arrival:
     compare, kind = compared.get(topic, (None, ""))
-    if topic in CODECS:
-        compare, kind = _same_numbers(f"{CODECS[topic].schema_name}:message"), "every field, exactly"
+    if topic in ROW_CODEC_BY_TOPIC:
+        compare, kind = _same_numbers(f"{ROW_CODEC_BY_TOPIC[topic].schema_name}:message"), "every field, exactly"
     if compare is None:
         return Arrival(topic, schema, len(written), len(there), 0, "unknown channel")
     equal = sum(compare(a, b) for a, b in zip(written, there, strict=False))

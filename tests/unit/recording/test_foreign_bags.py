@@ -62,7 +62,7 @@ def test_a_bag_gives_its_numbers_back_whatever_its_storage_and_distribution(
     assert np.abs(column(rows, "t_plc_s") - t).max() < 1e-6
     assert np.abs(column(rows, "q_rad") - np.array([encoders(one) for one in t])).max() < 1e-12
     assert np.abs(column(rows, "q_ref_rad") - np.array([reference(one) for one in t])).max() < 1e-12
-    uses = {entry.name: (entry.use, entry.guess) for entry in done.found.entries}
+    uses = {entry.name: (entry.use, entry.is_guess) for entry in done.source_contents.entries}
     assert uses["/arm_controller/controller_state"] == ("used", False)
     assert uses["/vrpn/hand/pose"] == ("used", True)
     assert uses["/chatter"] == uses["/joint_states"] == ("ignored", False)
@@ -73,10 +73,10 @@ def test_the_diagnosis_can_judge_a_converted_bag(tmp_path: Path, urdf: Path) -> 
     convert_foreign(full_bag(tmp_path / "bag", "MCAP"), tmp_path / "out", urdf, None, yes)
     whole = read_for_diagnosis(tmp_path / "out")
     assert whole.has_judgeable_stage, [str(finding) for finding in whole.findings]
-    assert whole.nominal is not None
-    assert whole.nominal.joint_names == ("j1", "j2")  # the fingers are no part of the arm
-    assert whole.nominal.actuators is not None
-    assert whole.nominal.actuators.joints[:, 0].tolist() == [2.5, 1.5]
+    assert whole.nominal_machine is not None
+    assert whole.nominal_machine.joint_names == ("j1", "j2")  # the fingers are no part of the arm
+    assert whole.nominal_machine.actuators is not None
+    assert whole.nominal_machine.actuators.joints[:, 0].tolist() == [2.5, 1.5]
 
 
 def test_a_velocity_command_becomes_the_share_of_the_fastest(tmp_path: Path, urdf: Path) -> None:
@@ -88,8 +88,8 @@ def test_a_velocity_command_becomes_the_share_of_the_fastest(tmp_path: Path, urd
     done = convert_foreign(tmp_path / "bag", tmp_path / "out", urdf, None, yes)
     u = column(read_run(tmp_path / "out").of(PlcState), "u_frac")
     assert np.abs(u - [0.5, -0.5]).max() < 1e-12
-    assert any("velocity-controlled" in note for note in done.assembled.notes)
-    assert [entry.name for entry in done.found.guessed_entries] == ["/forward_velocity_controller/commands"]
+    assert any("velocity-controlled" in note for note in done.assembled_recording.notes)
+    assert [entry.name for entry in done.source_contents.guessed_entries] == ["/forward_velocity_controller/commands"]
 
 
 def test_nothing_is_guessed_in_silence(tmp_path: Path, urdf: Path) -> None:
@@ -114,7 +114,7 @@ def test_names_that_differ_are_mapped(tmp_path: Path, urdf: Path) -> None:
         tmp_path / "bag", tmp_path / "out", urdf, mapping, lambda found, _: not found.guessed_entries
     )
     assert np.abs(column(read_run(tmp_path / "out").of(PlcState), "q_ref_rad")[-1] - reference(2.99)).max() < 1e-12
-    assert done.assembled.q is not None
+    assert done.assembled_recording.q_encoder is not None
     mapping.write_text('[ros]\nencoders = "/c"\n', encoding="utf-8")
     with pytest.raises(RecordingError, match="names topic /c, which is not in the bag: /a, /b"):
         convert_foreign(tmp_path / "bag", tmp_path / "out2", urdf, mapping, yes)
@@ -171,7 +171,7 @@ def test_a_message_of_an_unknown_type_is_said_and_the_rest_is_used(tmp_path: Pat
         broken = bag._writer.add_connection("/broken_states", kind, typestore=bag.store)
         bag._writer.write(broken, 1_700_000_001_000_000_000, b"\x00\x01\x00\x00" + b"\xff" * 40)
     done = convert_foreign(tmp_path / "bag", tmp_path / "out", urdf, None, yes)
-    why = {entry.name: entry.why for entry in done.found.entries}
+    why = {entry.name: entry.reason for entry in done.source_contents.entries}
     assert "does not match its type" in why["/broken_states"]
 
 

@@ -161,8 +161,8 @@ def test_desired_currents_are_no_references(tmp_path: Path) -> None:
     names = ["t", "q_0", "q_1", "i_des_0", "i_des_1"]
     out = tmp_path / "out"
     done = convert_foreign(write(tmp_path / "ur.csv", names, table), out, None, None, yes)
-    assert not done.found.signals_of("reference")
-    assert [entry.name for entry in done.found.entries if entry.use == "ignored"] == ["i_des_0", "i_des_1"]
+    assert not done.source_contents.signals_of("reference")
+    assert [entry.name for entry in done.source_contents.entries if entry.use == "ignored"] == ["i_des_0", "i_des_1"]
 
 
 def test_a_command_that_does_not_rest_at_zero_is_refused(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ def test_folder_and_back_keeps_every_csv_number(tmp_path: Path) -> None:
     assert (tmp_path / "folder" / "machine.toml").read_text() == MACHINE_TOML
     convert(tmp_path / "folder", tmp_path / "again.mcap")
     first, again = read_run(source), read_run(tmp_path / "again.mcap")
-    assert again.run == first.run
+    assert again.run_info == first.run_info
     for row_type in (PlcState, Sent, MarkerCorners, OdometryRow):
         assert len(again.of(row_type)) == len(first.of(row_type))
     for name in ("t_plc_s", "seq_received", "q_ref_rad", "q_rad", "u_frac", "p_a_pa", "p_supply_pa", "t_oil_c"):
@@ -53,7 +53,7 @@ def test_a_foreign_folder_with_few_columns(tmp_path: Path) -> None:
     assert rows[0].seq_received == -1
     assert math.isnan(rows[0].p_supply_pa)
     report = check_recording(tmp_path)
-    lacking = {missing.signal for missing in report.missing}
+    lacking = {missing.signal for missing in report.missing_signals}
     assert {"sent.csv", "plc.csv u", "machine.toml"} <= lacking
     assert "plc.csv q" not in lacking
     assert not any("p_a" in one or "p_supply" in one for one in lacking)  # the diagnosis reads no pressure

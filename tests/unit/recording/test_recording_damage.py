@@ -54,7 +54,7 @@ def test_one_wrong_byte_costs_one_chunk_and_what_was_saved_says_so(tmp_path: Pat
     found = read_run(path)
     assert not found.complete
     assert len(found.rows) > 33_000 * (1.0 - 3.0 / len(chunks))
-    assert found.run.segments, "what was written last is there"
+    assert found.run_info.segments, "what was written last is there"
     report = recover(path, tmp_path / "saved.mcap")
     assert report.lost_chunks == 1
     assert len(read_run(tmp_path / "saved.mcap").rows) == len(found.rows)

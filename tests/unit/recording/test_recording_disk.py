@@ -11,7 +11,7 @@ from written_runs import SECOND_NS, plc_state
 from recording.opening import read_run
 from recording.rows import PlcState
 from recording.run import RunInfo
-from recording.writer import IMAGES_MAX, RunWriter
+from recording.writer import QUEUED_IMAGES_MAX, RunWriter
 
 
 def hold_up(writer: RunWriter, until: threading.Event) -> None:
@@ -42,7 +42,7 @@ def test_images_give_way_to_numbers(tmp_path: Path) -> None:
     recording = read_run(tmp_path / "run.mcap")
     assert len(recording.of(PlcState)) == 200
     assert report.images_dropped > 0
-    assert recording.images == 200 - report.images_dropped >= IMAGES_MAX
+    assert recording.n_images == 200 - report.images_dropped >= QUEUED_IMAGES_MAX
     assert ("longreach/end.images_dropped", str(report.images_dropped)) in recording.metadata
 
 
@@ -61,13 +61,13 @@ def test_a_full_disk_is_told_and_blocks_nobody(tmp_path: Path) -> None:
 def test_a_row_that_cannot_be_written_ends_the_file_and_blocks_nobody(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES", 20)
+    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES_MAX", 20)
     writer = RunWriter(tmp_path / "run.mcap", RunInfo("odd"), patient=True)
     for number in range(300):  # of more rows than the queue holds
         writer.row(replace(plc_state(number), seq_received=2**64 - 1 if number == 10 else number), SECOND_NS)
     report = writer.close()
     assert "channel /plc: seq_received = 18446744073709551615 cannot be written" in report.error
-    assert report.messages == 10
+    assert report.n_messages == 10
     assert not read_run(tmp_path / "run.mcap").complete
 
 
@@ -88,7 +88,7 @@ def test_a_source_stamp_that_no_file_holds_is_not_known(tmp_path: Path) -> None:
 
 
 def test_a_live_recording_never_waits_for_its_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES", 5)
+    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES_MAX", 5)
     writer, stalled = RunWriter(tmp_path / "run.mcap", RunInfo("stalled")), threading.Event()
     hold_up(writer, stalled)
     for number in range(20):
@@ -100,7 +100,7 @@ def test_a_live_recording_never_waits_for_its_disk(tmp_path: Path, monkeypatch: 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_nobody_waits_for_a_thread_that_has_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES", 2)
+    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES_MAX", 2)
     writer = RunWriter(tmp_path / "run.mcap", RunInfo("odd"), patient=True)
 
     def ended(*_args: object, **_kwargs: object) -> None:
@@ -126,11 +126,11 @@ def test_a_disk_that_is_late_holds_the_closing_no_longer_than_asked(tmp_path: Pa
     stalled.set()
     assert writer.close().error == ""
     recording = read_run(tmp_path / "run.mcap")
-    assert (recording.complete, recording.run.seed, len(recording.of(PlcState))) == (True, 5, 3)
+    assert (recording.complete, recording.run_info.seed, len(recording.of(PlcState))) == (True, 5, 3)
 
 
 def test_a_full_queue_does_not_hold_up_the_closing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES", 2)
+    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES_MAX", 2)
     writer, stalled = RunWriter(tmp_path / "run.mcap", RunInfo("late")), threading.Event()
     hold_up(writer, stalled)
     for number in range(10):

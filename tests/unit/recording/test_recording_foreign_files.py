@@ -8,22 +8,22 @@ from google.protobuf import descriptor_pb2
 from mcap.exceptions import McapError
 from mcap.writer import CompressionType, Writer
 
-from recording.channels import ENCODING
+from recording.channels import DEFAULT_ENCODING
 from recording.check import check_recording
 from recording.foxglove import log_message
-from recording.messages import CODECS
+from recording.messages import ROW_CODEC_BY_TOPIC
 from recording.opening import read_run
 from recording.recover import recover
 from recording.rows import OdometryRow, Sent
 from recording.writer import LOG_TOPIC
 from server.api.panel_replay_reading import replay_of
 
-CODEC = CODECS[Sent.topic]
+CODEC = ROW_CODEC_BY_TOPIC[Sent.topic]
 
 
 def sent_channel(writer: Writer) -> int:
-    schema = writer.register_schema(CODEC.schema_name, ENCODING, CODEC.schema)
-    return writer.register_channel(Sent.topic, ENCODING, schema)
+    schema = writer.register_schema(CODEC.schema_name, DEFAULT_ENCODING, CODEC.schema)
+    return writer.register_channel(Sent.topic, DEFAULT_ENCODING, schema)
 
 
 def rows(writer: Writer, channel: int, count: int = 300) -> None:
@@ -97,9 +97,9 @@ def test_messages_whose_schema_is_missing_are_saved_but_not_read(tmp_path: Path)
     path = without(0x03, plain(tmp_path / "run.mcap"))
     recording = read_run(path)
     assert not recording.complete
-    assert recording.foreign == ("/sent (protobuf, no schema): 5 messages were not read",)
+    assert recording.foreign_channels == ("/sent (protobuf, no schema): 5 messages were not read",)
     saved = recover(path, tmp_path / "saved.mcap")
-    assert (saved.messages, saved.reason) == (5, "the schema of channel /sent is missing")
+    assert (saved.n_messages, saved.reason) == (5, "the schema of channel /sent is missing")
 
 
 def test_what_has_a_channel_is_saved_beside_what_has_none(tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_what_has_a_channel_is_saved_beside_what_has_none(tmp_path: Path) -> Non
         path.read_bytes().replace(b"\x04" + (25).to_bytes(8, "little"), b"\x7f" + (25).to_bytes(8, "little"))
     )
     saved = recover(path, tmp_path / "saved.mcap")
-    assert (saved.messages, saved.was_complete) == (3, False)
+    assert (saved.n_messages, saved.was_complete) == (3, False)
     assert saved.reason == "the record of channel 2 is missing"
 
 
@@ -137,9 +137,9 @@ def test_a_foreign_channel_under_a_known_topic_is_not_decoded_and_said(
     assert recording.complete
     assert len(recording.of(Sent)) == 5
     told = f"{topic} ({encoding}, schema 'nav_msgs/Odometry'): 1 messages were not read"
-    assert recording.foreign == (told,)
+    assert recording.foreign_channels == (told,)
     assert f"channel {told}: it is not of this format" in check_recording(path).problems
-    assert recover(path, tmp_path / "saved.mcap").messages == 6
+    assert recover(path, tmp_path / "saved.mcap").n_messages == 6
 
 
 def test_a_replay_passes_foreign_lines_over(tmp_path: Path) -> None:
@@ -147,8 +147,10 @@ def test_a_replay_passes_foreign_lines_over(tmp_path: Path) -> None:
         foreign = writer.register_channel(LOG_TOPIC, "json", 0)
         writer.add_message(foreign, 1, b"{}", 1)
         message = log_message("info", "ours", 5)
-        schema = writer.register_schema("foxglove.Log", ENCODING, b"")
-        writer.add_message(writer.register_channel(LOG_TOPIC, ENCODING, schema), 5, message.SerializeToString(), 5)
+        schema = writer.register_schema("foxglove.Log", DEFAULT_ENCODING, b"")
+        writer.add_message(
+            writer.register_channel(LOG_TOPIC, DEFAULT_ENCODING, schema), 5, message.SerializeToString(), 5
+        )
 
     told, _ = replay_of(made(tmp_path / "run.mcap", both))
     assert [line[-1] for line in told["lines"]] == ["ours"]
@@ -164,13 +166,13 @@ def test_a_channel_of_our_name_in_another_layout_is_not_read_as_ours(tmp_path: P
 
     def channel(writer: Writer, schema: bytes) -> int:
         return writer.register_channel(
-            Sent.topic, ENCODING, writer.register_schema(CODEC.schema_name, ENCODING, schema)
+            Sent.topic, DEFAULT_ENCODING, writer.register_schema(CODEC.schema_name, DEFAULT_ENCODING, schema)
         )
 
     other = made(tmp_path / "other.mcap", lambda writer: rows(writer, channel(writer, files.SerializeToString()), 30))
     found = read_run(other)
     assert not found.of(Sent)
-    assert found.foreign == (
+    assert found.foreign_channels == (
         f"{Sent.topic} (protobuf, schema '{CODEC.schema_name}' of another layout): 30 messages were not read",
     )
     newer = made(tmp_path / "newer.mcap", lambda writer: rows(writer, channel(writer, longer.SerializeToString()), 30))

@@ -127,12 +127,12 @@ def test_a_run_holds_everything_it_was_told(tmp_path: Path) -> None:
     before = {"z_mm": 3.0, "sigma_deg": None}
     assert json.loads(found_move.json) == {"before": before, "after": None, "sigma_mm": [0.1, 0.2], "status": "ok"}
     assert found_result.text == "reached"
-    assert recording.images == 10
-    assert recording.run.seed == 3
-    assert recording.run.plc_to_pc_offset_s == pytest.approx(7.002, abs=1e-9)
-    assert recording.run.camera_to_pc_offset_s == pytest.approx(9.0, abs=1e-9)
-    assert [segment.kind for segment in recording.run.segments] == ["positioning"]
-    assert recording.run.segments[0].t_end_plc_s == pytest.approx(1000.99, abs=1e-6)
+    assert recording.n_images == 10
+    assert recording.run_info.seed == 3
+    assert recording.run_info.plc_to_pc_offset_s == pytest.approx(7.002, abs=1e-9)
+    assert recording.run_info.camera_to_pc_offset_s == pytest.approx(9.0, abs=1e-9)
+    assert [segment.kind for segment in recording.run_info.segments] == ["positioning"]
+    assert recording.run_info.segments[0].t_end_plc_s == pytest.approx(1000.99, abs=1e-6)
     assert {attachment.name for attachment in recording.attachments} == {"settings.json", "machine.urdf"}
     assert check_recording(path).usable
 
@@ -148,9 +148,12 @@ def test_segments_name_repeats(tmp_path: Path) -> None:
     path = recorder.stop()
     assert path is not None
     recording = read_run(path)
-    assert [(segment.name, segment.repeat_of) for segment in recording.run.segments] == [("r0", "r0"), ("r1", "r0")]
-    assert recording.run.segments[1].t_start_plc_s == pytest.approx(1001.0, abs=1e-9)
-    assert recording.images == 0
+    assert [(segment.name, segment.repeat_of) for segment in recording.run_info.segments] == [
+        ("r0", "r0"),
+        ("r1", "r0"),
+    ]
+    assert recording.run_info.segments[1].t_start_plc_s == pytest.approx(1001.0, abs=1e-9)
+    assert recording.n_images == 0
 
 
 def test_stretches_of_a_trajectory_count_from_one_moment_and_a_cut_repeat_is_none(tmp_path: Path) -> None:
@@ -164,7 +167,9 @@ def test_stretches_of_a_trajectory_count_from_one_moment_and_a_cut_repeat_is_non
     recorder.end_marks()
     path = recorder.stop()
     assert path is not None
-    found = [(one.name, one.t_start_plc_s - 1000.0, one.t_end_plc_s - 1000.0) for one in read_run(path).run.segments]
+    found = [
+        (one.name, one.t_start_plc_s - 1000.0, one.t_end_plc_s - 1000.0) for one in read_run(path).run_info.segments
+    ]
     wanted = [("repeats 0", 0.0, 0.25), ("repeats 1", 0.25, 0.5), ("steps", 0.5, 0.6)]
     assert [one[0] for one in found] == [one[0] for one in wanted]
     assert np.allclose([one[1:] for one in found], [one[1:] for one in wanted], atol=1e-6)
@@ -303,9 +308,9 @@ def test_a_plc_that_was_switched_off_and_on_costs_no_recording(tmp_path: Path) -
     assert path is not None
     found = read_run(path)
     assert len(found.of(PlcState)) == 100
-    assert [one.name for one in found.run.segments] == ["first"]
-    assert found.run.segments[0].t_end_plc_s == pytest.approx(1000.49)
-    assert "restarted" in " ".join(entry.text for entry in found.log)
+    assert [one.name for one in found.run_info.segments] == ["first"]
+    assert found.run_info.segments[0].t_end_plc_s == pytest.approx(1000.49)
+    assert "restarted" in " ".join(entry.text for entry in found.log_entries)
 
 
 @pytest.mark.parametrize("broken", ["plc_row", "report_rows", "finding_row", "urdf_text"])

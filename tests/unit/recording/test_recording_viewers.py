@@ -20,7 +20,7 @@ from longreach.rerun_view import RerunError, convert, write_blueprint
 from machine.description import parse_machine_toml
 from recording.content import Attachment
 from recording.foxglove import FramePose
-from recording.messages import CODECS
+from recording.messages import ROW_CODEC_BY_TOPIC
 from recording.rows import ROW_TYPES, Floats
 from recording.run import RunInfo
 from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, LOG_TOPIC, TRANSFORM_TOPIC, RunWriter
@@ -101,10 +101,10 @@ def test_the_well_known_schemas_are_foxgloves_own(recorded):
 def test_the_layout_names_only_topics_and_fields_that_there_are():
     text = LAYOUT.read_text(encoding="utf-8")
     topics = set(re.findall(r'"(/[a-z_/]+)[."\[]', text))
-    assert {"/plc", "/camera/left", "/log"} <= topics <= set(CODECS) | set(FOXGLOVE)
+    assert {"/plc", "/camera/left", "/log"} <= topics <= set(ROW_CODEC_BY_TOPIC) | set(FOXGLOVE)
     names = set(re.findall(r'"/plc\.([a-z_]+)\[', text))
     assert names
-    assert names <= {field.name for field in fields(CODECS["/plc"].row_type)}
+    assert names <= {field.name for field in fields(ROW_CODEC_BY_TOPIC["/plc"].row_type)}
     layout = json.loads(text)
     placed = set(re.findall(r'"([A-Za-z0-9]+![a-z]+)"', json.dumps(layout["layout"])))
     assert placed == set(layout["configById"])

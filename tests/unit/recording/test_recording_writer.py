@@ -14,7 +14,7 @@ from written_runs import MACHINE_TOML, plc_state, run_info, same, write
 from recording.check import check_recording
 from recording.content import column
 from recording.errors import RecordingError
-from recording.messages import CODECS
+from recording.messages import ROW_CODEC_BY_TOPIC
 from recording.opening import read_run
 from recording.rows import ROW_TYPES, CameraState, PlcState, Row
 from recording.run import RunInfo, run_from_toml, run_to_toml
@@ -32,7 +32,7 @@ def test_every_row_survives_protobuf(row_type: type[Row]) -> None:
         values[name] = kinds.get(getattr(base, "__name__", ""), (0.1, -2.0, 3e300))
     values = {name: (0.1, -2.0) if base_is_floats(row_type, name) else values[name] for name in values}
     row = row_type(**values)
-    codec = CODECS[row_type.topic]
+    codec = ROW_CODEC_BY_TOPIC[row_type.topic]
     assert codec.decode(codec.encode(row)) == row
 
 
@@ -43,12 +43,12 @@ def base_is_floats(row_type: type[Row], name: str) -> bool:
 def test_written_run_reads_back(tmp_path: Path) -> None:
     recording = read_run(write(tmp_path / "run.mcap"))
     assert recording.complete
-    assert recording.run == run_info()
+    assert recording.run_info == run_info()
     assert recording.machine_toml == MACHINE_TOML
     assert len(recording.of(PlcState)) == 100
     assert same(recording.of(PlcState)[42], plc_state(42))
-    assert recording.images == 10
-    assert [(entry.level, entry.text) for entry in recording.log] == [("warning", "careful")]
+    assert recording.n_images == 10
+    assert [(entry.level, entry.text) for entry in recording.log_entries] == [("warning", "careful")]
     assert ("longreach.seed", "7") in recording.metadata
     q = column(recording.of(PlcState), "q_rad")
     assert q.shape == (100, 6)
@@ -77,13 +77,13 @@ def test_check_of_a_full_recording(tmp_path: Path) -> None:
     assert report.problems == ()
     signals = {signal.name: signal for signal in report.signals}
     assert signals["plc"].rate_hz == pytest.approx(100.0, rel=1e-6)
-    assert signals["plc"].gaps == 0
-    assert {missing.signal for missing in report.missing} == {"tracker.csv or static.csv"}
+    assert signals["plc"].n_gaps == 0
+    assert {missing.signal for missing in report.missing_signals} == {"tracker.csv or static.csv"}
 
 
 def test_rows_without_csv_form_stay_in_mcap() -> None:
     assert CameraState.file == ""
-    assert CameraState.topic in CODECS
+    assert CameraState.topic in ROW_CODEC_BY_TOPIC
 
 
 def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from recording.content import Attachment
 from recording.foxglove import FramePose
 from recording.rows import NAN, Floats, MarkerCorners, OdometryRow, PlcState, Row, Sent
 from recording.run import RunInfo, Segment
-from recording.writer import IMAGES_MAX, RunWriter
+from recording.writer import QUEUED_IMAGES_MAX, RunWriter
 
 ROOT = Path(__file__).parents[3]
 
@@ -53,7 +53,7 @@ def write(path: Path, count: int = 100) -> Path:
     writer.transforms([FramePose("base", "tcp", (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0))], SECOND_NS)
     report = writer.close(run_info())
     assert report.error == ""
-    assert report.images_dropped == 0 or count > 10 * IMAGES_MAX
+    assert report.images_dropped == 0 or count > 10 * QUEUED_IMAGES_MAX
     return path
 
 

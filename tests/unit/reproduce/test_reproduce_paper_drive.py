@@ -14,7 +14,7 @@ from machine.chain import chain_of
 from machine.poses import pose
 from server.errors import JobFailedError
 from server.jobs.performer import Performer
-from server.jobs.plans.driving import STEPS_MAX, correct_encoder_shortfall, drive_and_correct
+from server.jobs.plans.driving import INTEGRATION_STEPS_MAX, correct_encoder_shortfall, drive_and_correct
 from server.jobs.plans.planning import plan_to
 from server.jobs.requests import MachineReading, Move, SeenPairs, Settle, StartWatching, StopWatching, sighted_of
 from server.vision.object_pose import not_seen
@@ -74,8 +74,8 @@ def test_integration_gives_up_on_a_machine_that_does_not_follow():
     ctx, _, _, plan = paper_plan(-0.05)
     lacking = np.array([0.0, 1e-3, 0.0, 0.0, 0.0, 0.0])
     count, moves = integrated(ctx, plan, plan.q_end - lacking, follows=False)
-    assert count == len(moves) == STEPS_MAX
-    assert moves[-1][1] - plan.q_end[1] == pytest.approx(STEPS_MAX * 1e-3)
+    assert count == len(moves) == INTEGRATION_STEPS_MAX
+    assert moves[-1][1] - plan.q_end[1] == pytest.approx(INTEGRATION_STEPS_MAX * 1e-3)
 
 
 def test_integration_keeps_off_the_wall():

@@ -24,15 +24,17 @@ def test_squares_and_modules_consist_of_whole_cells(share, name):
     drawn = boards.chess_board(name, target, np.eye(4))
     per_square = round(0.04 / drawn.cell_x_m)
     half = per_square // 2
-    inside = drawn.cells[half:-half, half:-half]
+    inside = drawn.cell_greys[half:-half, half:-half]
     assert inside.shape == (4 * per_square, 5 * per_square)
-    assert np.all(drawn.cells[: half - 1] == boards.PAPER_GREY)
+    assert np.all(drawn.cell_greys[: half - 1] == boards.PAPER_GREY)
     assert np.all(inside[:per_square, :per_square] == boards.INK_GREY)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-    large = cv2.resize(drawn.cells, None, fx=600 / len(drawn.cells), fy=600 / len(drawn.cells), interpolation=0)
+    large = cv2.resize(
+        drawn.cell_greys, None, fx=600 / len(drawn.cell_greys), fy=600 / len(drawn.cell_greys), interpolation=0
+    )
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(large)
     assert sorted(np.ravel(ids)) == list(range(2, 12))
-    per_px = 600 / len(drawn.cells) / drawn.cell_x_m
+    per_px = 600 / len(drawn.cell_greys) / drawn.cell_x_m
     sides = [np.linalg.norm(quad.reshape(4, 2)[1] - quad.reshape(4, 2)[0]) / per_px for quad in corners]
     assert np.mean(sides) == pytest.approx(0.04 * share, abs=0.0006)
 

@@ -107,9 +107,9 @@ def test_exposures_stay_on_their_grid_and_missed_ones_are_counted() -> None:
     grid = ExposureGrid(1_000_000_000, 10.0)
     assert grid.next_exposure(900_000_000) == 1_000_000_000
     assert grid.next_exposure(1_150_000_000) == 1_100_000_000  # late by less than a period: still taken
-    assert grid.skipped == 0
+    assert grid.n_skipped == 0
     assert grid.next_exposure(1_530_000_000) == 1_500_000_000
-    assert grid.skipped == 3
+    assert grid.n_skipped == 3
     grid.rate_hz = 5.0
     assert [grid.next_exposure(0), grid.next_exposure(0)] == [1_600_000_000, 1_800_000_000]
 

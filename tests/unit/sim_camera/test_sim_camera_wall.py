@@ -37,8 +37,8 @@ def test_contrast_scales_the_departures_from_the_mean(base: np.ndarray) -> None:
 
 def test_levels_keep_the_mean_and_lose_detail(base: np.ndarray) -> None:
     levels = texture_levels(base)
-    spreads = [level.image.std() for level in levels]
-    assert all(abs(level.image.mean() - base.mean()) < 0.7 for level in levels)
+    spreads = [level.grey_image.std() for level in levels]
+    assert all(abs(level.grey_image.mean() - base.mean()) < 0.7 for level in levels)
     assert all(coarse < fine for fine, coarse in itertools.pairwise(spreads))
     assert best_level(levels, 1e-5) == 0
     assert levels[best_level(levels, 0.0026)].texel_x_m == pytest.approx(0.0016, rel=0.02)  # 1.4 m away
@@ -47,27 +47,27 @@ def test_levels_keep_the_mean_and_lose_detail(base: np.ndarray) -> None:
 @pytest.mark.parametrize("relief_m", [0.02, 0.05])
 def test_relief_has_its_range_is_periodic_and_hollow_behind_the_ooi(relief_m: float) -> None:
     relief = wall_relief(7, relief_m, 0.06)
-    assert np.ptp(relief.heights) == pytest.approx(relief_m, abs=1e-9)
+    assert np.ptp(relief.heights_m) == pytest.approx(relief_m, abs=1e-9)
     assert relief.mean_z_m == -0.06
-    here = height_at(relief.heights, 0.3, -0.2)
-    assert height_at(relief.heights, 0.3 + WIDTH_M, -0.2 - HEIGHT_M) == pytest.approx(here, abs=1e-9)
-    around = [height_at(relief.heights, 0.35 * np.cos(a), 0.35 * np.sin(a)) for a in np.linspace(0, 6.2, 40)]
+    here = height_at(relief.heights_m, 0.3, -0.2)
+    assert height_at(relief.heights_m, 0.3 + WIDTH_M, -0.2 - HEIGHT_M) == pytest.approx(here, abs=1e-9)
+    around = [height_at(relief.heights_m, 0.35 * np.cos(a), 0.35 * np.sin(a)) for a in np.linspace(0, 6.2, 40)]
     assert max(around) < 0.0  # m: the boards clear the rock
-    slope = np.abs(np.diff(relief.heights, axis=1)).max() / (WIDTH_M / 256)
+    slope = np.abs(np.diff(relief.heights_m, axis=1)).max() / (WIDTH_M / 256)
     assert slope < 0.5 * relief_m / 0.05
 
 
 def test_no_relief_is_a_plane() -> None:
-    assert not wall_relief(7, 0.0, 0.06).heights.any()
+    assert not wall_relief(7, 0.0, 0.06).heights_m.any()
 
 
 def test_a_ray_meets_the_relief_where_its_height_is() -> None:
     relief = wall_relief(7, 0.05, 0.06)
     origin = np.array([0.4, -0.3, 1.2])
     for dx, dy in np.random.default_rng(1).uniform(-1.0, 1.0, (50, 2)):
-        x, y, _ = wall_hit(relief.heights, relief.mean_z_m, 0.0, origin, dx, dy, -1.0, 4)
+        x, y, _ = wall_hit(relief.heights_m, relief.mean_z_m, 0.0, origin, dx, dy, -1.0, 4)
         z = origin[2] - (x - origin[0]) / dx
-        assert z == pytest.approx(relief.mean_z_m + height_at(relief.heights, x, y), abs=2e-5)  # m
+        assert z == pytest.approx(relief.mean_z_m + height_at(relief.heights_m, x, y), abs=2e-5)  # m
 
 
 def test_a_map_is_painted_bilinearly_and_wraps() -> None:

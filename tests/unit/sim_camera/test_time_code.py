@@ -4,7 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from sim_plc.camera.process import BITS, CELLS, HEIGHT_FRAC, UNIT_NS, paint_time_code
+from sim_plc.camera.process import (
+    TIME_CODE_BITS,
+    TIME_CODE_CELLS,
+    TIME_CODE_HEIGHT_FRAC,
+    TIME_CODE_UNIT_NS,
+    paint_time_code,
+)
 from sim_plc.camera.texture import Grey
 
 PICTURE = np.random.default_rng(3).integers(0, 255, (720, 1280), dtype=np.uint8)
@@ -12,16 +18,16 @@ PICTURE = np.random.default_rng(3).integers(0, 255, (720, 1280), dtype=np.uint8)
 
 def read(image: Grey, t_near_ns: int) -> int | None:
     """The time [mono ns] nearest to `t_near_ns` that a picture of any size carries; None when there is no code."""
-    row = image[max(1, round(0.5 * HEIGHT_FRAC * image.shape[0]))].astype(float)
-    centres = ((np.arange(CELLS) + 0.5) * image.shape[1] / CELLS).astype(int)
+    row = image[max(1, round(0.5 * TIME_CODE_HEIGHT_FRAC * image.shape[0]))].astype(float)
+    centres = ((np.arange(TIME_CODE_CELLS) + 0.5) * image.shape[1] / TIME_CODE_CELLS).astype(int)
     levels = row[centres]
     if levels[0] - levels[1] < 100.0:
         return None
     bits = levels[2:] > 0.5 * (levels[0] + levels[1])
     code = int("".join("1" if bit else "0" for bit in bits), 2)
-    span = (1 << BITS) * UNIT_NS
-    turns = round((t_near_ns - code * UNIT_NS) / span)
-    return code * UNIT_NS + turns * span
+    span = (1 << TIME_CODE_BITS) * TIME_CODE_UNIT_NS
+    turns = round((t_near_ns - code * TIME_CODE_UNIT_NS) / span)
+    return code * TIME_CODE_UNIT_NS + turns * span
 
 
 @pytest.mark.parametrize("width", [1280, 960, 700])

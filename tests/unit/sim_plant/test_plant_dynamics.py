@@ -10,7 +10,7 @@ from sim_plc.draw_plant import nominal_kinematics
 from sim_plc.plant import sizing
 from sim_plc.plant.aba import aba, aba_work
 from sim_plc.plant.statics import frames, gravity_torques, static_equilibrium_angles
-from sim_plc.plant.tree import FLEXES, MOTORS, N_JOINTS, build_tree
+from sim_plc.plant.tree import FLEX_JOINT_INDICES, MOTOR_JOINT_INDICES, N_TREE_JOINTS, build_tree
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 SPRINGS_NM_RAD = np.array([1.5e6, 5e5, 1.0e6, 5e5, 3e5])  # the default plant
@@ -26,7 +26,7 @@ def pin_model(tree):
     model = pin.Model()
     model.gravity.linear = GRAVITY
     parent = 0
-    for i in range(N_JOINTS):
+    for i in range(N_TREE_JOINTS):
         placement = pin.SE3(tree.tree_R[i], tree.tree_p[i])
         parent = model.addJoint(parent, pin.JointModelRZ(), placement, f"joint_{i}")
         body = pin.Inertia(float(tree.mass[i]), tree.com[i], tree.inertia[i])
@@ -36,7 +36,7 @@ def pin_model(tree):
 
 
 def test_aba_agrees_with_pinocchio(tree, pin_model):
-    data, work, qdd = pin_model.createData(), aba_work(N_JOINTS), np.zeros(N_JOINTS)
+    data, work, qdd = pin_model.createData(), aba_work(N_TREE_JOINTS), np.zeros(N_TREE_JOINTS)
     rng = np.random.default_rng(1)
     for _ in range(200):
         q, qd, tau = rng.normal(size=11), rng.normal(size=11), 1e3 * rng.normal(size=11)
@@ -58,8 +58,8 @@ def test_gravity_torques_agree_with_pinocchio(tree, pin_model):
 def test_tree_without_bending_is_the_dh_chain(nominal, tree):
     chain = chain_of(nominal)
     for q_motor in np.random.default_rng(3).uniform(-1.0, 1.0, size=(50, 6)):
-        q = np.zeros(N_JOINTS)
-        q[MOTORS] = q_motor
+        q = np.zeros(N_TREE_JOINTS)
+        q[MOTOR_JOINT_INDICES] = q_motor
         R, p = frames(tree, q)
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R[-1], p[-1]
@@ -67,8 +67,8 @@ def test_tree_without_bending_is_the_dh_chain(nominal, tree):
 
 
 def _sag_m(tree, q_motor):
-    rigid = np.zeros(N_JOINTS)
-    rigid[MOTORS] = q_motor
+    rigid = np.zeros(N_TREE_JOINTS)
+    rigid[MOTOR_JOINT_INDICES] = q_motor
     heights = []
     for q in (rigid, static_equilibrium_angles(tree, GRAVITY, q_motor, SPRINGS_NM_RAD)):
         R, p = frames(tree, q)
@@ -85,7 +85,7 @@ def test_sag_of_the_default_plant_is_of_the_expected_size(tree):
 
 def test_sag_is_where_the_springs_carry_the_weight(tree):
     q = static_equilibrium_angles(tree, GRAVITY, np.deg2rad([20.0, 40.0, -80.0, 5.0, -40.0, 3.0]), SPRINGS_NM_RAD)
-    residual = gravity_torques(tree, GRAVITY, q)[FLEXES] - SPRINGS_NM_RAD * q[FLEXES]
+    residual = gravity_torques(tree, GRAVITY, q)[FLEX_JOINT_INDICES] - SPRINGS_NM_RAD * q[FLEX_JOINT_INDICES]
     assert np.abs(residual).max() < 1e-6  # N m
 
 

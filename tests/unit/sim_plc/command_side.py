@@ -64,11 +64,11 @@ def controller_settings(machine: Machine, entries: tuple[EffectEntry, ...], cycl
     `cycle_s`: how often the controller runs here, if not as often as the machine's PLC.
     """
     plain = plc_settings(machine)
-    kp, tau = np.array(plain.kp), np.array([joint.pt1_tau_s for joint in machine.joints])
+    kp, tau = np.array(plain.kp_frac_per_rad), np.array([joint.pt1_tau_s for joint in machine.joints])
     for effect in entries:
         if effect.name == "controller_gain_error":
             kp[(effect.joint or 1) - 1] *= 1.0 + effect.value("gain_frac")
         elif effect.name == "controller_lag_error":
             tau[(effect.joint or 1) - 1] *= 1.0 + effect.value("lag_frac")
     share = np.where(tau > 0.0, 1.0 - np.exp(-(cycle_s or plain.cycle_s) / np.maximum(tau, 1e-9)), 1.0)
-    return replace(plain, kp=kp, pt1_share=share)
+    return replace(plain, kp_frac_per_rad=kp, pt1_share=share)

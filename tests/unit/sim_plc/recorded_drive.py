@@ -20,7 +20,7 @@ from sim_plc.plant.hydraulics import play_operator, spool_opening
 from sim_plc.plant.kernel import OUTPUT, Parameters, State, advance_rigid
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import frames, gravity_torques
-from sim_plc.plant.tree import MOTORS, N_JOINTS, Tree
+from sim_plc.plant.tree import MOTOR_JOINT_INDICES, N_TREE_JOINTS, Tree
 from sim_plc.plc.status import valve_commands
 from sim_plc.presets import PresetError
 from sim_plc.world import World
@@ -75,7 +75,7 @@ def run_cycles(
     at = 0
     for k in range(given.shape[0]):
         for j in range(n):
-            q[j] = np.round(state.q[par.motors[j]] / side.resolution[j]) * side.resolution[j]
+            q[j] = np.round(state.q[par.motor_joints[j]] / side.resolution[j]) * side.resolution[j]
         if closed:
             valve_commands(given[k], q, side.kp, side.pt1_share, 1.0, lagged, u)
         else:
@@ -85,7 +85,7 @@ def run_cycles(
             u_out[at] = u
             angles_out[at] = state.q
             for j in range(n):
-                angles_out[at, par.motors[j]] = state.joint[j, OUTPUT]
+                angles_out[at, par.motor_joints[j]] = state.joint_states[j, OUTPUT]
             at += 1
         for j in range(n):
             held[j] = play_operator(held[j], min(max(u[j], -side.limit[j]), side.limit[j]), side.hysteresis[j])
@@ -118,7 +118,9 @@ class Bending:
         if not self.compliance_rad_nm.any():
             return angles
         bent = angles.copy()
-        bent[MOTORS] += self.compliance_rad_nm * gravity_torques(tree, self.gravity_base_m_s2, angles)[MOTORS]
+        bent[MOTOR_JOINT_INDICES] += (
+            self.compliance_rad_nm * gravity_torques(tree, self.gravity_base_m_s2, angles)[MOTOR_JOINT_INDICES]
+        )
         return bent
 
 
@@ -201,7 +203,7 @@ def at_rest(one: Offline, q: Array) -> Array:
     """True T_base_tcp (4, 4) with the encoders at rest at q (n,)."""
     plant = Plant(one.world.plant, q)
     angles = plant.state.q.copy()
-    angles[MOTORS] = plant.state.joint[:, OUTPUT]
+    angles[MOTOR_JOINT_INDICES] = plant.state.joint_states[:, OUTPUT]
     none = np.zeros((1, 6))
     return np.asarray(Course(none, none, angles[None], plant.tree, one.bending).tcp_poses()[0])
 
@@ -210,7 +212,7 @@ def _run(one: Offline, t_s: Array, given: Array, q_start: Array, closed: bool) -
     """Cycle by cycle as the PLC does it: encoders, command, then the plant moves on by 1 ms."""
     plant = Plant(one.world.plant, q_start)
     rows = np.rint((t_s - t_s[0]) / STEP_S).astype(np.int64)
-    q, u, angles = np.zeros((len(t_s), 6)), np.zeros((len(t_s), 6)), np.zeros((len(t_s), N_JOINTS))
+    q, u, angles = np.zeros((len(t_s), 6)), np.zeros((len(t_s), 6)), np.zeros((len(t_s), N_TREE_JOINTS))
     run_cycles(
         plant.parameters, plant.state, _side(one), closed, np.ascontiguousarray(given, dtype=float), rows, q, u, angles
     )
@@ -220,7 +222,7 @@ def _run(one: Offline, t_s: Array, given: Array, q_start: Array, closed: bool) -
 def _side(one: Offline) -> Side:
     settings, numbers = controller_settings(one.world.nominal, one.side, STEP_S), side_numbers(one.side, 6, STEP_S)
     return Side(
-        kp=np.array(settings.kp),
+        kp=np.array(settings.kp_frac_per_rad),
         pt1_share=np.array(settings.pt1_share),
         limit=numbers.limit,
         hysteresis=numbers.hysteresis,

@@ -11,7 +11,7 @@ from machine.effects.dynamics import actuators_of, drive_by_sent, simulate
 from machine.effects.entries import EffectEntry, pack_effects
 from machine.effects.structure import tcp_poses
 from server.settings import read_machine_text
-from sim_plc.plant.tree import MOTORS
+from sim_plc.plant.tree import MOTOR_JOINT_INDICES
 from sim_plc.presets import PresetError
 from tests.unit.sim_plc.recorded_drive import (
     at_rest,
@@ -121,7 +121,7 @@ def test_play_lies_behind_the_encoders_and_begins_in_the_middle(plain):
     ref = reference()
     runs = [follow_reference(offline(plain, given), T_S, ref, Q_START) for given in ((), (play,))]
     assert np.array_equal(runs[0].q_encoder, runs[1].q_encoder)
-    behind = (runs[1].angles - runs[0].angles)[:, MOTORS]
+    behind = (runs[1].angles - runs[0].angles)[:, MOTOR_JOINT_INDICES]
     assert np.abs(behind[:, 0]).max() == pytest.approx(0.01, abs=1e-4)
     assert behind[0, 0] == 0.0
     assert not behind[:, 1:].any()

@@ -201,7 +201,7 @@ def test_in_a_dry_run_the_reference_moves_and_the_machine_does_not():
 
 def test_an_arming_refused_for_want_of_the_enable_keeps_the_session():
     virtual = VirtualPlc()
-    virtual.panel.mode = "panel"
+    virtual.panel.enable_mode = "panel"
     virtual.client.request_arm()
     virtual.step(3000)
     assert virtual.plc.state is PlcState.LINKED

@@ -150,7 +150,7 @@ class CutShort(Playback):
     """A PC that stops refilling: its last knot is not the end."""
 
     def window(self, state):
-        return replace(super().window(state), flags=CommandFlag.START)
+        return replace(super().window(state), command_flags=CommandFlag.START)
 
     def reached(self, state):
         return False

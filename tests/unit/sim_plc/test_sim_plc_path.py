@@ -7,7 +7,7 @@ from scipy.interpolate import BPoly
 
 from protocol.messages import Knot, pad_to_eight_axes
 from sim_plc.plc.knot_checks import segment_peaks
-from sim_plc.plc.path import SIZE, advance, is_short_of_knots, path_point, ramp_down, stop_time
+from sim_plc.plc.path import RING_SIZE_KNOTS, advance, is_short_of_knots, path_point, ramp_down, stop_time
 
 N = 6
 DT = 1e-3
@@ -15,9 +15,9 @@ LIMITS = np.array([0.7, 0.5, 0.7, 2.0, 2.0, 3.0])  # rad/s2
 
 
 def ring_of(t, q, qd, qdd, first=0):
-    times, knots = np.zeros(SIZE), np.zeros((SIZE, 3, q.shape[1]))
+    times, knots = np.zeros(RING_SIZE_KNOTS), np.zeros((RING_SIZE_KNOTS, 3, q.shape[1]))
     for i in range(len(t)):
-        slot = (first + i) % SIZE
+        slot = (first + i) % RING_SIZE_KNOTS
         times[slot], knots[slot] = t[i], (q[i], qd[i], qdd[i])
     return times, knots
 

@@ -8,9 +8,9 @@ from virtual_plc import MS, Q_START, TABLE, quintic_knots
 
 from protocol.codes import CommandFlag, Interp, Mode, RejectCode
 from protocol.messages import Command, Knot, pad_to_eight_axes
-from protocol.timeouts import RING_KNOTS
+from protocol.timeouts import KNOT_RING_CAPACITY
 from sim_plc.plc.knot_ring import KnotRing, PlaybackView
-from sim_plc.plc.path import SIZE
+from sim_plc.plc.path import RING_SIZE_KNOTS
 
 Q_END = tuple((np.array(Q_START) + np.deg2rad([6.0, -4.0, 5.0, 8.0, -6.0, 9.0])).tolist())
 KNOTS = quintic_knots(Q_START, Q_END, 6.0)
@@ -117,26 +117,26 @@ def test_the_ring_holds_64_knots_and_no_more():
         ring.load_knots(command(knot_first=first, knots=FLAT[first : first + 6]), AT_START)
     assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:64]), AT_START)) is RejectCode.NONE
     assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:65]), AT_START)) is RejectCode.RING_FULL
-    later = PlaybackView(pad_to_eight_axes(Q_START), playing=1, t_play_ns=60 * MS)
+    later = PlaybackView(pad_to_eight_axes(Q_START), knot_playing=1, t_play_ns=60 * MS)
     assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:65]), later)) is RejectCode.NONE
     ring.load_knots(command(knot_first=60, knots=FLAT[60:65]), later)
     assert ring.last == 64
     assert ring.knot(0) is None  # its slot is taken
     assert ring.knot(1) == FLAT[1]
-    assert SIZE == RING_KNOTS == 64
+    assert RING_SIZE_KNOTS == KNOT_RING_CAPACITY == 64
 
 
 def test_a_long_trajectory_passes_through_the_ring():
     ring = KnotRing(TABLE)
     for first in range(0, 394):
         view = PlaybackView(
-            pad_to_eight_axes(Q_START), playing=max(first - 2, 0), t_play_ns=max(first - 2, 0) * 50 * MS
+            pad_to_eight_axes(Q_START), knot_playing=max(first - 2, 0), t_play_ns=max(first - 2, 0) * 50 * MS
         )
         sent = command(knot_first=first, knots=FLAT[first : first + 6])
         assert code_of(ring.check(sent, view)) is RejectCode.NONE
         ring.load_knots(sent, view)
         assert ring.last == first + 5
-        assert ring.times[ring.last % SIZE] == pytest.approx(FLAT[first + 5].t_ns * 1e-9)
+        assert ring.times[ring.last % RING_SIZE_KNOTS] == pytest.approx(FLAT[first + 5].t_ns * 1e-9)
 
 
 def test_nothing_comes_after_the_end_and_the_end_does_not_move():
@@ -156,8 +156,8 @@ def test_only_a_tail_beyond_the_frozen_horizon_is_replaced():
     tail = (KNOTS[8], replace(KNOTS[9], q=tuple(q_other)), KNOTS[10])
     plain = command(knot_first=8, knots=tail)
     flagged = command(knot_first=8, knots=tail, cmd_flags=CommandFlag.TAIL_REPLACES)
-    near = PlaybackView(pad_to_eight_axes(Q_START), playing=7, t_play_ns=KNOTS[9].t_ns - 99 * MS)
-    far = PlaybackView(pad_to_eight_axes(Q_START), playing=7, t_play_ns=KNOTS[9].t_ns - 100 * MS)
+    near = PlaybackView(pad_to_eight_axes(Q_START), knot_playing=7, t_play_ns=KNOTS[9].t_ns - 99 * MS)
+    far = PlaybackView(pad_to_eight_axes(Q_START), knot_playing=7, t_play_ns=KNOTS[9].t_ns - 100 * MS)
     assert code_of(ring.check(plain, far)) is RejectCode.KNOT_CHANGED
     assert code_of(ring.check(flagged, near)) is RejectCode.KNOT_CHANGED
     assert code_of(ring.check(flagged, far)) is RejectCode.NONE
@@ -169,7 +169,7 @@ def test_only_a_tail_beyond_the_frozen_horizon_is_replaced():
 
 def test_a_replaced_tail_must_join_smoothly():
     ring = loaded(12)
-    far = PlaybackView(pad_to_eight_axes(Q_START), playing=2, t_play_ns=KNOTS[2].t_ns)
+    far = PlaybackView(pad_to_eight_axes(Q_START), knot_playing=2, t_play_ns=KNOTS[2].t_ns)
     broken = replace(KNOTS[9], q=with_axis(KNOTS[9].q, 0, KNOTS[9].q[0] + 0.01))
     sent = command(knot_first=8, knots=(KNOTS[8], broken), cmd_flags=CommandFlag.TAIL_REPLACES)
     assert code_of(ring.check(sent, far)) is RejectCode.CONTINUITY

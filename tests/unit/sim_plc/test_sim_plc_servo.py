@@ -7,7 +7,7 @@ from virtual_plc import MS, Q_START, TABLE, VirtualPlc
 from protocol.client_events import TrajectoryEnded
 from protocol.codes import Mode, PlcState
 from protocol.messages import ZEROS, pad_to_eight_axes
-from protocol.timeouts import COMMAND_LOST, SERVO_STALE
+from protocol.timeouts import COMMAND_LOST_TIMEOUT, SERVO_STALE_TIMEOUT
 from sim_plc.plc.reference import Motion
 
 N = len(Q_START)
@@ -99,12 +99,12 @@ def test_a_link_that_falls_silent_stops_the_target_after_60_ms_and_the_state_aft
     virtual.silent = True
     cut_ns = virtual.t_ns
     virtual.step(600)
-    moving = [row for row in virtual.trace if row[0] > cut_ns + SERVO_STALE.ns + 20 * MS]
+    moving = [row for row in virtual.trace if row[0] > cut_ns + SERVO_STALE_TIMEOUT.duration_ns + 20 * MS]
     first = np.abs([row[3] for row in moving[:2]])
     assert (first[1] <= first[0] + 1e-12).all()  # slower from the moment that the target is old
     states = [(row[0], row[1]) for row in virtual.trace if row[0] > cut_ns]
     left = next(t for t, state in states if state is not PlcState.RUN)
-    assert left - cut_ns <= COMMAND_LOST.ns + 2 * MS
+    assert left - cut_ns <= COMMAND_LOST_TIMEOUT.duration_ns + 2 * MS
     assert virtual.plc.state is PlcState.HOLD
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from machine.poses import pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec
-from sim_plc.pose_feed import SLOTS, PoseFeed, PoseFeedError
+from sim_plc.pose_feed import N_RING_SLOTS, PoseFeed, PoseFeedError
 
 MS = 1_000_000
 
@@ -42,14 +42,14 @@ def test_times_that_are_not_held_are_refused(feed):
         feed.latest_t_ns()
     with pytest.raises(PoseFeedError, match="empty"):
         feed.pose_at(0)
-    for i in range(SLOTS + 500):
+    for i in range(N_RING_SLOTS + 500):
         feed.publish(i * MS, pose_of(0))
-    newest = (SLOTS + 499) * MS
+    newest = (N_RING_SLOTS + 499) * MS
     for t_ns in (newest + 1, 400 * MS):
         with pytest.raises(PoseFeedError, match="outside"):
             feed.pose_at(t_ns)
     assert feed.pose_at(newest).shape == (4, 4)
-    assert feed.pose_at(newest - (SLOTS - 100) * MS).shape == (4, 4)
+    assert feed.pose_at(newest - (N_RING_SLOTS - 100) * MS).shape == (4, 4)
 
 
 def test_a_torn_entry_is_not_taken(feed):

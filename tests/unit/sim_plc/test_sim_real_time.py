@@ -63,7 +63,7 @@ def test_it_runs_the_cycles_that_are_due():
     rig = Rig()
     for _ in range(50):
         assert rig.pass_ms(2) == 0
-    assert rig.loop.health.cycles == 101  # 100 ms and the one at the start
+    assert rig.loop.health.n_cycles == 101  # 100 ms and the one at the start
     assert rig.machine.t_plc_ns == rig.t_mono_ns + OFFSET_NS + MS
     assert rig.loop.health.catch_ups == 0
 
@@ -72,13 +72,13 @@ def test_a_delay_is_caught_up_in_batches_of_20_ms():
     rig = Rig()
     rig.pass_ms(2)
     left = rig.pass_ms(70)
-    assert rig.loop.health.cycles == 3 + 20
+    assert rig.loop.health.n_cycles == 3 + 20
     assert left > 0
     rounds = 1
     while rig.loop.run_due_cycles() > 0:
         rounds += 1
     assert rounds == 3
-    assert rig.loop.health.cycles == 73
+    assert rig.loop.health.n_cycles == 73
     assert rig.loop.health.lost_ms == 0
     assert rig.loop.health.catch_ups >= 2
 
@@ -111,10 +111,10 @@ def test_states_go_to_the_peer_every_10_ms_and_commands_are_stamped_when_they_co
         if step == 200:
             client.request_arm()
     assert client.state.plc_state is PlcState.HOLD
-    assert rig.loop.health.states == client.counters.received
-    assert 190 <= rig.loop.health.states <= 200
-    assert client.clock.offset_ns is not None
-    assert abs(client.clock.offset_ns + OFFSET_NS) <= 2 * MS  # the wake period is the error
+    assert rig.loop.health.n_states_sent == client.counters.received
+    assert 190 <= rig.loop.health.n_states_sent <= 200
+    assert client.clock_offset.offset_ns is not None
+    assert abs(client.clock_offset.offset_ns + OFFSET_NS) <= 2 * MS  # the wake period is the error
 
 
 def test_a_second_pc_is_answered_and_told_that_another_one_holds_the_plc():

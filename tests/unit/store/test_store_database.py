@@ -178,7 +178,7 @@ def test_a_full_queue_refuses_at_once(store):
     first = store.submit(lambda db: hold.wait(10.0))
     try:
         with pytest.raises(StoreBusyError):
-            list(map(store.submit, [PROBE] * (database_module.QUEUE_MAX + 2)))
+            list(map(store.submit, [PROBE] * (database_module.WRITE_QUEUE_MAX + 2)))
     finally:
         hold.set()
     assert first.result(5.0)
@@ -186,7 +186,7 @@ def test_a_full_queue_refuses_at_once(store):
 
 
 async def test_a_disk_that_hangs_is_given_up(store, monkeypatch):
-    monkeypatch.setattr(database_module, "WRITE_S", 0.1)
+    monkeypatch.setattr(database_module, "WRITE_TIMEOUT_S", 0.1)
     hold = threading.Event()
     store.submit(lambda db: hold.wait(10.0))
     try:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from server.errors import SettingsError
-from server.store.folder_lock import LOCK, alone_in
+from server.store.folder_lock import LOCK_FILE_NAME, alone_in
 
 
 def test_a_second_server_is_told_who_holds_the_folder(tmp_path: Path) -> None:
@@ -20,10 +20,10 @@ def test_a_second_server_is_told_who_holds_the_folder(tmp_path: Path) -> None:
 
 
 def test_it_is_free_again_afterwards_and_after_a_killed_one(tmp_path: Path) -> None:
-    (tmp_path / LOCK).write_text("4194304\n", encoding="utf-8")  # of a server that was killed
+    (tmp_path / LOCK_FILE_NAME).write_text("4194304\n", encoding="utf-8")  # of a server that was killed
     for _ in range(2):
         with alone_in(tmp_path):
-            assert (tmp_path / LOCK).read_text(encoding="utf-8") == f"{os.getpid()}\n"
+            assert (tmp_path / LOCK_FILE_NAME).read_text(encoding="utf-8") == f"{os.getpid()}\n"
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
@@ -34,7 +34,7 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
 
 def test_it_is_held_though_all_that_is_in_it_was_removed(tmp_path: Path) -> None:
     with alone_in(tmp_path):
-        (tmp_path / LOCK).unlink()
+        (tmp_path / LOCK_FILE_NAME).unlink()
         for _ in range(2):
             with pytest.raises(SettingsError, match=r"used by another server.*--runs"), alone_in(tmp_path):
                 pass

@@ -84,7 +84,7 @@ async def test_a_job_is_on_disk_before_it_begins_and_its_end_after(tmp_path):
     job = await start(engine, keeper, "key 1")
     rows = keeper.database.read(lambda db: [tuple(row) for row in db.execute("SELECT job_id, state FROM jobs")])
     assert rows == [(job.job_id, "running")]
-    assert keeper.database.read(lambda db: read_answer(db, "truck 7", "key 1")).answer == job.job_id
+    assert keeper.database.read(lambda db: read_answer(db, "truck 7", "key 1")).response_body == job.job_id
     assert keeper.database.read(lambda db: read_audit(db, 9, 9))[0]["job_id"] == job.job_id
     engine._performer.hold.set()
     await asyncio.wait({engine._task})
@@ -187,7 +187,7 @@ async def passed(keeper, clock, seconds):
 
 
 async def test_a_key_is_kept_for_a_day_of_operation_over_all_lives(tmp_path, monkeypatch):
-    monkeypatch.setattr("server.jobs.keeper.PROBE_S", 0.0)
+    monkeypatch.setattr("server.jobs.keeper.STORE_PROBE_PERIOD_S", 0.0)
     clock = Clock()
     engine, keeper = life(tmp_path, clock)
     job = await start(engine, keeper, "k")
@@ -196,7 +196,7 @@ async def test_a_key_is_kept_for_a_day_of_operation_over_all_lives(tmp_path, mon
         keeper.database.close()
         _, keeper = life(tmp_path, clock)
         await passed(keeper, clock, 5.99 * 3600.0)
-        assert keeper.database.read(lambda db: read_answer(db, FLEET.name, "k")).answer == job.job_id
+        assert keeper.database.read(lambda db: read_answer(db, FLEET.name, "k")).response_body == job.job_id
     await passed(keeper, clock, 3600.0)
     assert keeper.database.read(lambda db: read_answer(db, FLEET.name, "k")) is None
     keeper.database.close()
@@ -216,7 +216,7 @@ async def test_a_wall_clock_that_is_set_erases_no_audit_and_forgets_no_key(tmp_p
         monkeypatch.setattr("time.time", lambda wall_s=wall_s: wall_s)
         _, keeper = life(tmp_path)
         known = keeper.database.read(lambda db: read_answer(db, FLEET.name, "k"))
-        assert replay_of(known, False, "hash").answer == job.job_id
+        assert replay_of(known, False, "hash").response_body == job.job_id
         keeper.database.write(lambda db, s=wall_s, k=known: save_answer(db, FLEET.name, f"at {s}", k))
         assert len(keeper.database.read(lambda db: read_audit(db, 99, 99))) == 16
         keeper.database.close()
@@ -224,13 +224,13 @@ async def test_a_wall_clock_that_is_set_erases_no_audit_and_forgets_no_key(tmp_p
 
 async def test_a_write_that_came_after_its_refusal_leaves_no_acceptance(tmp_path, monkeypatch):
     engine, keeper = life(tmp_path)
-    monkeypatch.setattr("server.store.database.WRITE_S", 0.05)
+    monkeypatch.setattr("server.store.database.WRITE_TIMEOUT_S", 0.05)
     stalled = threading.Event()
     keeper.database.submit(lambda _db: stalled.wait(10.0))
     with pytest.raises(StoreError):
         await start(engine, keeper, key="k")
     stalled.set()
-    monkeypatch.setattr("server.store.database.WRITE_S", 10.0)
+    monkeypatch.setattr("server.store.database.WRITE_TIMEOUT_S", 10.0)
     keeper.database.write(lambda _db: None)  # all that was queued before it has been written
     assert keeper.database.read(lambda db: read_answer(db, FLEET.name, "k")) is None
     keeper.database.close()

@@ -9,7 +9,7 @@ from server.targets.source import TargetPoseSource
 from server.targets.tracking import TargetTracker
 from server.vision.contracts import ObjectPose, PairObservation, PoseStatus
 from server.vision.look import pose_deviations
-from server.vision.object_pose import NO_RIVAL
+from server.vision.object_pose import NO_RIVAL_CHI2_MARGIN
 
 
 def tracker() -> TargetTracker:
@@ -73,7 +73,7 @@ def test_another_wall_is_not_taken_for_the_target():
     left, right = (np.ascontiguousarray(image[::-1, ::-1]) for image in pair_at(0.5, 6)[0])
     fix = tracker().find_target(left, right)
     assert not fix.ok
-    assert not fix.seen
+    assert not fix.surroundings_seen
 
 
 def test_the_own_tool_over_the_patch_does_not_count_against_it():
@@ -98,8 +98,8 @@ class _Tool:
     """A marker source that sees the tool and no OOI."""
 
     def observe(self, left, right, t_exposure_ns):
-        tool = ObjectPose("tool", PoseStatus.OK, "", np.eye(4), np.eye(6), (7,), 0.1, NO_RIVAL)
-        ooi = ObjectPose("ooi", PoseStatus.NOT_SEEN, "no marker", None, None, (), float("nan"), NO_RIVAL)
+        tool = ObjectPose("tool", PoseStatus.OK, "", np.eye(4), np.eye(6), (7,), 0.1, NO_RIVAL_CHI2_MARGIN)
+        ooi = ObjectPose("ooi", PoseStatus.NOT_SEEN, "no marker", None, None, (), float("nan"), NO_RIVAL_CHI2_MARGIN)
         return PairObservation(t_exposure_ns, tool, ooi, (), ())
 
 

@@ -13,7 +13,7 @@ from benchmarks.targets.scene import left_eye
 from benchmarks.targets.virtual_jobs import tool_mask
 from machine.poses import inverse_pose, pose
 from machine.rotations import geodesic_angle, rotation_about
-from server.camera.target_measuring import PRINT_SCALE, view_by_markers
+from server.camera.target_measuring import MARKER_PRINT_SCALE, view_by_markers
 from server.targets.source import TargetPoseSource
 from server.targets.taught import ObjectBox, TaughtObject, teach_object
 from server.targets.taught_files import TaughtFileError, load_taught, save_taught
@@ -135,7 +135,7 @@ def test_a_file_gives_the_same_object_and_another_file_is_refused(tmp_path):
     assert again.agree_frac == taught().agree_frac
     for before, after in zip(taught().views, again.views, strict=True):
         assert np.array_equal(before.reference_left, after.reference_left)
-        assert np.array_equal(before.marks.points_target, after.marks.points_target)
+        assert np.array_equal(before.landmarks.points_target, after.landmarks.points_target)
         assert np.array_equal(before.descriptors, after.descriptors)
     path.write_bytes(b"no such file")
     with pytest.raises(TaughtFileError, match="teach it again"):
@@ -143,6 +143,6 @@ def test_a_file_gives_the_same_object_and_another_file_is_refused(tmp_path):
 
 
 def test_landmarks_keep_off_the_prints():
-    assert PRINT_SCALE > 4.0 / 3.0  # a quiet zone of one module of six on either side
+    assert MARKER_PRINT_SCALE > 4.0 / 3.0  # a quiet zone of one module of six on either side
     for view in taught().views:
-        assert np.abs(view.marks.points_target).max(axis=0) == pytest.approx([0.2, 0.15, 0.04], abs=0.06)
+        assert np.abs(view.landmarks.points_target).max(axis=0) == pytest.approx([0.2, 0.15, 0.04], abs=0.06)

@@ -52,13 +52,13 @@ def make_scene(rng, n_frames=5, n_points=60, noise=1.0, seen_frac=0.75, one_eye_
     problem = BundleProblem(
         Ts_vo_cam=start,
         points_vo=points + 0.02 * off * rng.normal(size=points.shape),
-        frames=frames,
-        points=seen,
-        uv=uv,
+        frame_indices=frames,
+        point_indices=seen,
+        rays=uv,
         sigma_px=np.full((len(frames), 2), SIGMA_PX),
         focal_px=FOCAL_PX,
         baseline_m=BASELINE_M,
-        fixed=np.arange(n_frames) == 0,
+        fixed_frames=np.arange(n_frames) == 0,
     )
     return Scene(problem, Ts, points)
 

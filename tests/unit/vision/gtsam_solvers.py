@@ -33,13 +33,13 @@ def bundle_problem(data: StereoData) -> BundleProblem:
     return BundleProblem(
         Ts_vo_cam=data.Ts_vo_cam,
         points_vo=data.points_vo,
-        frames=data.frames,
-        points=data.points,
-        uv=np.column_stack([(left - u0) / fx, (row - v0) / fy, (right - u0) / fx]),
+        frame_indices=data.frames,
+        point_indices=data.points,
+        rays=np.column_stack([(left - u0) / fx, (row - v0) / fy, (right - u0) / fx]),
         sigma_px=np.ones((len(data.frames), 2)),
         focal_px=(float(fx), float(fy)),
         baseline_m=float(baseline),
-        fixed=np.arange(len(data.Ts_vo_cam)) == 0,
+        fixed_frames=np.arange(len(data.Ts_vo_cam)) == 0,
     )
 
 

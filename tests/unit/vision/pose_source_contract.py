@@ -8,7 +8,7 @@ from machine.camera import project_stereo, undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import transform_points
 from server.vision.contracts import ObjectPose, ObjectPoseSource, PairObservation, PoseStatus
-from server.vision.object_pose import NO_RIVAL, not_seen
+from server.vision.object_pose import NO_RIVAL_CHI2_MARGIN, not_seen
 from server.vision.pose_refinement import PointObservations, distinct_minima
 
 
@@ -63,7 +63,7 @@ class DotPlateSource:
         (fit,) = distinct_minima(self._starts[name][None], seen, 0.01)
         rms = float(np.sqrt(np.mean(fit.residuals_px**2)))
         covariance = 0.1**2 * np.linalg.inv(fit.information)
-        return ObjectPose(name, PoseStatus.OK, "", fit.T_cam_object, covariance, (), rms, NO_RIVAL)
+        return ObjectPose(name, PoseStatus.OK, "", fit.T_cam_object, covariance, (), rms, NO_RIVAL_CHI2_MARGIN)
 
     @staticmethod
     def _dots(image, radius_px, near):

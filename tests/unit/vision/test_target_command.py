@@ -16,7 +16,16 @@ from vision_scenes import ROOT, deviation, machine
 from vision_teaching import ways
 
 from longreach.target_command import app
-from longreach.target_page import PAPERS_MM, POINTS_PER_MM, board_page, marker_page, pdf_of, png_of, raster_of, svg_of
+from longreach.target_page import (
+    PAPER_SIZES_MM,
+    POINTS_PER_MM,
+    board_page,
+    marker_page,
+    pdf_of,
+    png_of,
+    raster_of,
+    svg_of,
+)
 from longreach.target_sources import MarkerSearch, TargetError, live_views, read_pair, stored_pairs
 from machine.boards import board_markers
 from machine.description import Board, Marker, parse_machine_toml
@@ -62,7 +71,7 @@ def pdf_picture(content, page):
 @pytest.mark.parametrize("how", ["png", "svg", "pdf"])
 def test_a_printed_marker_has_its_side_and_its_ruler_100_mm(how):
     page = marker_page(NAME, DICTIONARY, MARKER, None)
-    assert (page.width_mm, page.height_mm) == PAPERS_MM["a4"]
+    assert (page.width_mm, page.height_mm) == PAPER_SIZES_MM["a4"]
     if how == "png":
         image, per_mm = raster_of(page, 300), 300 / 25.4
     else:

@@ -9,7 +9,7 @@ import pytest
 from server.camera.health.blur import BlurMonitor
 from server.settings import read_machine
 from server.vision.aruco_source import ArucoPoseSource
-from server.vision.contracts import NO_WHITE_MARGIN, MarkerView, PoseStatus
+from server.vision.contracts import NO_WHITE_MARGIN_REASON, MarkerView, PoseStatus
 from server.vision.marker_search import dictionary_by_name
 
 MACHINE = read_machine("hiab033")
@@ -57,7 +57,7 @@ def test_a_print_without_a_white_margin_says_nothing_of_the_focus():
     x, y, side = PLACES[10]
     corners = np.array([[x, y], [x + side, y], [x + side, y + side], [x, y + side]], dtype=float)
     found = {}
-    for reason in ("", f"marker 10 has {NO_WHITE_MARGIN}"):
+    for reason in ("", f"marker 10 has {NO_WHITE_MARGIN_REASON}"):
         view = MarkerView(10, corners + np.array([SHIFT_PX, 0.0]), corners, 0.1, False, reason)
         pair = SimpleNamespace(
             frame=SimpleNamespace(left=left, right=right), observation=SimpleNamespace(views=(view,))

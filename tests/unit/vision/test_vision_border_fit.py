@@ -47,14 +47,14 @@ def fit_of(image, dictionary):
 @pytest.mark.parametrize("covered_frac", [0.03, 0.05])
 def test_a_covered_border_is_told_whichever_side_it_is(name, side, covered_frac):
     for seed in range(3):
-        assert fit_of(*drawn(name, covered_frac, side, seed=seed)).fit is not SideFit.CLEAN
+        assert fit_of(*drawn(name, covered_frac, side, seed=seed)).side_fit is not SideFit.CLEAN
 
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("size_px", "light"), [(40.0, 1.0), (96.0, 1.0), (160.0, 1.0), (96.0, 0.4)])
 def test_an_open_one_is_clean_in_any_posture_and_uneven_light(name, size_px, light):
     for seed in range(8):
-        assert fit_of(*drawn(name, size_px=size_px, seed=seed, light=light)).fit is SideFit.CLEAN, seed
+        assert fit_of(*drawn(name, size_px=size_px, seed=seed, light=light)).side_fit is SideFit.CLEAN, seed
 
 
 def test_a_side_is_found_by_as_much_as_it_lies_too_far_in():

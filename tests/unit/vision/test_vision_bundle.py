@@ -22,7 +22,7 @@ def test_exact_rays_give_the_truth(loss, n_frames):
     found = adjust_bundle(scene.problem, replace(TIGHT, loss=loss))
     assert found.status is BundleStatus.OK
     assert np.abs(found.Ts_vo_cam - scene.Ts_vo_cam).max() < 1e-9
-    seen, rays = scene.problem.points, (~np.isnan(scene.problem.uv)).sum(axis=1)
+    seen, rays = scene.problem.point_indices, (~np.isnan(scene.problem.rays)).sum(axis=1)
     known = np.bincount(seen, rays, minlength=len(scene.points_vo)) > 2  # not those that one eye saw once
     assert known.mean() > 0.85
     assert np.abs(found.points_vo - scene.points_vo)[known].max() < 1e-9, "m"
@@ -32,7 +32,7 @@ def test_exact_rays_give_the_truth(loss, n_frames):
 
 def test_exact_rays_of_a_rectified_pair_give_the_truth():
     scene = make_scene(np.random.default_rng(1), noise=0.0)
-    found = adjust_bundle(replace(scene.problem, uv=scene.problem.uv[:, :3].copy()), TIGHT)
+    found = adjust_bundle(replace(scene.problem, rays=scene.problem.rays[:, :3].copy()), TIGHT)
     assert found.status is BundleStatus.OK
     assert np.abs(found.Ts_vo_cam - scene.Ts_vo_cam).max() < 1e-9
 
@@ -51,12 +51,12 @@ def test_far_points_and_a_bad_depth_start_converge():
         scene.problem,
         Ts_vo_cam=np.array([T if k == 0 else moved(T, rng, 0.01, 0.1) for k, T in enumerate(Ts)]),
         points_vo=points * np.exp2(rng.integers(-1, 2, (150, 1))),
-        frames=frames,
-        points=seen,
-        uv=rays_of(Ts, points, frames, seen, 0.54),
+        frame_indices=frames,
+        point_indices=seen,
+        rays=rays_of(Ts, points, frames, seen, 0.54),
         sigma_px=np.full((len(frames), 2), 0.3),
         baseline_m=0.54,
-        fixed=np.arange(6) == 0,
+        fixed_frames=np.arange(6) == 0,
     )
     found = adjust_bundle(problem, SQUARES)
     assert found.status is BundleStatus.OK
@@ -68,17 +68,17 @@ def test_order_of_points_frames_and_observations_changes_nothing():
     rng = np.random.default_rng(3)
     scene = make_scene(rng, outlier_frac=0.05)
     problem = scene.problem
-    k, m, n = 5, len(problem.points_vo), len(problem.frames)
+    k, m, n = 5, len(problem.points_vo), len(problem.frame_indices)
     frame_order, point_order, row_order = rng.permutation(k), rng.permutation(m), rng.permutation(n)
     new_frame, new_point = np.argsort(frame_order), np.argsort(point_order)
     shuffled = replace(
         problem,
         Ts_vo_cam=problem.Ts_vo_cam[frame_order],
-        fixed=problem.fixed[frame_order],
+        fixed_frames=problem.fixed_frames[frame_order],
         points_vo=problem.points_vo[point_order],
-        frames=new_frame[problem.frames[row_order]],
-        points=new_point[problem.points[row_order]],
-        uv=problem.uv[row_order],
+        frame_indices=new_frame[problem.frame_indices[row_order]],
+        point_indices=new_point[problem.point_indices[row_order]],
+        rays=problem.rays[row_order],
         sigma_px=problem.sigma_px[row_order],
     )
     one, two = adjust_bundle(problem, TIGHT), adjust_bundle(shuffled, TIGHT)
@@ -94,7 +94,7 @@ def test_another_gauge_gives_the_same_shape():
     scene = make_scene(np.random.default_rng(4))
     problem = replace(scene.problem, Ts_vo_cam=scene.Ts_vo_cam)
     one = adjust_bundle(problem, SQUARES)
-    two = adjust_bundle(replace(problem, fixed=np.arange(5) == 3), SQUARES)
+    two = adjust_bundle(replace(problem, fixed_frames=np.arange(5) == 3), SQUARES)
     relative_one = np.linalg.inv(one.Ts_vo_cam[1]) @ one.Ts_vo_cam[4]
     relative_two = np.linalg.inv(two.Ts_vo_cam[1]) @ two.Ts_vo_cam[4]
     assert one.cost_after == pytest.approx(two.cost_after, rel=1e-9)
@@ -105,7 +105,7 @@ def test_another_gauge_gives_the_same_shape():
 
 def test_no_gauge_is_degenerate_and_says_so():
     scene = make_scene(np.random.default_rng(7))
-    found = adjust_bundle(replace(scene.problem, fixed=np.zeros(5, dtype=bool)))
+    found = adjust_bundle(replace(scene.problem, fixed_frames=np.zeros(5, dtype=bool)))
     assert found.status is BundleStatus.DEGENERATE
     assert "fixed" in found.reason
 
@@ -123,17 +123,19 @@ def test_a_fifth_of_wrong_rays_does_not_move_the_poses(loss):
         clean = make_scene(np.random.default_rng(seed), n_points=120)
         problem = clean.problem
         rng = np.random.default_rng(100 + seed)
-        wrong = rng.random(len(problem.uv)) < 0.2
-        uv = problem.uv.copy()
+        wrong = rng.random(len(problem.rays)) < 0.2
+        uv = problem.rays.copy()
         uv[wrong] += (
             rng.uniform(10.0, 40.0, (int(wrong.sum()), 1)) / 528.0 * rng.choice([-1.0, 1.0], (int(wrong.sum()), 4))
         )
-        found = adjust_bundle(replace(problem, uv=uv), replace(TIGHT, loss=loss))
+        found = adjust_bundle(replace(problem, rays=uv), replace(TIGHT, loss=loss))
         best = adjust_bundle(only(problem, ~wrong), SQUARES)
         assert found.status is BundleStatus.OK
         sigma = np.sqrt(np.diagonal(best.covariances[1:], axis1=1, axis2=2))
         assert (np.abs(errors(best.Ts_vo_cam, found.Ts_vo_cam)[1:]) < 1.5 * sigma).all(), "of what noise alone does"
-        redundant = np.bincount(problem.points)[problem.points] >= 4  # with fewer rays, wrong ones may fit each other
+        redundant = (
+            np.bincount(problem.point_indices)[problem.point_indices] >= 4
+        )  # with fewer rays, wrong ones may fit each other
         assert found.inliers[wrong & redundant].mean() < 0.01
         assert found.inliers[~wrong].mean() > 0.9
 
@@ -160,7 +162,7 @@ def test_a_point_behind_the_eye_is_left_out():
     points = scene.problem.points_vo.copy()
     points[:3, 2] = -1.0
     found = adjust_bundle(replace(scene.problem, points_vo=points), TIGHT)
-    behind = scene.problem.points < 3
+    behind = scene.problem.point_indices < 3
     assert found.status is BundleStatus.OK
     assert np.abs(found.Ts_vo_cam - scene.Ts_vo_cam).max() < 1e-9
     assert not found.inliers[behind].any()
@@ -184,6 +186,6 @@ def test_the_problem_is_not_changed():
 def test_frames_that_agree_on_nothing_are_not_believed():
     rng = np.random.default_rng(16)
     scene: Scene = make_scene(rng)
-    noise = rng.uniform(-0.5, 0.5, scene.problem.uv.shape)
-    found = adjust_bundle(replace(scene.problem, uv=noise), BundleSettings())
+    noise = rng.uniform(-0.5, 0.5, scene.problem.rays.shape)
+    found = adjust_bundle(replace(scene.problem, rays=noise), BundleSettings())
     assert found.status is not BundleStatus.OK or found.variance_factor > (10.0 / SIGMA_PX) ** 2

@@ -64,11 +64,11 @@ def test_reduced_system_is_the_schur_complement_of_the_numeric_one(scene):
     eliminated = H[:bodies, bodies:] @ np.linalg.inv(H[bodies:, bodies:])
     expected = H[:bodies, :bodies] - eliminated @ H[bodies:, :bodies]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    reduced = np.tril(work.reduced) + np.tril(work.reduced, -1).T
+    reduced = np.tril(work.reduced_matrix) + np.tril(work.reduced_matrix, -1).T
     assert np.abs((reduced - expected) / scale).max() < 1e-5
     right = g[:bodies] - eliminated @ g[bodies:]
-    assert work.right == pytest.approx(right, abs=1e-5 * np.abs(g[:bodies]).max())
-    assert work.diagonal == pytest.approx(np.diag(H)[:bodies], rel=1e-5)
+    assert work.reduced_rhs == pytest.approx(right, abs=1e-5 * np.abs(g[:bodies]).max())
+    assert work.reduced_diagonal == pytest.approx(np.diag(H)[:bodies], rel=1e-5)
 
 
 def test_covariances_are_the_inverse_of_the_numeric_system(scene):

@@ -50,13 +50,13 @@ def test_nothing_at_all():
     empty = BundleProblem(
         Ts_vo_cam=np.zeros((0, 4, 4)),
         points_vo=np.zeros((0, 3)),
-        frames=np.zeros(0, dtype=np.int64),
-        points=np.zeros(0, dtype=np.int64),
-        uv=np.zeros((0, 4)),
+        frame_indices=np.zeros(0, dtype=np.int64),
+        point_indices=np.zeros(0, dtype=np.int64),
+        rays=np.zeros((0, 4)),
         sigma_px=np.zeros((0, 2)),
         focal_px=(500.0, 500.0),
         baseline_m=0.1,
-        fixed=np.zeros(0, dtype=bool),
+        fixed_frames=np.zeros(0, dtype=bool),
     )
     found = adjust_bundle(empty)
     assert found.status is BundleStatus.DEGENERATE
@@ -112,8 +112,8 @@ def test_too_few_points_determine_no_pose(n_points):
 def test_points_on_one_line_determine_no_pose():
     scene = make_scene(np.random.default_rng(3), n_frames=2, n_points=30, seen_frac=1.1, one_eye_frac=0.0)
     line = np.array([0.1, 0.0, 1.3]) + np.linspace(-0.4, 0.4, 30)[:, None] * np.array([1.0, 0.2, 0.1])
-    uv = rays_of(scene.Ts_vo_cam, line, scene.problem.frames, scene.problem.points)
-    found = adjust_bundle(replace(scene.problem, points_vo=line, uv=uv))
+    uv = rays_of(scene.Ts_vo_cam, line, scene.problem.frame_indices, scene.problem.point_indices)
+    found = adjust_bundle(replace(scene.problem, points_vo=line, rays=uv))
     assert found.status is BundleStatus.DEGENERATE
 
 
@@ -127,10 +127,10 @@ def test_rays_of_another_place_are_not_believed():
     for seed in range(20):
         rng = np.random.default_rng(seed)
         scene = make_scene(rng, n_frames=3, n_points=60)
-        uv = scene.problem.uv.copy()
-        own = np.flatnonzero(scene.problem.frames == 2)
+        uv = scene.problem.rays.copy()
+        own = np.flatnonzero(scene.problem.frame_indices == 2)
         uv[own] = uv[rng.permutation(own)]
-        found = adjust_bundle(replace(scene.problem, uv=uv))
+        found = adjust_bundle(replace(scene.problem, rays=uv))
         error = np.abs(errors(scene.Ts_vo_cam, found.Ts_vo_cam)[2])
         sigma = np.sqrt(np.diag(found.covariances[2]))
         assert found.status is not BundleStatus.OK or (error < 5.0 * sigma).all(), found.reason
@@ -181,13 +181,13 @@ def test_noise_instead_of_rays_gives_no_confident_pose(seed, n_frames, n_points,
     noise = BundleProblem(
         Ts_vo_cam=np.tile(np.eye(4), (n_frames, 1, 1)),
         points_vo=rng.normal(size=(n_points, 3)) * scale + np.array([0.0, 0.0, 1.0]),
-        frames=frames,
-        points=points,
-        uv=rng.normal(size=(len(frames), 4)),
+        frame_indices=frames,
+        point_indices=points,
+        rays=rng.normal(size=(len(frames), 4)),
         sigma_px=np.full((len(frames), 2), 0.1),
         focal_px=(500.0, 500.0),
         baseline_m=0.1,
-        fixed=np.arange(n_frames) == 0,
+        fixed_frames=np.arange(n_frames) == 0,
     )
     found = adjust_bundle(noise)
     well_formed(noise, found)

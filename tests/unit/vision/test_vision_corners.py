@@ -62,7 +62,7 @@ def test_rendered_markers_have_no_bias_and_small_noise():
                 if marker.marker_id not in found:  # behind the tool
                     continue
                 one = refined_marker(found[marker.marker_id], image, dictionary, machine().camera)
-                if one.fit is not SideFit.CLEAN:
+                if one.side_fit is not SideFit.CLEAN:
                     continue
                 corners = transform_points(T_cam_ooi @ marker.T_on_marker, marker_corners(marker.side_m))
                 errors.append(one.corners_px - project_stereo(machine().camera, corners)[eye])

@@ -47,7 +47,7 @@ def test_a_printed_marker_is_found_with_id_corner_order_and_pose(name):
         (found,) = (one for one in find_markers(image, dictionary) if one.marker_id == marker.marker_id)
         assert np.abs(found.corners_px - corners).max() < 1.5, "px: same corner first, same way round"
         fine = refined_marker(found, image, dictionary, machine().camera)
-        assert fine.fit is SideFit.CLEAN
+        assert fine.side_fit is SideFit.CLEAN
         assert np.abs(fine.corners_px - corners).max() < 0.1, "px"
         seen.append(fine.corners_px)
     pose, _ = estimate_object_pose("ooi", (Sighting(marker, *seen),), machine().camera, PoseSettings())

@@ -168,8 +168,8 @@ def test_patches_are_found_to_a_hundredth_of_a_pixel():
     found = align_reference_patches(
         reference, points, np.tile(np.eye(2), (60, 1, 1)), image, points + rng.uniform(-1, 1, (60, 2))
     )
-    assert found.good.mean() > 0.9
-    error = (found.points_px - points - shift)[found.good]
+    assert found.valid.mean() > 0.9
+    error = (found.points_px - points - shift)[found.valid]
     assert np.abs(error.mean(axis=0)).max() < 0.01, "px"
     assert error.std() < 0.05, "px"
 

@@ -53,7 +53,7 @@ def test_more_keyframes_than_are_kept_do_no_harm():
         newest = odometry.keyframes[-1]
         made = max(made, newest.serial)
         if newest.seen_here is not None:
-            assert set(newest.seen_here.serials.tolist()) <= set(range(1, newest.serial))
+            assert set(newest.seen_here.keyframe_serials.tolist()) <= set(range(1, newest.serial))
         if k > 50:
             error = found.T_vo_cam[:3, 3] - (inverse_pose(T_first) @ swayed(x))[:3, 3]
             squares.append(error @ np.linalg.solve(found.covariance[3:, 3:], error))

@@ -47,8 +47,8 @@ def test_flow_that_does_not_come_back_is_refused():
     gone = ((points > 110) & (points < 190)).all(axis=1)
     still = ((points < 80) | (points > 220)).any(axis=1)
     found = optical_flow(first, second, points)
-    assert found.good[still].all()
-    assert found.good[gone].mean() < 0.5
+    assert found.valid[still].all()
+    assert found.valid[gone].mean() < 0.5
 
 
 def test_triangulation_and_its_covariance_are_those_of_many_draws():
@@ -86,7 +86,7 @@ def test_velocity_is_carried_on_and_unknown_after_a_gap():
     assert not motion.is_velocity_known
     for k in (1, 2, 3):
         motion = motion.moved_to(at(0.03 * k), 30_000_000 * k)
-    assert motion.twist().value[3] == pytest.approx(0.1 + 0.3 * 0.09, abs=1e-6), "m/s at the last pose"
+    assert motion.twist().velocity[3] == pytest.approx(0.1 + 0.3 * 0.09, abs=1e-6), "m/s at the last pose"
     late = motion.moved_to(at(2.0), 2_000_000_000)
     assert not late.is_velocity_known
     assert late.twist().sigma[3] > 0.1, "m/s: nothing is known"

@@ -51,4 +51,4 @@ def test_both_eyes_do_not_meet_one_brick_off():
     found = ImageSight(left, right, (mask, mask), 0).match_eyes(camera, 400, np.zeros((0, 2)))
     apart = np.median((found.left_px - found.right_px)[:, 0])
     assert apart == pytest.approx(camera.fx_px * camera.baseline_m / 1.11, abs=2.0), "px, raw"
-    assert found.unique
+    assert found.disparity_unique

@@ -95,7 +95,7 @@ def test_odometry_patches_are_sampled_at_pixel_centres(scale):
     found = align_reference_patches(
         reference, points, np.repeat(scale * np.eye(2)[None], 3, axis=0), image, exact + 0.7
     )
-    assert found.good.all()
+    assert found.valid.all()
     assert np.abs(found.points_px - exact).max() < 0.05, "px"
 
 

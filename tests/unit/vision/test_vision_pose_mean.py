@@ -78,7 +78,7 @@ def test_outliers_and_flips_are_cut():
         before = Ts.copy()
         spoil(Ts, rng)
         wrong = np.abs(Ts - before).max(axis=(1, 2)) > 0.0
-        kept = pose_mean(Ts, np.repeat(COVARIANCE[None], N, axis=0)).kept
+        kept = pose_mean(Ts, np.repeat(COVARIANCE[None], N, axis=0)).inliers
         assert not (kept & wrong).any()
         assert kept.sum() >= N - wrong.sum() - 1
 

@@ -27,8 +27,8 @@ def pair_and_truth():
 def test_markers_in_both_eyes_keep_the_contract(pair_and_truth):
     pair, truth = pair_and_truth
     observation = check_contract(ArucoPoseSource(machine()), pair, truth, position_m=3e-4, rotation_rad=2e-3)
-    assert {view.marker_id for view in observation.views if view.used} == {1, 2, 3, 10}
-    assert observation.warnings == tuple(view.reason for view in observation.views if not view.used)
+    assert {view.marker_id for view in observation.marker_views if view.used} == {1, 2, 3, 10}
+    assert observation.warnings == tuple(view.reason for view in observation.marker_views if not view.used)
 
 
 def test_dots_keep_the_same_contract():
@@ -91,7 +91,7 @@ def test_swapped_eyes_are_rejected(pair_and_truth):
 def test_a_repeated_id_is_flagged_and_not_used(pair_and_truth):
     (left, right), _ = pair_and_truth
     corners = next(
-        view for view in ArucoPoseSource(machine()).observe(left, right, 0).views if view.marker_id == 10
+        view for view in ArucoPoseSource(machine()).observe(left, right, 0).marker_views if view.marker_id == 10
     ).corners_left_px
     low, high = corners.min(axis=0).astype(int) - 25, corners.max(axis=0).astype(int) + 25
     doubled = left.copy()
@@ -99,7 +99,7 @@ def test_a_repeated_id_is_flagged_and_not_used(pair_and_truth):
     observation = ArucoPoseSource(machine()).observe(doubled, right, 0)
     assert observation.tool.status is PoseStatus.NOT_SEEN
     assert "two places" in observation.tool.reason
-    assert any(view.marker_id == 10 and not view.used for view in observation.views)
+    assert any(view.marker_id == 10 and not view.used for view in observation.marker_views)
 
 
 def test_the_cameras_health_names_by_code_what_the_pose_source_finds(pair_and_truth):
@@ -107,7 +107,7 @@ def test_the_cameras_health_names_by_code_what_the_pose_source_finds(pair_and_tr
     (left, right), _ = pair_and_truth
     seen = {
         view.marker_id: view.corners_left_px.astype(int)
-        for view in ArucoPoseSource(machine()).observe(left, right, 0).views
+        for view in ArucoPoseSource(machine()).observe(left, right, 0).marker_views
     }
     low, high = seen[10].min(axis=0) - 25, seen[10].max(axis=0) + 25
     doubled = left.copy()

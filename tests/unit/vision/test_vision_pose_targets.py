@@ -11,7 +11,7 @@ from machine.camera import project_stereo
 from machine.markers import marker_corners
 from machine.poses import transform_points
 from machine.rotations import geodesic_angle, rotation_from_rotvec
-from server.vision.ambiguity import AGE_MAX_S, PosePrior, mirrored_pose, prior_from
+from server.vision.ambiguity import PRIOR_AGE_MAX_S, PosePrior, mirrored_pose, prior_from
 from server.vision.contracts import PoseStatus
 from server.vision.object_pose import PoseSettings, estimate_object_pose
 from server.vision.planar_pose import planar_poses, point_poses
@@ -125,7 +125,7 @@ def test_a_prior_that_may_not_count_does_not():
     far = T.copy()
     far[:3, :3] = rotation_from_rotvec(np.array([0.0, 0.0, 1.0])) @ far[:3, :3]
     for prior in (
-        prior_at(T, age_s=AGE_MAX_S + 0.01),
+        prior_at(T, age_s=PRIOR_AGE_MAX_S + 0.01),
         prior_at(far),
         replace(prior_at(T), covariance=np.diag([0.5**2] * 3 + [0.01**2] * 3)),
     ):

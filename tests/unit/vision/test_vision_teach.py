@@ -233,8 +233,8 @@ def test_a_single_bad_sighting_is_left_out_and_told():
     rng = np.random.default_rng(14)
     markers = true_layout(rng)
     views = views_of(markers, rng, n=12)
-    spoiled = dict(views[3].left) | {2: np.asarray(views[3].left[2]) + 4.0}
-    views[3] = replace(views[3], left=spoiled)
+    spoiled = dict(views[3].left_corners_px) | {2: np.asarray(views[3].left_corners_px[2]) + 4.0}
+    views[3] = replace(views[3], left_corners_px=spoiled)
     found = taught(markers, views)
     assert found.status is TeachStatus.OK, found.reason
     assert "1 sightings" in found.notes[0]
@@ -246,7 +246,7 @@ def test_a_single_bad_sighting_is_left_out_and_told():
 def test_seen_by_one_eye_only_still_counts():
     rng = np.random.default_rng(15)
     markers = true_layout(rng)
-    views = [replace(view, right={1: view.right[1]}) for view in views_of(markers, rng, n=12)]
+    views = [replace(view, right_corners_px={1: view.right_corners_px[1]}) for view in views_of(markers, rng, n=12)]
     found = taught(markers, views)
     assert found.status is TeachStatus.OK, found.reason
 
@@ -326,4 +326,4 @@ def test_a_marker_at_two_places_is_told_by_the_search():
     images = photographed(printed("DICT_4X4_50", *markers, twin), looking_at((0.0, 0.0, 0.9)), rng)
     view = teach_view(*images, dictionary_by_name("DICT_4X4_50"), (1, 2, 3, 4), CAMERA)
     assert view.repeated_ids == {1}
-    assert 1 not in view.left
+    assert 1 not in view.left_corners_px

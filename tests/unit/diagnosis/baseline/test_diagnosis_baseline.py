@@ -37,8 +37,8 @@ def test_a_machine_file_carries_its_baseline() -> None:
     lag = entry("valve_lag", 2, time_constant_s=0.03)
     text = MACHINE_TOML + entries_to_toml([lag]) + remainders_to_toml([REMAINDER, OF_POINTS])
     machine, nominal = parse_machine_toml(text), nominal_of(text)
-    assert machine.effects == nominal.baseline == (lag,)
-    assert machine.remainders == nominal.remainders == (REMAINDER, OF_POINTS)
+    assert machine.effects == nominal.baseline_effects == (lag,)
+    assert machine.remainders == nominal.baseline_remainders == (REMAINDER, OF_POINTS)
     assert nominal.baseline_remainder("actuator", 2) == REMAINDER
     assert nominal.baseline_remainder("actuator", 1) is None
     assert parse_machine_toml(MACHINE_TOML).effects == ()
@@ -82,8 +82,8 @@ def test_a_new_baseline_takes_the_old_ones_place() -> None:
 
     text = with_baseline(old, Found())  # pyright: ignore[reportArgumentType]
     nominal = nominal_of(text)
-    assert [one.name for one in nominal.baseline] == ["backlash"]
-    assert nominal.remainders == ()
+    assert [one.name for one in nominal.baseline_effects] == ["backlash"]
+    assert nominal.baseline_remainders == ()
     assert parse_machine_toml(text).joints == parse_machine_toml(MACHINE_TOML).joints
 
 
@@ -108,8 +108,8 @@ def test_a_joint_without_a_remainder_keeps_its_floor() -> None:
     plain = Floor(np.ones(2), np.ones(2), Whitener(np.full((1, 2), 0.3), np.ones(2)), True)
     noise = [np.random.default_rng(2).normal(0.0, 1.0, (4000, 2))]
     raised = with_remainder(plain, noise, np.array([[0.5, 0.0]]), np.array([2.0, 0.0]), np.array([3.0, 0.0]))
-    assert raised.whitener.sigma[1] == 1.0
-    np.testing.assert_allclose(raised.whitener.a[:, 1], [0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert raised.whitener.innovation_sigma[1] == 1.0
+    np.testing.assert_allclose(raised.whitener.ar_coefficients[:, 1], [0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def test_joined_cells_ask_for_an_effect_once() -> None:
@@ -120,13 +120,16 @@ def test_joined_cells_ask_for_an_effect_once() -> None:
     assert len(both.candidates) == len(parts[0].candidates)
     assert len(np.unique(both.rows.block)) == 2 * len(np.unique(parts[0].rows.block))
     np.testing.assert_array_equal(
-        both.whitened(both.base)[0, : parts[0].rows.row_count], parts[0].whitened(both.base)[0]
+        both.whitened(both.baseline_parameters)[0, : parts[0].rows.row_count],
+        parts[0].whitened(both.baseline_parameters)[0],
     )
     one, two = (fit_and_prune(cell, library_of(cell)) for cell in (parts[0], both))
-    assert [term.effect.effect_and_joint for term in two.best.current_terms if term.present] == [
-        term.effect.effect_and_joint for term in one.best.current_terms if term.present
+    assert [term.effect.effect_and_joint for term in two.best_fit.current_terms if term.is_present] == [
+        term.effect.effect_and_joint for term in one.best_fit.current_terms if term.is_present
     ]
-    assert two.best.score < 1.5 * one.best.score < 0.0  # twice the cost of what is left
+    assert (
+        two.best_fit.log_posterior_nats < 1.5 * one.best_fit.log_posterior_nats < 0.0
+    )  # twice the cost of what is left
 
 
 def test_a_healthy_recording_stays_below_the_level_that_others_predict() -> None:
@@ -148,13 +151,16 @@ def test_an_effect_can_be_taken_out_of_the_library() -> None:
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda one: one.name)
 def test_whatever_a_fit_names_can_be_written_to_a_machine_file_and_is_the_same_there(effect: Effect) -> None:
     (one, *_) = candidates_of_effects((effect.name,), (1,))
-    inside = [0.3 * slot.high if one.vector else slot.low + 0.6 * min(slot.high - slot.low, 1.0) for slot in one.slots]
+    inside = [
+        0.3 * slot.typical_max if one.vector else slot.lower_bound + 0.6 * min(slot.typical_max - slot.lower_bound, 1.0)
+        for slot in one.parameter_slots
+    ]
     theta = np.array(inside)
     found = Fit((one,), theta, np.zeros(0), np.zeros((0, len(theta))), 0.0)
     back = parse_entries(tomllib.loads(entries_to_toml(entries_of(found))).get("effect"), 1)
     wanted, packed = parameter_sets_with(neutral_sets(1), (one,), theta), pack_effects(back, 1)
-    np.testing.assert_allclose(packed.joint, wanted.joint, rtol=1e-9)
-    np.testing.assert_allclose(packed.machine, wanted.machine, rtol=1e-9)
+    np.testing.assert_allclose(packed.joint_parameters, wanted.joint_parameters, rtol=1e-9)
+    np.testing.assert_allclose(packed.machine_parameters, wanted.machine_parameters, rtol=1e-9)
 
 
 def test_encoders_are_left_to_what_was_measured_behind_them_if_it_sees_them() -> None:

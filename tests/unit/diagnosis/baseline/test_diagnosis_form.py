@@ -12,7 +12,13 @@ from typer.testing import CliRunner
 
 from diagnosis.baseline.left_over import cells_of, forms_of, with_baseline, with_mosts
 from diagnosis.errors import DiagnosisError
-from diagnosis.known.courses import DAMPING, RESPONSES, SWINGS_HZ, Course, actuator_responses
+from diagnosis.known.courses import (
+    OSCILLATION_DAMPING_RATIO,
+    OSCILLATION_FREQUENCIES_HZ,
+    RESPONSE_FAMILY_NAMES,
+    Course,
+    actuator_responses,
+)
 from diagnosis.known.form import form_of, with_form
 from diagnosis.reading.read import Read, examine_recording
 from diagnosis.search.cell import Cell
@@ -72,9 +78,9 @@ def test_a_form_goes_through_the_machine_file() -> None:
 )
 def test_a_form_of_another_arm_is_named(form: tuple, words: str) -> None:
     whole = day(1)
-    cell, nominal = actuator(whole, 2), whole.nominal
+    cell, nominal = actuator(whole, 2), whole.nominal_machine
     assert nominal is not None
-    other = replace(nominal, remainders=(Remainder("actuator", 2, "", 0.0, 0.0, form=form),))
+    other = replace(nominal, baseline_remainders=(Remainder("actuator", 2, "", 0.0, 0.0, form=form),))
     with pytest.raises(DiagnosisError, match=words):
         with_form([cell], other)
 
@@ -93,7 +99,7 @@ def test_what_a_machine_answers_later_is_foretold_too() -> None:
     own = entry("valve_lag", 2, time_constant_s=0.06)
     days = [day(seed, own) for seed in (1, 2, 3)]
     (form,) = (dict(one.form) for one in forms_of(days) if one.joint == 2)
-    assert set(form) & set(RESPONSES)
+    assert set(form) & set(RESPONSE_FAMILY_NAMES)
     next_day = day(4, own)
     assert energy(actuator(with_baseline(next_day, (), forms_of(days)), 2)) < 0.1 * energy(actuator(next_day, 2))
 
@@ -117,8 +123,8 @@ def test_a_swing_is_the_same_at_every_step(step_s: float) -> None:
     u = np.where(t > 0.2, 1.0, 0.0)
     nothing = np.zeros(len(t))
     own = actuator_responses(Course(step_s, t, nothing, u, nothing, nothing[:, None], t))["swings"]
-    omega = 2.0 * np.pi * SWINGS_HZ
-    s = omega * (-DAMPING + 1j * np.sqrt(1.0 - DAMPING**2))
+    omega = 2.0 * np.pi * OSCILLATION_FREQUENCIES_HZ
+    s = omega * (-OSCILLATION_DAMPING_RATIO + 1j * np.sqrt(1.0 - OSCILLATION_DAMPING_RATIO**2))
     later = t[-1] - (t[u > 0.0][0])
     expected = (np.exp(s * later) - 1.0) / s
     np.testing.assert_allclose(own[-1], np.concatenate([expected.real, expected.imag]), atol=1e-9)

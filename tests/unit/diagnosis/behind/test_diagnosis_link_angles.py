@@ -30,9 +30,9 @@ AT = np.array([0, 0, 0, 0, 1, 1, 1, 1])
 
 def loose(joints: tuple[int, ...]) -> ParameterSets:
     sets = neutral_sets(N)
-    sets.joint[0, :, kernel.BIAS], sets.joint[0, :, kernel.SCALE] = 1e-3, 1e-3
+    sets.joint_parameters[0, :, kernel.BIAS], sets.joint_parameters[0, :, kernel.SCALE] = 1e-3, 1e-3
     for j in joints:
-        sets.joint[0, j, kernel.BACKLASH] = 2e-3
+        sets.joint_parameters[0, j, kernel.BACKLASH] = 2e-3
     return sets
 
 
@@ -50,7 +50,9 @@ def test_without_play_the_encoders_tell() -> None:
     found = link_angles(PATHS, loose(()), 0, AT, TIMES)
     for k, one in enumerate(PATHS):
         rows = k == AT
-        assert found[rows] == pytest.approx(true_angles(loose(()), between(TIMES[rows], one.t_s, one.enc)), abs=1e-12)
+        assert found[rows] == pytest.approx(
+            true_angles(loose(()), between(TIMES[rows], one.t_s, one.encoder_angles)), abs=1e-12
+        )
 
 
 def test_joint_by_joint_is_all_joints_at_once() -> None:
@@ -58,7 +60,7 @@ def test_joint_by_joint_is_all_joints_at_once() -> None:
     found = link_angles(PATHS, sets, 0, AT, TIMES)
     for k, one in enumerate(PATHS):
         rows = k == AT
-        whole = simulate(PLANT, sets, drive_joint(PLANT, one.enc)).link[0]
+        whole = simulate(PLANT, sets, drive_joint(PLANT, one.encoder_angles)).link[0]
         assert found[rows] == pytest.approx(between(TIMES[rows], one.t_s, whole), abs=2e-8)
 
 
@@ -78,7 +80,7 @@ def test_a_course_is_simulated_once_and_only_for_the_joint_that_changed(monkeypa
     assert len(runs) == 2
     assert np.array_equal(link_angles(fresh, loose((0, 2)), 0, AT[:4], TIMES[:4]), before)
     changed = loose((0, 2))
-    changed.joint[0, 2, kernel.BACKLASH] = 4e-3
+    changed.joint_parameters[0, 2, kernel.BACKLASH] = 4e-3
     assert not np.array_equal(link_angles(fresh, changed, 0, AT[:4], TIMES[:4]), before)
     assert len(runs) == 3
 

@@ -24,7 +24,7 @@ def visits(
 def test_the_loose_marker_is_told_with_how_far_it_goes(seed: int) -> None:
     found = loose_marker(visits(np.random.default_rng(seed), 3.0, 0.5), MARKERS)
     assert found is not None
-    assert found.number == 2
+    assert found.marker_index == 2
     assert found.own_px == pytest.approx(OWN_PX, rel=0.3)
     assert 1.0 < found.moved_px < 4.0
     assert "marker 7" in found.message(7)

@@ -31,8 +31,8 @@ def test_static_poses_alone_are_enough_for_the_structure() -> None:
     assert whole.findings == ()
     assert stages_present(whole) == ("structure",)
     found = localise(whole)
-    assert {one.stage for one in found.places} == {"structure"}
-    assert max(one.gap for one in found.places) == pytest.approx(NOISE_M, rel=0.25)
+    assert {one.stage for one in found.gap_places} == {"structure"}
+    assert max(one.model_gap for one in found.gap_places) == pytest.approx(NOISE_M, rel=0.25)
     assert merged_stages(whole)[-1][0] == ("joint", "structure")
 
 
@@ -45,7 +45,7 @@ def test_a_log_of_which_nothing_is_replayed_is_said_beside_what_is_judged() -> N
     log = tuple(PlcState(0.005 * k, 0, q, (), asked[k], still, (), (), NAN, NAN) for k, q in enumerate(signals))
     with_log = replace(made, rows=(*made.rows, *log))
     assert not examined(with_log).log_unused
-    elsewhere = replace(with_log, run=replace(made.run, segments=(Segment("late", "steps", 50.0, 60.0),)))
+    elsewhere = replace(with_log, run_info=replace(made.run_info, segments=(Segment("late", "steps", 50.0, 60.0),)))
     whole = examined(elsewhere)
     assert whole.has_judgeable_stage
     assert whole.log_unused
@@ -54,7 +54,7 @@ def test_a_log_of_which_nothing_is_replayed_is_said_beside_what_is_judged() -> N
 
 def test_a_long_link_and_a_soft_one_are_seen_in_static_poses() -> None:
     for sets in (packed("link_length_error", 2, error_m=0.02), packed("gravity_sag", 2, compliance_rad_nm=1e-6)):
-        gaps = [one.gap for one in localise(examined(static_recording(sets))).places]
+        gaps = [one.model_gap for one in localise(examined(static_recording(sets))).gap_places]
         assert np.linalg.norm(gaps) > 3e-3
 
 
@@ -62,15 +62,18 @@ def test_unknown_places_and_frame_are_found_and_the_true_effect_leaves_the_noise
     free = MACHINE_TOML + "\n[points]\ntip = { joint = 6 }\nelbow = { joint = 2 }\n"
     sets = packed("gravity_sag", 2, compliance_rad_nm=1e-6)
     whole = examined(static_recording(sets, free))
-    assert whole.nominal is not None
+    assert whole.nominal_machine is not None
     assert whole.tables is not None
     assert whole.tables.static is not None
-    data = static_data(whole.nominal, whole.tables.static)
+    data = static_data(whole.nominal_machine, whole.tables.static)
     assert data is not None
-    right, wrong = fit_points(whole.nominal, sets, data), fit_points(whole.nominal, neutral_sets(6), data)
-    assert np.sqrt(np.mean(right.residual**2)) == pytest.approx(NOISE_M, rel=0.2)
-    assert np.sqrt(np.mean(wrong.residual**2)) > 5.0 * NOISE_M
-    assert right.places == pytest.approx(np.array([[0.0, -0.3, 0.1], [0.1, 0.2, 0.0]]), abs=2e-3)
+    right, wrong = (
+        fit_points(whole.nominal_machine, sets, data),
+        fit_points(whole.nominal_machine, neutral_sets(6), data),
+    )
+    assert np.sqrt(np.mean(right.residual_m**2)) == pytest.approx(NOISE_M, rel=0.2)
+    assert np.sqrt(np.mean(wrong.residual_m**2)) > 5.0 * NOISE_M
+    assert right.positions_in_link_m == pytest.approx(np.array([[0.0, -0.3, 0.1], [0.1, 0.2, 0.0]]), abs=2e-3)
     assert right.T_base_tracker @ TRACKER == pytest.approx(np.eye(4), abs=2e-3)
 
 
@@ -108,7 +111,7 @@ def camera_recording(sets: ParameterSets, with_plc: bool = True) -> Recording:
     for on, Ts in (("ooi", Ts_cam_ooi), ("tool", np.tile(T_cam_tool, (len(t), 1, 1)))):
         markers = tuple(marker for marker in MACHINE.markers if marker.on == on)
         seen = seen_corners(sets, MACHINE.camera, markers, Ts)
-        for eye, pixels in (("left", seen.left), ("right", seen.right)):
+        for eye, pixels in (("left", seen.left_px), ("right", seen.right_px)):
             for k in range(len(t)):
                 rows += [
                     MarkerCorners(float(t[k]), eye, marker.marker_id, *pixels[k, m].ravel().tolist())
@@ -126,7 +129,11 @@ def camera_recording(sets: ParameterSets, with_plc: bool = True) -> Recording:
 def camera_gaps(sets: ParameterSets, with_plc: bool = True) -> dict[tuple[str, str], float]:
     whole = examined(camera_recording(sets, with_plc))
     assert whole.has_judgeable_stage, [str(finding) for finding in whole.findings]
-    return {(one.regime, one.axis or ""): one.gap for one in localise(whole).places if one.stage == "camera"}
+    return {
+        (one.motion_regime, one.axis or ""): one.model_gap
+        for one in localise(whole).gap_places
+        if one.stage == "camera"
+    }
 
 
 def test_without_effects_tool_and_ooi_are_where_they_belong() -> None:
@@ -144,7 +151,7 @@ def test_the_camera_alone_sees_its_mount_by_the_tool_marker() -> None:
 def test_a_wrong_focal_length_and_a_soft_boom_are_gaps_behind_the_encoders() -> None:
     for sets in (packed("focal_length_error", None, scale_frac=0.02), packed("encoder_scale", 2, scale_frac=0.0)):
         gaps = camera_gaps(sets)
-        expected = sets.machine.any() and sets.machine[0, 10] != 0.0
+        expected = sets.machine_parameters.any() and sets.machine_parameters[0, 10] != 0.0
         assert (np.linalg.norm([gaps["ooi", axis] for axis in "xyz"]) > 1e-4) == expected
     tilted = camera_gaps(packed("joint_axis_tilt", 2, tilt_rad=0.05, about="x"))
     assert np.linalg.norm([tilted["ooi", axis] for axis in "xyz"]) > 1e-4
@@ -163,7 +170,7 @@ def test_one_eye_gives_no_view() -> None:
         made, rows=tuple(row for row in made.rows if not (isinstance(row, MarkerCorners) and row.eye == "right"))
     )
     whole = examined(left)
-    assert whole.nominal is not None
+    assert whole.nominal_machine is not None
     assert whole.tables is not None
     assert whole.tables.markers is not None
-    assert len(views_of(whole.nominal, whole.tables.markers, "ooi").t_s) == 0
+    assert len(views_of(whole.nominal_machine, whole.tables.markers, "ooi").t_s) == 0

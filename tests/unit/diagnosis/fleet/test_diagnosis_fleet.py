@@ -83,7 +83,7 @@ def answer_with(recording: str, day: int, size: float | None, serial: str = "7",
 def test_a_play_that_grows_is_a_drift_and_one_that_stays_is_none() -> None:
     grows = [answer_with(f"g{day}", day, 2e-3 + 2e-4 * day) for day in (1, 2, 3, 4)]
     stays = [answer_with(f"s{day}", day, 3e-3 + 3e-5 * (-1) ** day, "8") for day in (1, 2, 3, 4)]
-    drifts = {one.machine: one for one in summary_of(grows + stays).drifts}
+    drifts = {one.machine: one for one in summary_of(grows + stays).effect_drifts}
     assert drifts["hiab033 7"].is_drifting
     assert abs(drifts["hiab033 7"].per_day - 2e-4) < 1e-6
     assert not drifts["hiab033 8"].is_drifting
@@ -96,10 +96,10 @@ def test_a_machine_is_without_an_effect_only_if_it_would_have_been_seen() -> Non
         answer_with("c", 1, None, "3"),
         answer_with("d", 1, None, "4", limit=0.5),
     ]
-    shared = summary_of(results).shared
+    shared = summary_of(results).shared_effects
     assert [(one.name, one.joint) for one in shared] == [("backlash", 2)]
-    assert shared[0].machines == ("hiab033 1", "hiab033 2")
-    assert shared[0].without == ("hiab033 3",)
+    assert shared[0].machines_with == ("hiab033 1", "hiab033 2")
+    assert shared[0].machines_without == ("hiab033 3",)
     text = fleet_page(summary_of([*results, {"status": "failed", "reason": "<b>", "recording": "x"}]), "mine")
     assert "<b>" not in text
     assert "backlash" in text
@@ -113,8 +113,8 @@ def test_a_machine_that_names_an_equal_is_not_without_the_effect() -> None:
     for told in (one, other):
         told["answer"]["indistinguishable"] = [pair]
         told["answer"]["detection_limits"].append({"name": "encoder_scale", "joint": 2, "size": 1e-3})
-    shared = summary_of([one, other]).shared
-    assert [each.without for each in shared] == [(), ()]
+    shared = summary_of([one, other]).shared_effects
+    assert [each.machines_without for each in shared] == [(), ()]
 
 
 def test_cranes_of_one_kind_without_a_serial_are_one_machine_a_folder_and_it_is_told() -> None:
@@ -123,7 +123,7 @@ def test_cranes_of_one_kind_without_a_serial_are_one_machine_a_folder_and_it_is_
         one["folder"] = place
     fleet = summary_of(results)
     assert fleet.machines == ("hiab033 in east", "hiab033 in north", "hiab033 in south")
-    assert not fleet.drifts
+    assert not fleet.effect_drifts
     assert "3 state no serial" in fleet_page(fleet, "mine")
     assert "no serial" not in fleet_page(summary_of([answer_with("a", 1, None)]), "mine")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.noise.of_corners import PLAIN, CornerNoise, groups_of, noise_of_visits, variances_of
+from diagnosis.noise.of_corners import UNIT_CORNER_NOISE, CornerNoise, groups_of, noise_of_visits, variances_of
 from machine.remainder import Remainder
 
 FRAMES, CORNERS = 400, 12
@@ -31,7 +31,7 @@ def test_a_shared_shift_comes_out_white() -> None:
 def test_without_a_shared_part_nothing_is_taken_away() -> None:
     pixels = made((0.2, 0.1), (0.5, 0.05))
     seen, groups = np.isfinite(pixels), groups_of(pixels)
-    np.testing.assert_array_equal(PLAIN.whiten(pixels[seen][None], groups)[0], pixels[seen])
+    np.testing.assert_array_equal(UNIT_CORNER_NOISE.whiten(pixels[seen][None], groups)[0], pixels[seen])
 
 
 def test_visits_tell_both_kinds() -> None:
@@ -45,8 +45,8 @@ def test_visits_tell_both_kinds() -> None:
     ]
     found = noise_of_visits(visits, 20)
     assert found is not None
-    np.testing.assert_allclose(found.own, [0.2, 0.1], rtol=0.03)
-    np.testing.assert_allclose(found.shared, [0.5, 0.05], rtol=0.12)
+    np.testing.assert_allclose(found.corner_sigma_px, [0.2, 0.1], rtol=0.03)
+    np.testing.assert_allclose(found.frame_shared_sigma_px, [0.5, 0.05], rtol=0.12)
     assert noise_of_visits([view[:1] for view in visits], 20) is None  # nothing was seen again
 
 
@@ -60,5 +60,5 @@ def test_each_corners_variance_and_the_shared_one() -> None:
 def test_a_machine_files_remainder_raises_both() -> None:
     record = Remainder("camera", None, "ooi", 0.3, 0.5, by_axis=(0.4, 0.0))
     raised = CornerNoise(np.array([0.4, 0.4]), np.array([0.3, 0.1])).with_remainder(record)
-    np.testing.assert_allclose(raised.own, [0.5, 0.5])
-    np.testing.assert_allclose(raised.shared, [0.5, 0.1])
+    np.testing.assert_allclose(raised.corner_sigma_px, [0.5, 0.5])
+    np.testing.assert_allclose(raised.frame_shared_sigma_px, [0.5, 0.1])

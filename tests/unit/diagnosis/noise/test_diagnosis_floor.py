@@ -28,8 +28,8 @@ def test_a_known_autoregression_is_found_and_whitened() -> None:
     runs = [autoregression(rng, (0.6, -0.3), 2e-4, 2000) for _ in range(4)]
     whitener = fit_whitener(runs)
     assert whitener.lag_count >= 2
-    assert whitener.a[:2] == pytest.approx(np.array([[0.6, 0.6], [-0.3, -0.3]]), abs=0.05)
-    assert whitener.sigma == pytest.approx([2e-4, 2e-4], rel=0.03)
+    assert whitener.ar_coefficients[:2] == pytest.approx(np.array([[0.6, 0.6], [-0.3, -0.3]]), abs=0.05)
+    assert whitener.innovation_sigma == pytest.approx([2e-4, 2e-4], rel=0.03)
     fresh = whitener.whiten(autoregression(rng, (0.6, -0.3), 2e-4, 2000))
     assert fresh.std(axis=0) == pytest.approx([1.0, 1.0], abs=0.06)
     assert abs(np.corrcoef(fresh[1:, 0], fresh[:-1, 0])[0, 1]) < 0.06
@@ -45,17 +45,17 @@ def test_floor_is_the_noise_and_not_what_all_repeats_share() -> None:
     shared = 5.0 * np.sin(np.arange(6000) * 0.01)[:, None]
     noise = rng.normal(0.0, 0.02, (4, 6000, 2))
     floor = floor_of_repeats(shared + noise, 0.01)
-    assert floor.known
-    assert floor.rms == pytest.approx([0.02 / np.sqrt(5.0)] * 2, rel=0.05)
+    assert floor.is_measured
+    assert floor.deviation_rms == pytest.approx([0.02 / np.sqrt(5.0)] * 2, rel=0.05)
     assert floor.increment_rms == pytest.approx([0.02 * np.sqrt(2.0 / 5.0)] * 2, rel=0.05)
-    assert floor_of_repeats(3.0 * shared + noise, 0.01).rms == pytest.approx(floor.rms)
+    assert floor_of_repeats(3.0 * shared + noise, 0.01).deviation_rms == pytest.approx(floor.deviation_rms)
 
 
 def test_without_repeats_a_bound_stands_in_and_says_so() -> None:
     rng = np.random.default_rng(4)
     t = np.arange(6000) * 0.01
     floor = floor_without_repeats(np.sin(t)[:, None] + rng.normal(0.0, 0.02, (6000, 1)), 0.01)
-    assert not floor.known
+    assert not floor.is_measured
     assert 1.0 < floor.increment_rms[0] / (0.02 * np.sqrt(2.0 / 5.0)) < 1.5  # never too low
 
 
@@ -72,7 +72,7 @@ def test_the_floor_of_a_recording_is_its_encoder_noise(tmp_path) -> None:
     enc = laid_over(groups["A"], "enc")
     assert enc is not None
     assert enc.shape == (4, 1200, 6)
-    assert floor_of_repeats(enc, 0.01).rms == pytest.approx(NOISE_RAD / np.sqrt(5.0), rel=0.15)
+    assert floor_of_repeats(enc, 0.01).deviation_rms == pytest.approx(NOISE_RAD / np.sqrt(5.0), rel=0.15)
 
 
 def test_bad_repeats_are_refused() -> None:

@@ -29,8 +29,8 @@ def found(drift_m: float, wrong_m: float = 5e-3, seed: int = 1) -> RepeatedPoint
 def test_what_repeats_differ_by_is_the_noise_however_wrong_the_arm_is(seed: int) -> None:
     again = found(0.0, seed=seed)
     assert again is not None
-    assert again.own == pytest.approx(NOISE_M, rel=0.1)
-    assert again.squares == pytest.approx((RUNS - 1) * POINTS * LASTS_S / EVERY_S, rel=0.02)
+    assert again.point_sigma_m == pytest.approx(NOISE_M, rel=0.1)
+    assert again.sigma_dof == pytest.approx((RUNS - 1) * POINTS * LASTS_S / EVERY_S, rel=0.02)
     assert not again.drift_m.any()
 
 

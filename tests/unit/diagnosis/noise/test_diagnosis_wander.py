@@ -62,7 +62,9 @@ def test_the_number_that_wanders_is_named_with_its_size_and_its_neighbours_are_n
 
 def names(whole: Read, known: tuple[Remainder, ...]) -> list[str]:
     cell = actuator(with_baseline(whole, (), known), 2)
-    return [term.effect.name for term in fit_and_prune(cell, library_of(cell)).best.current_terms if term.present]
+    return [
+        term.effect.name for term in fit_and_prune(cell, library_of(cell)).best_fit.current_terms if term.is_present
+    ]
 
 
 def test_a_day_within_the_wander_has_no_name_and_a_fault_beyond_it_has(known: tuple[Remainder, ...]) -> None:

@@ -17,7 +17,7 @@ from recording.rows import PlcState, StaticPoint
 from recording.run import Segment
 
 MADE = recording()
-STEPS = MADE.run.segments[-1]
+STEPS = MADE.run_info.segments[-1]
 
 
 def put(values: tuple[float, ...], j: int, value: float) -> tuple[float, ...]:

@@ -125,21 +125,23 @@ def test_a_time_beyond_all_numbers_is_told(tmp_path: Path, field: str) -> None:
 
 
 def test_an_offset_by_which_two_logs_never_meet_is_told() -> None:
-    made = replace(MADE, run=replace(MADE.run, plc_to_pc_offset_s=1.7e9))
+    made = replace(MADE, run_info=replace(MADE.run_info, plc_to_pc_offset_s=1.7e9))
     codes = {(found.code, found.severity) for found in examine_recording(made, Path("made")).findings}
     assert ("clock_offset_wrong", "problem") in codes
 
 
 def test_one_stretch_under_two_names_is_no_repeat() -> None:
-    first, second = MADE.run.segments
+    first, second = MADE.run_info.segments
     later = replace(second, t_start_plc_s=first.t_start_plc_s + 0.02, t_end_plc_s=first.t_end_plc_s + 0.02)
-    made = replace(MADE, run=replace(MADE.run, segments=(first, later)))
+    made = replace(MADE, run_info=replace(MADE.run_info, segments=(first, later)))
     assert "that is not a second measurement" in fatal_of(examine_recording(made, Path("made")))
 
 
 def test_segments_of_one_name_are_as_many_segments() -> None:
     """Told apart by their names alone, four repeats had been one, and their noise none."""
-    one_name = replace(MADE, run=replace(MADE.run, segments=tuple(replace(s, name="A") for s in MADE.run.segments)))
+    one_name = replace(
+        MADE, run_info=replace(MADE.run_info, segments=tuple(replace(s, name="A") for s in MADE.run_info.segments))
+    )
     result = examine_recording(one_name, Path("made"))
     assert [one.name for one in result.stretches] == ["A", "A (2)"]
     groups = repeat_groups(result.stretches)
@@ -231,7 +233,7 @@ def test_text_of_two_bytes_a_letter_is_told(tmp_path: Path) -> None:
 
 def test_channels_of_others_are_a_note() -> None:
     told = "/odometry (json, schema 'nav_msgs/Odometry'): 7 messages were not read"
-    findings = examine_recording(replace(MADE, foreign=(told,)), Path("made")).findings
+    findings = examine_recording(replace(MADE, foreign_channels=(told,)), Path("made")).findings
     assert [one.severity for one in findings if told in str(one)] == ["note"]
 
 

@@ -40,7 +40,7 @@ def tables(change: Change = as_it_is, sets: ParameterSets | None = None, count: 
     seen = seen_corners(neutral_sets(6) if sets is None else sets, NOMINAL.camera, LAYOUT, Ts)
     rows = []
     for k in range(count):
-        for eye, pixels in enumerate((seen.left, seen.right)):
+        for eye, pixels in enumerate((seen.left_px, seen.right_px)):
             for m, marker in enumerate(LAYOUT):
                 number, corners = change(marker.marker_id, pixels[k, m] + rng.normal(0.0, 0.1, (4, 2)))
                 rows.append((0.1 * k, eye, number, corners))

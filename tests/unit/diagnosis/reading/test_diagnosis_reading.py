@@ -37,8 +37,8 @@ def test_a_sound_recording_has_no_findings_and_its_stages(tmp_path) -> None:
     assert first.dt_s == pytest.approx(0.01)
     assert first.ref is not None
     assert first.u is not None
-    assert first.sent is not None
-    assert first.sent.t_s[0] == pytest.approx(0.0)  # PLC's clock
+    assert first.sent_reference is not None
+    assert first.sent_reference.t_s[0] == pytest.approx(0.0)  # PLC's clock
     assert first.row_count == 1200
 
 
@@ -70,7 +70,7 @@ def with_q(row: PlcState, change) -> PlcState:
 
 
 def segmented(*segments: Segment) -> Recording:
-    return replace(MADE, run=replace(MADE.run, segments=segments))
+    return replace(MADE, run_info=replace(MADE.run_info, segments=segments))
 
 
 def added(*rows: Row) -> Recording:
@@ -220,32 +220,34 @@ SPOILT = {
         "q_1_rad never changes",
     ),
     "no repeats": (
-        lambda: replace(MADE, run=replace(MADE.run, segments=MADE.run.segments[-1:])),
+        lambda: replace(MADE, run_info=replace(MADE.run_info, segments=MADE.run_info.segments[-1:])),
         "no_repeats",
         "problem",
         "noise floor is not known",
     ),
     "two repeats": (
-        lambda: replace(MADE, run=replace(MADE.run, segments=MADE.run.segments[:2])),
+        lambda: replace(MADE, run_info=replace(MADE.run_info, segments=MADE.run_info.segments[:2])),
         "few_repeats",
         "note",
         "2 runs",
     ),
     "repeats that are none": (
-        lambda: segmented(*MADE.run.segments[:4], replace(MADE.run.segments[4], repeat_of="A")),
+        lambda: segmented(*MADE.run_info.segments[:4], replace(MADE.run_info.segments[4], repeat_of="A")),
         "repeats_differ",
         "problem",
         "differ by up to",
     ),
-    "no segments": (lambda: replace(MADE, run=replace(MADE.run, segments=())), "no_segments", "note", "taken as one"),
+    "no segments": (lambda: replace(MADE, run_info=replace(MADE.run_info, segments=())), "no_segments", "note",
+    "taken as one"),
     "a segment elsewhere": (
-        lambda: segmented(*MADE.run.segments, replace(MADE.run.segments[0], t_start_plc_s=900.0, t_end_plc_s=960.0)),
+        lambda: segmented(*MADE.run_info.segments, replace(MADE.run_info.segments[0], t_start_plc_s=900.0,
+            t_end_plc_s=960.0)),
         "empty_segment",
         "problem",
         "segment 6",
     ),
     "no clock offset": (
-        lambda: replace(MADE, run=replace(MADE.run, plc_to_pc_offset_s=None)),
+        lambda: replace(MADE, run_info=replace(MADE.run_info, plc_to_pc_offset_s=None)),
         "clock_offset_unknown",
         "note",
         "known but for a constant",
@@ -401,8 +403,8 @@ def test_parts_of_the_chain_are_enough() -> None:
     lean = MACHINE_TOML.replace("kp_frac_per_rad", "# kp_frac_per_rad")
     result = examined(replace(MADE, machine_toml=lean))
     assert stages_present(result) == ("link", "actuator")
-    assert result.nominal is not None
-    assert "has no kp_frac_per_rad" in result.nominal.why_absent("controller")
+    assert result.nominal_machine is not None
+    assert "has no kp_frac_per_rad" in result.nominal_machine.why_absent("controller")
 
 
 def test_nothing_to_judge_is_said_with_what_the_file_lacks() -> None:
@@ -421,8 +423,8 @@ def test_encoders_alone_say_that_what_was_asked_is_lacking() -> None:
 
 
 def test_the_link_without_offset_is_known_but_for_a_constant() -> None:
-    made = replace(MADE, run=replace(MADE.run, plc_to_pc_offset_s=None))
-    sent = examined(made).stretches[0].sent
+    made = replace(MADE, run_info=replace(MADE.run_info, plc_to_pc_offset_s=None))
+    sent = examined(made).stretches[0].sent_reference
     assert sent is not None
     assert sent.t_s[0] == pytest.approx(0.0, abs=PLANT.log_cycle_s)
     assert OFFSET_S > 1.0

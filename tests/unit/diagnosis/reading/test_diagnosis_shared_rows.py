@@ -13,11 +13,11 @@ from diagnosis.reading.read import Read, examine_recording
 from recording.run import Segment
 
 MADE = recording(("repeat", "repeat", "repeat", "repeat", "steps", "sweep"))
-SEGMENTS = MADE.run.segments
+SEGMENTS = MADE.run_info.segments
 
 
 def examined(*segments: Segment) -> Read:
-    return examine_recording(replace(MADE, run=replace(MADE.run, segments=segments)), Path("made_up"))
+    return examine_recording(replace(MADE, run_info=replace(MADE.run_info, segments=segments)), Path("made_up"))
 
 
 def rows_used(whole: Read) -> int:

@@ -9,7 +9,7 @@ from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer_json
 from diagnosis.budget import budget_of
-from diagnosis.log.quality import GAP_STEPS, too_long
+from diagnosis.log.quality import GAP_MIN_MEDIAN_STEPS, too_long
 from diagnosis.log.stamps import even_grid, taken_evenly
 from diagnosis.reading.read import read_for_diagnosis
 
@@ -41,9 +41,9 @@ def test_a_late_stamp_is_no_missing_row() -> None:
     t = STEP_S * np.arange(100)
     late = t.copy()
     late[50] += 0.007
-    assert not too_long(np.diff(late), STEP_S, GAP_STEPS).any()
-    assert np.nonzero(too_long(np.diff(np.delete(t, 50)), STEP_S, GAP_STEPS))[0].tolist() == [49]
-    assert np.nonzero(too_long(np.diff(np.delete(t, [98])), STEP_S, GAP_STEPS))[0].tolist() == [97]
+    assert not too_long(np.diff(late), STEP_S, GAP_MIN_MEDIAN_STEPS).any()
+    assert np.nonzero(too_long(np.diff(np.delete(t, 50)), STEP_S, GAP_MIN_MEDIAN_STEPS))[0].tolist() == [49]
+    assert np.nonzero(too_long(np.diff(np.delete(t, [98])), STEP_S, GAP_MIN_MEDIAN_STEPS))[0].tolist() == [97]
 
 
 def jittered(rows: list) -> None:

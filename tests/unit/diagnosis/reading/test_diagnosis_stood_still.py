@@ -58,7 +58,7 @@ def test_a_recording_that_moves_is_judged_and_the_same_one_standing_is_not() -> 
     moving = examine_recording(made, Path("stands"))
     found = budget_of(replace(moving, stretches=tuple(_frozen(one) for one in moving.stretches)))
     assert found.verdict == "undecided"
-    assert "no joint moved" in found.why
+    assert "no joint moved" in found.verdict_reason
 
 
 def _frozen(one: Stretch) -> Stretch:
@@ -67,4 +67,4 @@ def _frozen(one: Stretch) -> Stretch:
     first = {
         name: np.tile(values[:1], (one.row_count, 1)) for name in names if (values := getattr(one, name)) is not None
     }
-    return replace(one, **first, sent=None)
+    return replace(one, **first, sent_reference=None)

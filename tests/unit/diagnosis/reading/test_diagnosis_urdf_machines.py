@@ -65,7 +65,7 @@ def test_a_load_that_nobody_gives_is_absent() -> None:
 
 def test_limits_are_the_files_and_else_the_urdfs() -> None:
     found = nominal(HEAD + JOINTS)
-    assert found.sliding == (False, True)
+    assert found.joint_slides == (False, True)
     assert (found.q_min.tolist(), found.q_max.tolist()) == ([-1.0, 0.0], [1.5, 2.0])
     own = nominal(
         HEAD + '[[joint]]\nname = "j1"\nq_max_deg = 45\n[[joint]]\nname = "j2"\nq_min_m = 0.5\nq_max_m = 1.5\n'
@@ -145,15 +145,15 @@ def test_a_urdf_beside_the_machine_file_that_is_given_is_found(tmp_path: Path) -
     assert "not in the recording or next to the machine file; put it there" in fatal(result)
     (tmp_path / "a.urdf").write_text(URDF, encoding="utf-8")
     result = read_for_diagnosis(tmp_path / "run", tmp_path / "mine.toml")
-    assert result.nominal is not None
-    assert result.nominal.arm is not None
+    assert result.nominal_machine is not None
+    assert result.nominal_machine.arm is not None
 
 
 def test_a_spoilt_urdf_is_a_finding_with_its_joint() -> None:
     spoilt = attached("a.urdf", URDF.replace('xyz="2 0 0"', 'xyz="2 0"'))
     made = poses()
     result = examine_recording(
-        Recording("folder", made.run, made.machine_toml, made.rows, attachments=(spoilt,)), Path("x")
+        Recording("folder", made.run_info, made.machine_toml, made.rows, attachments=(spoilt,)), Path("x")
     )
     assert "joint 'j2': xyz='2 0' has 2 numbers" in fatal(result)
 

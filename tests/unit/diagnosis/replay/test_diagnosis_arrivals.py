@@ -40,9 +40,13 @@ def diagnosed(link: Link) -> dict[str, Any]:
 def test_what_comes_on_the_dot_is_left_as_it_was_sent() -> None:
     stamps, found, _ = logged(Link())
     np.testing.assert_array_equal(found.t_s, stamps)
-    assert (found.jitter_s, found.rate, found.unsure_s) == (0.0, 0.0, CYCLE_S)  # of a wait that no row shows
-    assert found.lost is not None
-    assert not found.lost.any()
+    assert (found.jitter_s, found.clock_drift_rate, found.unsure_s) == (
+        0.0,
+        0.0,
+        CYCLE_S,
+    )  # of a wait that no row shows
+    assert found.datagram_lost is not None
+    assert not found.datagram_lost.any()
 
 
 @pytest.mark.parametrize("delay_s", [0.003, 0.0234, 0.06])
@@ -59,7 +63,7 @@ def test_jitter_is_replayed_as_the_rows_show_it(jitter_s: float) -> None:
     as_shown = CYCLE_S * np.ceil(found.t_s / CYCLE_S - 1e-6)
     rows = np.searchsorted(ROWS_S, np.stack([as_shown, came])[:, bounded] - 1e-9)
     assert np.mean(rows[0] == rows[1]) > 0.995
-    assert found.lost is None or not found.lost.any()
+    assert found.datagram_lost is None or not found.datagram_lost.any()
     assert found.unsure_s > 0.0
 
 
@@ -69,40 +73,42 @@ def test_clocks_that_drift_are_brought_together(ppm: int) -> None:
     off = found.t_s - came
     assert np.ptp(off[:-20]) < 0.0035
     assert abs(stamps[-1] - came[-1]) == pytest.approx(6e-5 * abs(ppm), rel=0.01)
-    assert (found.rate == 0.0 and abs(ppm) < 50) or found.rate == pytest.approx(-1e-6 * ppm, abs=1e-5)
+    assert (found.clock_drift_rate == 0.0 and abs(ppm) < 50) or found.clock_drift_rate == pytest.approx(
+        -1e-6 * ppm, abs=1e-5
+    )
 
 
 @pytest.mark.parametrize("ppm", [-60, -100])
 def test_clocks_are_brought_together_beside_losses(ppm: int) -> None:
     """Rows contradict a datagram that never came, whatever the clocks do; a delay had been seen in it."""
     _, found, _ = logged(Link(drift=1e-6 * ppm, jitter_s=3e-4, loss_frac=0.07, sent_ms=10))
-    assert found.rate == pytest.approx(-1e-6 * ppm, abs=1.5e-5)
+    assert found.clock_drift_rate == pytest.approx(-1e-6 * ppm, abs=1.5e-5)
 
 
 @pytest.mark.parametrize("link", [Link(loss_frac=0.02), Link(loss_frac=0.02, jitter_s=3e-4), Link(loss_frac=0.2)])
 def test_losses_are_told_where_a_row_waited_for_one(link: Link) -> None:
     _, found, came = logged(link)
-    assert found.lost is not None
-    assert found.judged is not None
-    assert found.lost[found.judged].mean() == pytest.approx(link.loss_frac, rel=0.25)
-    assert np.isnan(came[found.lost]).mean() > 0.95
-    assert found.judged.sum() > 5000
+    assert found.datagram_lost is not None
+    assert found.loss_observable is not None
+    assert found.datagram_lost[found.loss_observable].mean() == pytest.approx(link.loss_frac, rel=0.25)
+    assert np.isnan(came[found.datagram_lost]).mean() > 0.95
+    assert found.loss_observable.sum() > 5000
 
 
 @pytest.mark.parametrize("loss_frac", [0.0, 0.05])
 def test_one_that_came_with_the_next_was_late(loss_frac: float) -> None:
     """Rows twice as often as datagrams: of 3000 that wait 3 ms and rarely twenty, five are in no row."""
     _, found, _ = logged(Link(jitter_s=3e-3, loss_frac=loss_frac, sent_ms=20))
-    assert found.lost is not None
-    assert found.judged is not None
-    assert found.judged.any()
-    assert found.lost.any() is np.bool_(loss_frac > 0.0)
+    assert found.datagram_lost is not None
+    assert found.loss_observable is not None
+    assert found.loss_observable.any()
+    assert found.datagram_lost.any() is np.bool_(loss_frac > 0.0)
 
 
 def test_what_may_be_late_is_not_called_lost() -> None:
     _, found, _ = logged(Link(jitter_s=1.5e-3))
-    assert found.judged is not None
-    assert not found.judged.any()
+    assert found.loss_observable is not None
+    assert not found.loss_observable.any()
 
 
 @pytest.mark.parametrize("seq", [np.full(5989, -1), np.zeros(5989, dtype=int) + 10**9, np.arange(5989)[::-1]])
@@ -110,7 +116,7 @@ def test_numbers_that_tell_nothing_change_nothing(seq: np.ndarray) -> None:
     stamps = 0.004 * NUMBER
     found = arrival_times((stamps, NUMBER), (ROWS_S, seq), CYCLE_S, 0.0)
     np.testing.assert_array_equal(found.t_s, stamps)
-    assert found.lost is None
+    assert found.datagram_lost is None
 
 
 def test_without_numbers_a_row_is_known_by_its_values() -> None:
@@ -172,7 +178,7 @@ def test_where_every_cycle_has_a_row_a_pc_that_runs_fast_is_no_link_that_does(pp
     seen = np.searchsorted(t_s + 0.02, rows_s + 1e-9, side="right") - 1
     stamps = np.round(t_s * (1.0 + 1e-6 * ppm), 7)
     found = arrival_times((stamps, NUMBER[:9000]), (rows_s, NUMBER[seen]), 0.02, 0.02)
-    assert found.rate == pytest.approx(-1e-6 * ppm, abs=1e-5)
+    assert found.clock_drift_rate == pytest.approx(-1e-6 * ppm, abs=1e-5)
     np.testing.assert_allclose(found.t_s, t_s, atol=1e-9)
 
 
@@ -180,15 +186,15 @@ def test_where_every_cycle_has_a_row_a_pc_that_runs_fast_is_no_link_that_does(pp
 def test_as_many_rows_as_datagrams_show_which_never_came(share: float) -> None:
     lost = np.flatnonzero(np.random.default_rng(4).random(2900) < share)
     _, found = every_cycle([], lost=tuple(lost), sent_s=0.005)
-    assert found.lost is not None
-    assert np.flatnonzero(found.lost).tolist() == [k for k in lost if k > 0]
+    assert found.datagram_lost is not None
+    assert np.flatnonzero(found.datagram_lost).tolist() == [k for k in lost if k > 0]
 
 
 def test_as_many_rows_as_datagrams_do_not_call_late_ones_lost() -> None:
     """One that is late comes with the next, and no row shows it; but some of the next are late, too."""
     late = np.flatnonzero(np.random.default_rng(4).random(2900) < 0.15)
     _, found = every_cycle(late.tolist(), sent_s=0.005)
-    assert found.lost is None
+    assert found.datagram_lost is None
 
 
 @pytest.mark.filterwarnings("ignore:All-NaN")

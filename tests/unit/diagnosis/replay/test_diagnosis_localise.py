@@ -21,7 +21,7 @@ def places(*effects: EffectEntry):
 def test_nothing_is_left_of_a_nominal_machine() -> None:
     found = places()
     assert found.floor_known
-    whole = [one for one in found.places if one.regime == "all"]
+    whole = [one for one in found.gap_places if one.motion_regime == "all"]
     assert {one.stage for one in whole} == {"link", "controller", "actuator"}
     assert len(whole) == 18
     for one in whole:
@@ -43,31 +43,31 @@ CASES = {
 def test_each_gap_lies_where_it_was_put(name: str) -> None:
     effect, stage, joint = CASES[name]
     found = places(effect)
-    top = found.places[0]
+    top = found.gap_places[0]
     assert top.stage == stage
     assert joint is None or top.joint == joint
-    assert top.gap > 5.0 * top.floor
-    share = sum(one.tcp_mm**2 for one in found.places if one.stage == stage and one.regime == "all")
-    rest = sum(one.tcp_mm**2 for one in found.places if one.stage != stage and one.regime == "all")
+    assert top.model_gap > 5.0 * top.noise_floor
+    share = sum(one.tcp_mm**2 for one in found.gap_places if one.stage == stage and one.motion_regime == "all")
+    rest = sum(one.tcp_mm**2 for one in found.gap_places if one.stage != stage and one.motion_regime == "all")
     assert share > 9.0 * rest
 
 
 def test_a_stage_is_judged_by_its_own_input_even_when_another_one_is_wrong() -> None:
     """Dead band and controller gain together: each shows on its own stage and joint."""
     found = places(entry("valve_deadband", 3, half_width_frac=0.05), entry("controller_gain_error", 2, gain_frac=0.2))
-    best = {stage: next(p for p in found.places if p.stage == stage) for stage in ("controller", "actuator")}
+    best = {stage: next(p for p in found.gap_places if p.stage == stage) for stage in ("controller", "actuator")}
     assert (best["controller"].joint, best["actuator"].joint) == (2, 3)
 
 
 def test_the_true_parameters_leave_the_floor() -> None:
     effect = entry("valve_deadband", 3, half_width_frac=0.05)
     whole = examine_recording(recording(effects=(effect,)), Path("made_up"))
-    assert whole.nominal is not None
-    replayer = replayer_of(whole.nominal, whole.stretches)
+    assert whole.nominal_machine is not None
+    replayer = replayer_of(whole.nominal_machine, whole.stretches)
     assert replayer is not None
     assert replayer.torque_reference is not None
     sets = neutral_sets(6, 2)
-    sets.joint[1, 2, 7] = 0.05  # the dead band's column
+    sets.joint_parameters[1, 2, 7] = 0.05  # the dead band's column
     error = replayer.residuals("actuator", replayer.prepare(whole.stretches[0]), sets)
     assert error is not None
     nominal, true = (np.sqrt(np.mean(np.diff(one[:, 2]) ** 2)) for one in error)

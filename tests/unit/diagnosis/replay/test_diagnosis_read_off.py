@@ -87,7 +87,7 @@ def test_a_limit_of_the_command_lies_above_all_that_was_commanded() -> None:
     (limit,) = (one for one in candidates_of("controller", (1,), False) if one.name == "controller_saturation")
     part = SimpleNamespace(u=np.array([[0.1], [-0.6], [0.3]]))
     (narrowed,) = candidates_within_log((limit,), (part,))  # pyright: ignore[reportArgumentType]
-    assert narrowed.slots[0].low == pytest.approx(0.588)
-    assert narrowed.slots[0].start >= narrowed.slots[0].low
+    assert narrowed.parameter_slots[0].lower_bound == pytest.approx(0.588)
+    assert narrowed.parameter_slots[0].start_value >= narrowed.parameter_slots[0].lower_bound
     full = SimpleNamespace(u=np.array([[1.0]]))
-    assert not [one for one in candidates_within_log((limit,), (full,)) if one.slots[0].low < 0.97]  # pyright: ignore[reportArgumentType]
+    assert not [one for one in candidates_within_log((limit,), (full,)) if one.parameter_slots[0].lower_bound < 0.97]  # pyright: ignore[reportArgumentType]

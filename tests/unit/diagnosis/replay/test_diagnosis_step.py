@@ -18,7 +18,7 @@ QUIET_RAD = 2e-6  # an encoder far better than most, which shows the steps
 
 @pytest.mark.parametrize("refined", [1, 4, 10])
 def test_finer_steps_leave_no_more_than_noise(tmp_path: Path, refined: int) -> None:
-    made = recording(KINDS, seed=5, plant=replace(PLANT, refined=refined), noise_rad=QUIET_RAD)
+    made = recording(KINDS, seed=5, plant=replace(PLANT, step_refinement_factor=refined), noise_rad=QUIET_RAD)
     cells = [
         one for one in cells_of(read_for_diagnosis(folder(tmp_path, made))) if one.stage == "actuator" and one.joint
     ]

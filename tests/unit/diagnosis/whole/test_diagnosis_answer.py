@@ -90,7 +90,10 @@ def test_a_printed_limit_leaves_nothing_out(limit: float) -> None:
 
 def test_a_base_is_tilted_about_level_axes_only() -> None:
     (tilt,) = candidates_of_effects(("base_tilt",), ())
-    assert [slot.index for slot in tilt.slots] == [0, 1]  # about the upright it is the bias of the first encoder
+    assert [slot.component_index for slot in tilt.parameter_slots] == [
+        0,
+        1,
+    ]  # about the upright it is the bias of the first encoder
     direction = effect_named("base_tilt").direction
     stated = _size_and_direction("tilt_rad", "rad", direction, np.array([[3e-3, 2e-3, 4e-3], [-4e-3, -5e-3, -3e-3]]))
     assert stated["axis"]["value"] == [0.6, -0.8, 0.0]

@@ -38,6 +38,6 @@ def test_the_file_with_the_effects_misses_least(tmp_path):
     write_folder(Recording("folder", run, TEXT, tuple(rows)), tmp_path / "run")
     whole = read_for_diagnosis(tmp_path / "run")
     nominal, identified = tool_misses(whole, [("nominal", TEXT), ("identified", TEXT + "\n" + entries_to_toml(found))])
-    assert (nominal.by, identified.by) == ("encoders", "encoders")
+    assert (nominal.measured_by, identified.measured_by) == ("encoders", "encoders")
     assert nominal.rms_mm > 10.0
     assert identified.rms_mm < 0.1 * nominal.rms_mm

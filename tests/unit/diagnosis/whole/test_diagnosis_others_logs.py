@@ -57,10 +57,12 @@ def test_joints_without_valve_commands_are_judged_one_by_one() -> None:
     made = recording(effects=(entry("flow_gain_error", 2, gain_frac=-0.2),))
     blind = changed(made, PlcState, lambda _number, row: replace(row, u_frac=()))
     found = budget_of(examine_recording(blind, Path("x")))
-    assert {fit.cell.joint for fit in found.fits} >= {1, 2, 3}
-    named = [line.evidence.term.effect.effect_and_joint for line in found.lines if line.status != "doubtful"]
+    assert {fit.cell.joint for fit in found.part_fits} >= {1, 2, 3}
+    named = [
+        line.evidence.effect_term.effect.effect_and_joint for line in found.effect_lines if line.status != "doubtful"
+    ]
     assert named in ([("flow_gain_error", 2)], [("controller_gain_error", 2)])
-    assert next(one.joint for one in found.localisation.places if one.stage == "actuator") == 2
+    assert next(one.joint for one in found.localisation.gap_places if one.stage == "actuator") == 2
 
 
 @pytest.mark.parametrize("lag_s", [0.03, pytest.param(0.0, marks=pytest.mark.slow)])

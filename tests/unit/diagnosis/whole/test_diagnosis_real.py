@@ -46,7 +46,7 @@ def test_poses_at_rest_of_an_arm_given_as_urdf() -> None:
     assert stages_present(whole) == ("structure",)
     assert [one.code for one in whole.findings] == ["duplicate_points"]  # columns 3 and 4 of the file are the same
     found = localise(whole)
-    assert 1e-3 < np.linalg.norm([one.gap for one in found.places]) < 8e-3  # millimetres: the chain is right
+    assert 1e-3 < np.linalg.norm([one.model_gap for one in found.gap_places]) < 8e-3  # millimetres: the chain is right
     assert merged_stages(whole)[-1][0] == ("joint", "structure")
 
 
@@ -55,15 +55,15 @@ def test_a_wrong_chain_shows_as_centimetres() -> None:
     made = tiago()
     toml = made.machine_toml.replace('base_link = "base_link"', 'base_link = "torso_lift_link"')
     whole = examine_recording(
-        Recording("folder", made.run, toml, made.rows, attachments=made.attachments), Path("tiago")
+        Recording("folder", made.run_info, toml, made.rows, attachments=made.attachments), Path("tiago")
     )
-    assert whole.nominal is not None
+    assert whole.nominal_machine is not None
     assert whole.tables is not None
     assert whole.tables.static is not None
-    data = static_data(whole.nominal, whole.tables.static)
+    data = static_data(whole.nominal_machine, whole.tables.static)
     assert data is not None
-    fit = fit_points(whole.nominal, neutral_sets(8), data)
-    assert np.sqrt(np.mean(np.sum(fit.residual**2, axis=1))) > 0.02
+    fit = fit_points(whole.nominal_machine, neutral_sets(8), data)
+    assert np.sqrt(np.mean(np.sum(fit.residual_m**2, axis=1))) > 0.02
 
 
 def test_the_offset_of_a_wrist_joint_is_named_as_its_owners_say() -> None:
@@ -116,8 +116,10 @@ def test_one_cylinder_with_its_valve_signal_is_enough_for_the_actuator() -> None
     assert {"no_segments", "no_repeats"} <= {one.code for one in whole.findings}
     found = localise(whole)
     assert not found.floor_known
-    assert found.places[0].stage == "actuator"
-    assert found.places[0].gap > 5.0 * found.places[0].floor  # friction, dead zone, oscillation: not a nominal joint
+    assert found.gap_places[0].stage == "actuator"
+    assert (
+        found.gap_places[0].model_gap > 5.0 * found.gap_places[0].noise_floor
+    )  # friction, dead zone, oscillation: not a nominal joint
 
 
 def test_what_a_differential_cylinder_and_its_oil_do_is_told_in_part() -> None:

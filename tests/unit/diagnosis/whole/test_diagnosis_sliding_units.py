@@ -25,8 +25,8 @@ def test_a_total_is_of_one_unit() -> None:
     mixed = (place(1, "rad/s", 0.3, 0.2), place(2, "m/s", 0.01, 0.5), place(3, "rad/s", 0.4, 0.3))
     turned, slid = totals_of(mixed)
     assert (turned.unit, slid.unit) == ("rad/s", "m/s")
-    assert turned.gap == pytest.approx(np.hypot(0.3, 0.4) / np.sqrt(2.0))
-    assert slid.gap == pytest.approx(0.01)
+    assert turned.model_gap == pytest.approx(np.hypot(0.3, 0.4) / np.sqrt(2.0))
+    assert slid.model_gap == pytest.approx(0.01)
     assert (turned.joint, slid.joint) == (None, None)
     assert turned.share_frac + slid.share_frac == pytest.approx(1.0)
     rows = [{"stage": one.stage, "joint": None, "axis": None, "share_frac": one.share_frac} for one in (slid, turned)]
@@ -36,7 +36,7 @@ def test_a_total_is_of_one_unit() -> None:
 
 def test_axes_in_rad_count_beside_those_in_metres() -> None:
     (one,) = totals_of((place(None, "m", 0.3, 0.6, "x"), place(None, "rad", 9.0, 0.4, "roll")))
-    assert (one.unit, one.gap, one.share_frac) == ("m", pytest.approx(0.3), pytest.approx(1.0))
+    assert (one.unit, one.model_gap, one.share_frac) == ("m", pytest.approx(0.3), pytest.approx(1.0))
 
 
 def test_units_and_columns_go_by_the_joint() -> None:
@@ -68,11 +68,11 @@ def test_a_cylinder_is_told_in_metres_throughout(tmp_path: Path) -> None:
     assert ("actuator", "m/s") in places
     assert not [unit for _, unit in places if "rad" in unit]
     assert not [one["unit"] for one in told["shrink"]["stages"] if "rad" in one["unit"]]
-    sliding = found.whole.nominal.sliding
+    sliding = found.recording.nominal_machine.joint_slides
     plots = {
-        (one.replayed.signal, one.replayed.unit)
+        (one.replayed_trajectory.signal_label, one.replayed_trajectory.unit)
         for one in curves_of(found.held_out, sliding)
-        if one.replayed is not None
+        if one.replayed_trajectory is not None
     }
     assert ("joint position", "m") in plots
     assert "joint angle" not in {signal for signal, _ in plots}

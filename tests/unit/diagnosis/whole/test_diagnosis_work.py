@@ -10,7 +10,7 @@ from rich.console import Console
 from diagnosis.budget import budget_of
 from diagnosis.reading.read import read_for_diagnosis
 from diagnosis.search.work import WorkProgress
-from longreach.diagnose_command import EVERY_S, Outlook, console_progress, in_words, left_s
+from longreach.diagnose_command import PROGRESS_LINE_PERIOD_S, Outlook, console_progress, in_words, left_s
 
 SEGMENTS = ("repeat", "repeat", "repeat", "repeat", "steps", "workcycle")
 
@@ -71,7 +71,18 @@ def test_a_share_never_goes_back_and_is_never_all_before_the_end() -> None:
 
 
 def test_beside_a_terminal_a_line_comes_every_few_seconds_and_none_of_a_short_one() -> None:
-    stream, now = io.StringIO(), iter([0.0, EVERY_S, 2.1 * EVERY_S, 2.2 * EVERY_S, 4.0 * EVERY_S])
+    stream, now = (
+        io.StringIO(),
+        iter(
+            [
+                0.0,
+                PROGRESS_LINE_PERIOD_S,
+                2.1 * PROGRESS_LINE_PERIOD_S,
+                2.2 * PROGRESS_LINE_PERIOD_S,
+                4.0 * PROGRESS_LINE_PERIOD_S,
+            ]
+        ),
+    )
     with console_progress(Console(file=stream), now_s=lambda: next(now)) as shown:
         for share in range(1, 5):
             shown.on_progress("searching structure", share, 10.0)

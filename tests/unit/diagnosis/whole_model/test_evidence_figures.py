@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from diagnosis.whole_model.evidence import groupings_of, scatter_between_groups
-from diagnosis.whole_model.probability import FEATURES, fit_logistic, logistic, probability_of, trained_calibration
+from diagnosis.whole_model.probability import (
+    EVIDENCE_FEATURE_NAMES,
+    fit_logistic,
+    logistic,
+    probability_of,
+    trained_calibration,
+)
 from machine.rotations import Array
 
 GROUPS, ROWS, COLUMNS = 5, 400, 3
@@ -106,8 +112,8 @@ def test_separable_labels_and_figures_that_never_vary_give_finite_numbers() -> N
 
 def test_the_shipped_calibration_is_monotone_and_says_what_it_was_fitted_on() -> None:
     table = trained_calibration()
-    assert set(table["weights"]) == set(FEATURES)
+    assert set(table["weights"]) == set(EVIDENCE_FEATURE_NAMES)
     assert min(table["weights"].values()) >= 0.0
     assert table["cases"] >= 20
     assert table["reliability"]
-    assert probability_of(np.zeros(len(FEATURES))) < 0.5
+    assert probability_of(np.zeros(len(EVIDENCE_FEATURE_NAMES))) < 0.5

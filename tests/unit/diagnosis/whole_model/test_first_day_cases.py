@@ -26,11 +26,14 @@ def budget_in(folder: Path) -> Budget:
 def found_in(budget: Budget) -> dict[Key, float]:
     """Effects that are more likely there than not, and their equals, with the millimetres at the tool."""
     out: dict[Key, float] = {}
-    for line in budget.lines:
+    for line in budget.effect_lines:
         if line.status == "doubtful":
             continue
-        for term in (*(term for members in line.evidence.equals for term in members), line.evidence.term):
-            out[term.effect.name, term.effect.joint] = line.mm
+        for term in (
+            *(term for members in line.evidence.equivalent_effect_sets for term in members),
+            line.evidence.effect_term,
+        ):
+            out[term.effect.name, term.effect.joint] = line.tool_rms_mm
     return out
 
 
@@ -38,9 +41,12 @@ def false_in(budget: Budget, true: set[Key], above_mm: float) -> list[Key]:
     """Confirmed effects worth more than this that are not there, nor any of their equals."""
     out = []
     for line in budget.confirmed_effects:
-        terms = (line.evidence.term, *(term for members in line.evidence.equals for term in members))
-        if line.mm > above_mm and not true & {(term.effect.name, term.effect.joint) for term in terms}:
-            out.append((line.evidence.term.effect.name, line.evidence.term.effect.joint))
+        terms = (
+            line.evidence.effect_term,
+            *(term for members in line.evidence.equivalent_effect_sets for term in members),
+        )
+        if line.tool_rms_mm > above_mm and not true & {(term.effect.name, term.effect.joint) for term in terms}:
+            out.append((line.evidence.effect_term.effect.name, line.evidence.effect_term.effect.joint))
     return out
 
 
@@ -53,7 +59,10 @@ def test_a_machine_with_many_effects_gets_their_names_and_millimetres(tmp_path: 
     for effect in large:
         assert found[key_of(effect)] == pytest.approx(effect["tip_mm"], rel=0.35, abs=1.0), key_of(effect)
     assert false_in(budget, true, above_mm=1.0) == []
-    agreeing = {line.evidence.term.effect.without_variant: line.evidence.scatter for line in budget.lines}
+    agreeing = {
+        line.evidence.effect_term.effect.without_variant: line.evidence.size_scatter_frac
+        for line in budget.effect_lines
+    }
     assert max(agreeing.values()) < 0.2, agreeing  # thresholds, too: by the slope, not by the secant
     assert budget.verdict in ("effects", "partly")
     assert budget.left_mm**2 < 0.5 * budget.miss_mm**2

@@ -27,20 +27,20 @@ def imitated(usual: tuple[tuple[str, float], ...] | None) -> Cell:
     second = np.where(plain.rows.fold == plain.rows.fold.max(), own, 0.0)
     off = second - own * (own @ second)
     other = Z * own + APART * off / np.linalg.norm(off)
-    noise = plain.whitened(plain.base)[0]
+    noise = plain.whitened(plain.baseline_parameters)[0]
     basis = np.linalg.qr(np.stack([own, off], axis=1))[0]
     noise = noise - basis @ (basis.T @ noise)
 
     def whitened(sets: ParameterSets) -> np.ndarray:
-        gain, lag = (sets.joint[:, 0, slot.column] for slot in (GAIN, LAG))
+        gain, lag = (sets.joint_parameters[:, 0, slot.column] for slot in (GAIN, LAG))
         return noise + Z * own - 20.0 * (gain[:, None] * Z * own + lag[:, None] * other)
 
     candidates = tuple(one for one in plain.candidates if one.name in ("flow_gain_error", "valve_lag"))
-    return replace(plain, whitened=whitened, candidates=candidates, usual=usual)
+    return replace(plain, whitened=whitened, candidates=candidates, baseline_gain_nats=usual)
 
 
 def named(fit: WholeFit) -> list[str]:
-    return [term.effect.name for term in fit.best.current_terms if term.present]
+    return [term.effect.name for term in fit.best_fit.current_terms if term.is_present]
 
 
 def imitation(usual: tuple[tuple[str, float], ...] | None) -> WholeFit:
@@ -49,7 +49,7 @@ def imitation(usual: tuple[tuple[str, float], ...] | None) -> WholeFit:
     fit = fit_and_prune(cell, library_of(cell))
     assert named(fit) == ["flow_gain_error"]
     gain, lag = (
-        next(term for term in fit.best.current_terms if term.effect.name == name) for name in (GAIN_NAME, LAG_NAME)
+        next(term for term in fit.best_fit.current_terms if term.effect.name == name) for name in (GAIN_NAME, LAG_NAME)
     )
     return refit_with_exchanged_term(fit, gain, (lag,))
 
@@ -58,7 +58,7 @@ def test_an_imitation_is_doubtful_for_its_scatter_and_gives_way_to_the_cause() -
     fit = imitation(UNUSUAL)
     assert named(fit) == [LAG_NAME]
     (found,) = evidence_of(fit)
-    assert found.scatter > 0.1
+    assert found.size_scatter_frac > 0.1
     assert probability(found) < 0.5
     best = most_invariant(fit)
     assert named(best) == [GAIN_NAME]
@@ -72,7 +72,7 @@ def test_without_a_baseline_nothing_is_exchanged() -> None:
 
 @pytest.mark.parametrize(("size", "sets"), [(0.0, 1), (0.006, 2)])
 def test_what_is_just_not_seen_is_among_the_sets_that_hold_90_percent(size: float, sets: int) -> None:
-    cell = replace(made_up((size, 0.0, 0.0)), usual=UNUSUAL)
+    cell = replace(made_up((size, 0.0, 0.0)), baseline_gain_nats=UNUSUAL)
     fit = fit_and_prune(cell, library_of(cell))
     assert named(fit) == []
     found = hypotheses_of((), (fit,))

@@ -30,7 +30,7 @@ def cell_of(usual: Usual, seed: int = 3) -> Cell:
     own = rng.normal(size=ROWS)
     others = [0.6 * own + 0.8 * rng.normal(size=ROWS) for _ in range(2)]
     noise = rng.normal(size=ROWS)
-    slots = [effect.slots[0] for effect in library()]
+    slots = [effect.parameter_slots[0] for effect in library()]
 
     def whitened(sets: ParameterSets) -> Array:
         out = []
@@ -45,11 +45,25 @@ def cell_of(usual: Usual, seed: int = 3) -> Cell:
     rows = ResidualRows(block % 4, block, np.zeros(ROWS, np.int64), np.zeros(ROWS, np.int64))
     base = neutral_sets(1)
     t_s = 0.05 * np.arange(ROWS)
-    return Cell("actuator", 1, "rad", library(), base, whitened, rows, np.ones(ROWS), 1.0, True, (), t_s, usual=usual)
+    return Cell(
+        "actuator",
+        1,
+        "rad",
+        library(),
+        base,
+        whitened,
+        rows,
+        np.ones(ROWS),
+        1.0,
+        True,
+        (),
+        t_s,
+        baseline_gain_nats=usual,
+    )
 
 
 def names_of(fit: WholeFit) -> dict[str, float]:
-    return {term.effect.name: float(term.theta[0]) for term in fit.best.current_terms if term.present}
+    return {term.effect.name: float(term.theta[0]) for term in fit.best_fit.current_terms if term.is_present}
 
 
 @pytest.mark.parametrize("usual", [None, (("stiction", 5.0),)], ids=["no baseline", "baseline"])
@@ -66,6 +80,8 @@ def test_a_fit_without_some_of_its_effects_is_fitted_again_and_trusted_less() ->
         EffectTerm(effect, np.array([there.get(effect.name, 0.0)]), effect.name in there) for effect in library()
     )
     whole = fit_and_prune(cell, (), start)
-    without = refit_reduced(whole, [term for term in whole.best.current_terms if term.effect.name == "flow_gain_error"])
+    without = refit_reduced(
+        whole, [term for term in whole.best_fit.current_terms if term.effect.name == "flow_gain_error"]
+    )
     assert names_of(without).keys() <= {"flow_gain_error"}
-    assert np.mean(without.trust) < 0.2 * np.mean(whole.trust)
+    assert np.mean(without.correlation_weight) < 0.2 * np.mean(whole.correlation_weight)

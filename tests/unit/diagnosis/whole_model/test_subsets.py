@@ -29,8 +29,8 @@ def every_set(problem: LinearProblem) -> tuple[np.ndarray, np.ndarray]:
     sets = np.array(list(product((False, True), repeat=problem.term_count)))
     scores = []
     for members in sets:
-        cols = np.repeat(members, np.diff(problem.first))
-        H, c, slab = problem.H[np.ix_(cols, cols)], problem.c[cols], problem.slab[cols]
+        cols = np.repeat(members, np.diff(problem.term_first_column))
+        H, c, slab = problem.normal_matrix[np.ix_(cols, cols)], problem.normal_rhs[cols], problem.prior_sigma[cols]
         precision = H + np.diag(slab**-2.0)
         evidence = 0.5 * c @ np.linalg.solve(precision, c) if cols.any() else 0.0
         volume = np.linalg.slogdet(precision)[1] + 2.0 * np.log(slab).sum() if cols.any() else 0.0
