@@ -156,7 +156,7 @@ BENCHES = (
 class Benches(LazyGroup):
     """Of `longreach bench`."""
 
-    table = BENCHES
+    lazy_commands = BENCHES
 
 
 app = typer.Typer(cls=Benches, no_args_is_help=True, add_completion=False)

@@ -353,7 +353,7 @@ def _open_pairs(found: Budget) -> list[list[Pair]]:
             names = _first_apart(mine.fit, other.fit), _first_apart(other.fit, mine.fit)
             pairs.append(Pair(fit.cell, _variance_inflation(fit), mine, other, weight + 1e-6, names))
         if pairs:
-            out.append(sorted(pairs, key=lambda pair: -pair.weight)[:3])
+            out.append(sorted(pairs, key=lambda pair: -pair.importance_weight)[:3])
     return sorted(out, key=lambda pairs: -pairs[0].importance_weight)
 
 

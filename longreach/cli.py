@@ -63,9 +63,8 @@ CLI_COMMANDS = (
 
 LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "::1")
 NUMBA_CACHE_ENV_VARIABLE = "NUMBA_CACHE_DIR"
-COMPILED_CODE_MARK_FILE = (
-    "longreach-compiled.json"  # which sources, libraries and processor the compiled code in that folder is of
-)
+# Which sources, libraries and processor the compiled code in that folder is of
+COMPILED_CODE_MARK_FILE = "longreach-compiled.json"
 
 
 def prepare() -> None:
@@ -147,7 +146,7 @@ def _temporary_cache() -> Path:
 class Commands(LazyGroup):
     """Of `longreach`."""
 
-    table = CLI_COMMANDS
+    lazy_commands = CLI_COMMANDS
 
 
 app = typer.Typer(cls=Commands, no_args_is_help=True, help="Precise positioning of long-reach manipulators.")

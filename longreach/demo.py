@@ -25,9 +25,8 @@ _PARTS = {  # what /readyz says while it is missing -> when it is there
     "numerics": "the numerics are loaded",
     "camera": "pictures arrive",
 }
-STARTUP_TIMEOUT_S = (
-    1800.0  # a busy computer of two cores takes minutes to compile; a process that ends is reported immediately
-)
+# A busy computer of two cores takes minutes to compile; a process that ends is reported immediately
+STARTUP_TIMEOUT_S = 1800.0
 
 
 def demo(

@@ -20,9 +20,8 @@ from server.errors import SettingsError
 
 # HTTP connection of our clients: classification of connection failures, and retries.
 
-KEEPALIVE_EXPIRY_S = (
-    3.0  # below every server's own limit (uvicorn's default: 5 s), so that no request meets a closing connection
-)
+# Below every server's own limit (uvicorn's default: 5 s), so that no request meets a closing connection
+KEEPALIVE_EXPIRY_S = 3.0
 IDEMPOTENT_HTTP_METHODS = frozenset({"GET", "HEAD", "OPTIONS", "PUT", "DELETE"})
 DROPPED_CONNECTION_ERRORS = (
     httpx.RemoteProtocolError,

@@ -15,9 +15,8 @@ from machine.rotations import Array
 
 # Compiled closed form of the inverse kinematics: all DH angles that reach a flange pose, in plain loops.
 
-FREE_ANGLE_TOLERANCE = (
-    1e-9  # |sin theta5|, or [m] of the wrist centre from the slew axis, below which an angle may be chosen freely
-)
+# |sin theta5|, or [m] of the wrist centre from the slew axis, below which an angle may be chosen freely
+FREE_ANGLE_TOLERANCE = 1e-9
 LIMIT_TOLERANCE_RAD = 1e-9  # an angle this far outside its range still counts as inside: rounding
 
 
@@ -136,9 +135,8 @@ def rotation_fault(T: Array) -> float:
 CLOSED_FORM_DH_ALPHAS_RAD = np.deg2rad(
     [90.0, 0.0, 90.0, 90.0, -90.0, 90.0]
 )  # the twists of Table 1, which the closed form needs
-SINGULARITY_SINE_MIN = (
-    1e-4  # sin of an angle, or [m]; nearer, 1e-6 of noise in the wanted pose turns a joint by half a degree
-)
+# Sin of an angle, or [m]; nearer, 1e-6 of noise in the wanted pose turns a joint by half a degree
+SINGULARITY_SINE_MIN = 1e-4
 ORTHONORMALITY_ERROR_MAX = 1e-6  # how far a wanted pose may be from orthonormal
 
 

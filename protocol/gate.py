@@ -16,9 +16,8 @@ from protocol.timeouts import MS, SERVO_TARGET_LEAD_MAX_S, STATE_LATE_TIMEOUT
 _ROUNDING = 1e-9  # relative: a planner that plans to the limit is not refused for its last bit
 _REST = 1e-6  # rad/s and rad/s^2: rest, up to rounding
 _INSIDE = tuple(i / 16.0 for i in range(1, 16))
-_BETWEEN = (
-    1.05  # between knots the quintic may exceed the limits by this much: it rounds the corners of the planned profile
-)
+# Between knots the quintic may exceed the limits by this much: it rounds the corners of the planned profile
+_BETWEEN = 1.05
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,9 +65,8 @@ KNOT_SPACING_MAX_NS = 200 * MS
 FROZEN_KNOT_LEAD_NS = 100 * MS  # knots nearer than this ahead of the playback are not replaced any more: five commands
 PREFILL_NS = 800 * MS  # a motion starts with so much of it in the PLC: a hard start survives ten lost commands
 TAIL_LEAD_NS = 200 * MS  # the PC asks for twice that, so that some commands may be lost
-SERVO_TARGET_LEAD_MAX_S = (
-    0.25  # a servo target is at most this long at full speed away from the reference: further is a mistake
-)
+# A servo target is at most this long at full speed away from the reference: further is a mistake
+SERVO_TARGET_LEAD_MAX_S = 0.25
 PLAUSIBLE_SPEED_FACTOR = 1.5  # of qd_max: no joint is faster, so an encoder that says more while a ramp begins is wrong
 START_TOLERANCE_RAD = 1e-5  # 0.05 mm at 5 m: rounding, not distance
 

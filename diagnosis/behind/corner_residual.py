@@ -18,9 +18,8 @@ from machine.targets import Marker
 
 FINITE_DIFFERENCE_STEP = 1e-4
 RESIDUAL_CLIP_PX = 1e3
-PROJECTED_COLUMN_MIN_FRAC = (
-    1e-3  # of a column: what is left of one below it is what a step of the object's place is wrong by
-)
+# Of a column: what is left of one below it is what a step of the object's place is wrong by
+PROJECTED_COLUMN_MIN_FRAC = 1e-3
 
 
 @dataclass(frozen=True, slots=True)

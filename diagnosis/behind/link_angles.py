@@ -111,7 +111,7 @@ def link_angles(
         path = paths[k]
         for j in range(n):
             encoders[k, j] = path.step_s is None or not loose[j]
-            values = path.enc[:, j]
+            values = path.encoder_angles[:, j]
             if path.step_s is not None and loose[j]:
                 values = _behind_joint(path, path.step_s, sets.joint_parameters[which, j], j, keys[j], side)
             _interpolate_cubic(path.t_s, values, at, k, times, out[:, j])

@@ -16,9 +16,8 @@ from machine.rotations import Array
 
 LOOKS_MIN, LOOKS_MAX = 5, 60
 MISPLACEMENT_MIN_M = 0.03  # of a print: no object bends so far
-IMPROVEMENT_RATIO_MIN = (
-    3.0  # how much nearer the corners have to lie by the correction stated: a stereo pair's depth is noisy
-)
+# How much nearer the corners have to lie by the correction stated: a stereo pair's depth is noisy
+IMPROVEMENT_RATIO_MIN = 3.0
 
 Layout = dict[int, Array]
 

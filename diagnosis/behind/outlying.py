@@ -22,17 +22,15 @@ from machine.rotations import Array
 
 MIXTURE_DIRECTIONS_MAX_FRAC = 0.25  # of the numbers: a mixture of more directions may follow any point
 OUTLIER_SIGMAS = 20.0  # the others' own scatter about the mixture
-OUTLIER_MEDIAN_DISTANCE_RATIO = (
-    0.3  # the others' distance from the nominal model: what is small against it may be mere curvature
-)
+# The others' distance from the nominal model: what is small against it may be mere curvature
+OUTLIER_MEDIAN_DISTANCE_RATIO = 0.3
 OUTLIER_MIN_M = 2e-4
 SCATTER_MIN_M = 1e-6
 POINTS_MIN = 20
 OUTLIER_MAX_FRAC = 0.05  # of the points: if more are outside, it is the model that is wrong
 OUTLIER_BATCH_DISTANCE_FRAC = 0.5  # of the farthest: what is nearer may only have been moved by it
-OUTLIER_TO_INLIER_RATIO_MIN = (
-    2.0  # times the farthest that stays: nearer ones are the tail of what all poses share, play say
-)
+# Times the farthest that stays: nearer ones are the tail of what all poses share, play say
+OUTLIER_TO_INLIER_RATIO_MIN = 2.0
 MAX_ITERATIONS = 12
 REWEIGHTING_ITERATIONS = 12
 NORMAL_3D_MEDIAN_NORM = 1.538  # median length of three normal numbers

@@ -21,9 +21,8 @@ from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 NOISE_MAX_M = 0.02  # no instrument that measures an arm scatters more: two points of one name, say
-REPEAT_SCATTER_RATIO_MAX = (
-    2.0  # than what no mixture of effects explains: what differs so from repeat to repeat is not scatter
-)
+# Than what no mixture of effects explains: what differs so from repeat to repeat is not scatter
+REPEAT_SCATTER_RATIO_MAX = 2.0
 DRIFT_TO_SCATTER_RATIO_MAX = 2.0  # of the noise: trackers drift by as much as they scatter
 TENTHS, ALIKE_LEAST = 10, 1.8  # of independent instants one recording in a thousand shows more
 

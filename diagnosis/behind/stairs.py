@@ -9,9 +9,8 @@ import numpy as np
 from machine.rotations import Array
 
 COARSE_ENCODER_STEP_MIN_RAD = 2e-4  # a finer one is next to nothing at any tip
-RAMP_ERROR_RMS_STEP_FRAC = (
-    0.06  # of a step: RMS error of a ramp that repeats, which meet the same stairs, do not show; a stair has 0.29
-)
+# Of a step: RMS error of a ramp that repeats, which meet the same stairs, do not show; a stair has 0.29
+RAMP_ERROR_RMS_STEP_FRAC = 0.06
 ENCODER_STEP_INTERVAL_MAX_S = 0.5  # between two changes: in a longer one it is unknown when the joint went on
 
 

@@ -52,9 +52,8 @@ FRAMES_MAX = 160
 TIME_TOLERANCE_S = 1e-6
 SIGMA_MIN_PX = 0.03
 SAME_POSTURE_TOLERANCE_RAD = 3e-3
-CAMERA_DELAY_MAX_S = (
-    0.1  # a camera may be as late or early as this: postures that are equal at other speeds are no repeats
-)
+# A camera may be as late or early as this: postures that are equal at other speeds are no repeats
+CAMERA_DELAY_MAX_S = 0.1
 REVISIT_INTERVAL_MIN_S = 3.0
 REVISITED_CORNERS_MIN = 20  # corners seen again
 DEFAULT_MARKER_LAYOUT_SIGMA_M = 5e-4  # markers put on by hand, where the machine file states no accuracy

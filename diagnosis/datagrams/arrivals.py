@@ -23,9 +23,8 @@ from diagnosis.datagrams.lost import (
 from machine.rotations import Array
 
 STEADY_DELAY_TOLERANCE_S = 5e-4  # a steady delay below it is not one, but the wait for the next cycle
-RESOLVED_CYCLE_MIN_S = (
-    1.5e-3  # where each cycle is logged and longer than this, rows themselves show when a datagram came
-)
+# Where each cycle is logged and longer than this, rows themselves show when a datagram came
+RESOLVED_CYCLE_MIN_S = 1.5e-3
 CLOCK_DRIFT_RATE_MAX = 2e-4  # by which two clocks may run apart
 TYPICAL_CLOCK_DRIFT_RATE = 1.5e-4  # of two crystals
 CLOCK_DRIFT_TRIALS_PER_SIDE = 20  # tried to either side

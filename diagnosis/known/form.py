@@ -324,9 +324,9 @@ def _encoder_accelerations(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: 
         rows, path = at == k, paths[k]
         for j in range(n):
             smooth = (
-                np.convolve(path.enc[:, j], window, mode="same")
+                np.convolve(path.encoder_angles[:, j], window, mode="same")
                 if len(path.t_s) > ENCODER_SMOOTHING_ROWS
-                else path.enc[:, j]
+                else path.encoder_angles[:, j]
             )
             speed = np.gradient(smooth, path.t_s)
             a[rows, j] = np.interp(t_s[rows], path.t_s, np.gradient(speed, path.t_s))

@@ -10,13 +10,11 @@ from machine.rotations import Array
 
 SPEED_WINDOW_ROWS = 5  # rows from which the speed is taken
 CATCH_UP_STEP_RATIO_MIN = 1.6  # times the usual step: the first row after a stop makes up for it
-REPEATED_ROWS_MAX_FRAC = (
-    0.4  # of all moving rows: a log that is faster than the PLC repeats most of them, and is not faulty
-)
+# Of all moving rows: a log that is faster than the PLC repeats most of them, and is not faulty
+REPEATED_ROWS_MAX_FRAC = 0.4
 REPORTED_RUNS_MIN = 10
-ENCODER_STEPS_PER_ROW_MIN = (
-    5.0  # of the encoders' own resolution a row: a slow joint repeats its reading without any fault
-)
+# Of the encoders' own resolution a row: a slow joint repeats its reading without any fault
+ENCODER_STEPS_PER_ROW_MIN = 5.0
 
 
 def frozen_findings(enc: Array | None) -> list[Finding]:

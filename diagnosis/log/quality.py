@@ -14,9 +14,8 @@ from recording.run import Segment
 
 GAP_MIN_MEDIAN_STEPS = 1.5  # a step in time above this many median steps: rows are missing
 CLOCK_JUMP_MOTION_MAX_ROWS = 3.0  # rows' motion, at most, from before a jump of the clock to after it
-GAP_EXCESS_MIN_MEDIAN_STEPS = (
-    0.6  # median steps that the three steps about it are too long together: else it is a late stamp
-)
+# Median steps that the three steps about it are too long together: else it is a late stamp
+GAP_EXCESS_MIN_MEDIAN_STEPS = 0.6
 LOG_ROWS_MIN = 50
 SEGMENT_EDGE_TOLERANCE_S = 1e-6  # rounding of a segment's ends
 DURATION_MIN_S = 2.0

@@ -8,9 +8,8 @@ import numpy as np
 
 from machine.rotations import Array
 
-STAMP_OFFSET_MAX_STEP_FRAC = (
-    0.45  # of a step: a stamp farther from the even rate may be of a row that came after a missing one
-)
+# Of a step: a stamp farther from the even rate may be of a row that came after a missing one
+STAMP_OFFSET_MAX_STEP_FRAC = 0.45
 STAMP_FOLLOWING_MAX_FRAC = 0.5  # of the unevenness: rows that follow their stamps show all of it, even ones nothing
 SEPARATION_SIGMAS_MIN = 4.0  # standard errors between the two
 CUBIC_RESIDUAL_STENCIL = (

@@ -10,9 +10,8 @@ from diagnosis.sliding import column_of, is_joint_sliding
 from machine.rotations import Array
 
 JOINT_LIMIT_MARGIN_RAD = 0.2
-UNLIMITED_JOINT_MAX_RAD = (
-    6.6  # without limits: more than a turn to either side cannot be a joint angle of an arm in radians
-)
+# Without limits: more than a turn to either side cannot be a joint angle of an arm in radians
+UNLIMITED_JOINT_MAX_RAD = 6.6
 DEGREES_SUSPECTED_MIN_RAD = 3.3  # below it a value may be either
 DEGREES_RATIO_RANGE = (40.0, 80.0)  # a ratio of 57.3, give or take the effects that scale signals
 PERCENT_COMMAND_MIN = 1.5

@@ -12,9 +12,8 @@ from scipy.stats import chi2
 from machine.rotations import Array
 
 REPEAT_SAMPLES_MIN = 8  # of one point in each repeat
-SAMPLE_MATCH_MAX_PERIODS = (
-    0.51  # of the usual time between two samples of a point: where repeats are sampled in between
-)
+# Of the usual time between two samples of a point: where repeats are sampled in between
+SAMPLE_MATCH_MAX_PERIODS = 0.51
 DRIFT_TO_SCATTER_RATIO_MAX = 2.0  # of the scatter: trackers drift by about as much as they scatter
 DRIFT_FALSE_ALARM_RATE = 1e-3  # how often repeats' means of a tracker without drift are taken to drift
 

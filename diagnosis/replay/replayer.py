@@ -26,9 +26,8 @@ from machine.effects.structure import loads_along, reference_torques
 from machine.rotations import Array
 
 UNIFORM_HALF_WIDTH_SIGMAS = 3.0**0.5  # half the width, in deviations, of what lies anywhere in a range
-DEFAULT_SEND_PERIOD_S = (
-    0.01  # between two references, where they were not logged: what this project's links and most others use
-)
+# Between two references, where they were not logged: what this project's links and most others use
+DEFAULT_SEND_PERIOD_S = 0.01
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,20 +55,17 @@ def without_proportional_part(repeats: Array, motion: Array, dt_s: float, where:
     return out
 
 
-WHITENING_SIGMA_MIN_FRAC = (
-    0.2  # of the least sigma: below it repeats are equal but for rounding, and their filter means nothing
-)
+# Of the least sigma: below it repeats are equal but for rounding, and their filter means nothing
+WHITENING_SIGMA_MIN_FRAC = 0.2
 CREDIBLE_SIGMA_MIN_BY_STAGE = {
     "link": 2e-5,
     "controller": 2e-4,
     "actuator": 2e-6,
 }  # nothing smaller moves the tcp by 0.1 mm
-NOISELESS_SIGMA_MIN_FRAC = (
-    0.25  # of the least sigma, where a program leaves nothing day by day: no noise adds up along a move
-)
-ROUNDING_SIGMA_STEP_FRAC = (
-    0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which repeats do not show when they round alike
-)
+# Of the least sigma, where a program leaves nothing day by day: no noise adds up along a move
+NOISELESS_SIGMA_MIN_FRAC = 0.25
+# Of an encoder's step, sqrt(2 / 12): two roundings, which repeats do not show when they round alike
+ROUNDING_SIGMA_STEP_FRAC = 0.41
 
 
 def stage_floor(replayer: Replayer, stage: str, prepared: list[PreparedStretch], base: ParameterSets) -> Floor:

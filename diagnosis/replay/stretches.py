@@ -20,9 +20,8 @@ from recording.run import Segment
 INTERPOLATED_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
 STANDSTILL_RANGE_MAX_RAD = 2e-3  # no joint went further than this from where it was: one posture
 SEGMENT_OVERLAP_ROWS_MAX = 2  # one segment may end where the next begins
-STAMP_JITTER_MAX_STEP_FRAC = (
-    0.02  # of a step: rows whose stamps are closer to the even grid than this are taken as even
-)
+# Of a step: rows whose stamps are closer to the even grid than this are taken as even
+STAMP_JITTER_MAX_STEP_FRAC = 0.02
 
 
 @dataclass(frozen=True, slots=True)

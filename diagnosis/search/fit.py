@@ -18,9 +18,8 @@ FINITE_DIFFERENCE_STEP_FRAC = 2e-3  # of the range: large against rounding and k
 MAX_ITERATIONS = 10
 CONVERGENCE_NATS = 0.02
 CONVERGENCE_COST_FRAC = 1e-5
-CURVED_VALLEY_GAIN_MAX_FRAC = (
-    0.5  # of what a straight valley would have gained: below it the valley is curved, and followed
-)
+# Of what a straight valley would have gained: below it the valley is curved, and followed
+CURVED_VALLEY_GAIN_MAX_FRAC = 0.5
 TRIAL_DAMPINGS = (1e-6, 1e-2, 1.0)
 Hypothesis = tuple[Candidate, ...]
 

@@ -19,9 +19,8 @@ from machine.rotations import Array
 
 CENTRING_WINDOW_ROWS = 400  # 20 s
 NOISE_CONVERGENCE_FRAC = 0.05  # change of the noise's size
-NOISE_TO_MOTION_MAX_FRAC = (
-    0.2  # of the motion's own increments: more than this is not noise, but a model that does not fit
-)
+# Of the motion's own increments: more than this is not noise, but a model that does not fit
+NOISE_TO_MOTION_MAX_FRAC = 0.2
 NOISE_DEPENDENT_CELL_FIELDS = ("whitened", "rows", "scale", "quiet", "regressors", "t_s")  # by the noise, of a cell
 
 

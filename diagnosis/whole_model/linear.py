@@ -21,9 +21,8 @@ from machine.rotations import Array
 
 SLAB_TO_PRIOR_SCALE_RATIO = 3.0  # times the catalogue's prior scale: wide, so that a poor machine is not an outlier
 PARAMETER_SET_BATCH_SIZE = 64  # parameter sets in one call, for memory
-PRIOR_CHANGED_EFFECT_FRAC = (
-    0.02  # of the effects that a machine has: how many are expected to change between two diagnoses
-)
+# Of the effects that a machine has: how many are expected to change between two diagnoses
+PRIOR_CHANGED_EFFECT_FRAC = 0.02
 DELAY_DIFFERENCE_STEP_CYCLES = 10.0  # of a delay: many treads of its staircase, and little against any motion
 COLUMN_POWER_MIN_FRAC = 1e-9  # of a column's power: less is rounding
 COLLINEARITY_TOLERANCE = 1e-5  # of the cosine between columns, by finite steps of different length

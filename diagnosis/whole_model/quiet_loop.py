@@ -21,9 +21,8 @@ from machine.effects.dynamics import DynamicStage, at_cycles, drive_controller, 
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-COMMAND_MISMATCH_MAX_FRAC = (
-    0.2  # of the command, RMS, that is not what the controller gives: beyond it something else commands, too
-)
+# Of the command, RMS, that is not what the controller gives: beyond it something else commands, too
+COMMAND_MISMATCH_MAX_FRAC = 0.2
 
 
 def quiet_loop(cell: Cell) -> "QuietLoop | None":

@@ -28,9 +28,8 @@ from machine.effects.structure import tcp_poses
 from machine.poses import transform_points
 from machine.rotations import Array
 
-TOOL_SAMPLES_MAX = (
-    400  # postures and rows of motion at which the tool is looked at: the RMS is then known to a few percent
-)
+# Postures and rows of motion at which the tool is looked at: the RMS is then known to a few percent
+TOOL_SAMPLES_MAX = 400
 CAMERA_FRAMES_MAX = 60
 FINITE_DIFFERENCE_STEP = 1e-4
 BUDGET_COLUMN_NAMES = ("stands", "gets_there", "sees")

@@ -32,9 +32,8 @@ SIDE, SIDE_D, BEND, BEND_D, KNOWN_BEND, KNOWN_BEND_D = 0, 1, 2, 3, 4, 5
 N_LINK_STATES = 6
 N_FREE_MOTION_COEFFICIENTS = 8  # coefficients of two free oscillations over one cycle
 
-RESTICK_COMMAND_FRAC = (
-    0.2  # of the breakaway command: below it a moving joint sticks again (Coulomb below static friction)
-)
+# Of the breakaway command: below it a moving joint sticks again (Coulomb below static friction)
+RESTICK_COMMAND_FRAC = 0.2
 PACKET_LOSS_RANDOM_SEED = 0x7061636B65745F6C  # "packet_l": the stream of packet_loss
 
 Late = tuple[int, float]  # by so many whole cycles, and part of one

@@ -13,9 +13,8 @@ from recording.foreign.mapping import ColumnMapping, Mapping
 from recording.foreign.table_files import TableColumn, read_table
 from recording.foreign.table_names import guess_column, joint_numbers, unit_factor
 
-EPISODE_RESTART_STEPS = (
-    10.0  # median steps that a time falls back by where an episode begins; a late row falls back by a few
-)
+# Median steps that a time falls back by where an episode begins; a late row falls back by a few
+EPISODE_RESTART_STEPS = 10.0
 EPISODE_RESTARTS_MAX_FRAC = 0.05  # an episode has 20 rows at least
 EPISODE_GAP_S = 10.0  # longer than any step: nothing is read across it
 KINDS: dict[str, Kind] = {"q": "position", "q_ref": "reference", "qd_ref": "velocity_reference", "u": "command"}

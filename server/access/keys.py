@@ -18,9 +18,8 @@ log = logging.getLogger(__name__)
 
 API_KEY_PREFIX = "longreach_"
 KEY_NAME_CHARS_MAX = 64
-KEY_FILE_CHECK_PERIOD_S = (
-    0.4  # with the guard's period a revoked key is out of force within a second, open connections included
-)
+# With the guard's period a revoked key is out of force within a second, open connections included
+KEY_FILE_CHECK_PERIOD_S = 0.4
 
 
 class KeysError(SettingsError):

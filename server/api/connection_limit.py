@@ -11,12 +11,10 @@ from typing import Any
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 log = logging.getLogger(__name__)
-ACCEPTS_PER_TURN_MAX = (
-    64  # connections that asyncio accepts in one turn, each with its descriptor, before any of them is looked at
-)
-LISTEN_BACKLOG = (
-    1024  # connections that wait in the kernel, without a descriptor of ours: one more would come a second later
-)
+# Connections that asyncio accepts in one turn, each with its descriptor, before any of them is looked at
+ACCEPTS_PER_TURN_MAX = 64
+# Connections that wait in the kernel, without a descriptor of ours: one more would come a second later
+LISTEN_BACKLOG = 1024
 RESERVED_DESCRIPTORS = (
     128 + 4 * ACCEPTS_PER_TURN_MAX
 )  # descriptors of our own (24 at rest; files, database, pipes), and of turns under way
@@ -81,9 +79,8 @@ class ExhaustionLog:
 
 # Connections that say nothing, or a head without end, are closed, and idle ones where there are too many.
 
-HTTP_HEAD_TIMEOUT_S = (
-    10.0  # a request's head is one packet; uvicorn itself closes idle connections after their first answer
-)
+# A request's head is one packet; uvicorn itself closes idle connections after their first answer
+HTTP_HEAD_TIMEOUT_S = 10.0
 HTTP_HEAD_MAX_BYTES = 64 * 1024  # the parser itself keeps whatever comes
 
 

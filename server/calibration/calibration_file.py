@@ -19,9 +19,8 @@ from server.calibration.slip_monitor import ToolSeen
 
 FILE_FORMAT_NAME = "longreach local calibration"
 FILE_FORMAT_VERSION = 1
-ENCODER_SAMPLE_PERIOD_S = (
-    0.04  # joints are kept this far apart: at 0.2 m/s^2 a straight line between them is 0.04 mm off
-)
+# Joints are kept this far apart: at 0.2 m/s^2 a straight line between them is 0.04 mm off
+ENCODER_SAMPLE_PERIOD_S = 0.04
 SAVED_DECIMALS = 10
 
 Numbers = list[float]

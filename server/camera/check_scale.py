@@ -96,9 +96,8 @@ def check_scale(ratios: Sequence[SideRatio]) -> CheckFinding:
 
 
 SIGMA_TAPE_M = 1e-3  # of a distance read off a tape between two printed markers
-FOCAL_SIGMA_CHECKED_FRAC = (
-    0.01  # what the settings take for granted, `sigma_focal_frac`: known less well, it is unchecked
-)
+# What the settings take for granted, `sigma_focal_frac`: known less well, it is unchecked
+FOCAL_SIGMA_CHECKED_FRAC = 0.01
 FOCAL_FAIL_FRAC = 0.03  # a focal length further off is another camera's, or of another image size
 UNINFORMED_LENS_PRIOR = LensPrior(
     sigma_focal_frac=0.3

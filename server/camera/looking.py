@@ -14,9 +14,8 @@ Average = Callable[[Sequence[PairObservation]], Look]
 
 FAILED_BATCHES_MAX = 2  # a look that fails by what it shows, not by motion, gets one more batch of pairs
 
-POSITION_SIGMA_MAX_M = (
-    0.010  # chords are 80 mm: a path known worse (another brick, two motions) does not help a calibration
-)
+# Chords are 80 mm: a path known worse (another brick, two motions) does not help a calibration
+POSITION_SIGMA_MAX_M = 0.010
 POSES_MAX = 180 * 60  # as long as encoders are kept to match them with, at 60 pairs a second
 
 

@@ -14,13 +14,11 @@ from server.vision.contracts import Array, Image
 
 BLOCK_PX = 16
 PAIRS_MIN = 5
-NOISE_BLOCKS_PERCENTILE = (
-    5.0  # of the blocks change least over time: what changes there is noise, or the camera saw no still part
-)
+# Of the blocks change least over time: what changes there is noise, or the camera saw no still part
+NOISE_BLOCKS_PERCENTILE = 5.0
 TEXTURE_MIN_SIGMAS = 1.0  # of a block, in sigmas of the noise: below it nothing says whether it moved
-STILL_CHANGE_MAX_FRAC = (
-    0.35  # change over time by texture: blocks that keep still have noise only, those that move about 1
-)
+# Change over time by texture: blocks that keep still have noise only, those that move about 1
+STILL_CHANGE_MAX_FRAC = 0.35
 MOVED_CHANGE_MIN_FRAC = 0.7
 MOVED_BLOCKS_MIN_FRAC = 0.2  # of all blocks with texture: fewer, and the camera stood
 UNMASKED_AREA_MIN_FRAC = 0.02  # of the picture; outlines of blocks differ by less from run to run

@@ -29,9 +29,8 @@ from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
 MAP_POINTS = 600  # reported at the end of a run, for the 3D view
 RATE_WINDOW_PAIRS = 30  # the frame rate is averaged over this many pairs
 
-CLOCK_STEP_MIN_NS = (
-    50_000_000  # most by which pairs must all be later than the map before it follows a clock that was set back
-)
+# Most by which pairs must all be later than the map before it follows a clock that was set back
+CLOCK_STEP_MIN_NS = 50_000_000
 CLOCK_STEP_PAIRS = 8
 
 

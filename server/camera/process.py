@@ -40,9 +40,8 @@ from server.targets.tool_mask import ToolMask
 from server.vision.contracts import Image, ObjectPoseSource
 from server.vision.marker_search import dictionary_by_name
 
-THREAD_SWITCH_INTERVAL_S = (
-    0.0005  # how soon a thread hands the interpreter on; Python's 5 ms are a third of a pair's time
-)
+# How soon a thread hands the interpreter on; Python's 5 ms are a third of a pair's time
+THREAD_SWITCH_INTERVAL_S = 0.0005
 WARM_UP_PERIOD_NS = 66_000_000
 HEARTBEAT_PERIOD_S = 1.0  # a sign of life comes as often
 READ_TIMEOUT_S = 0.1  # how soon a command is heard when no pictures come

@@ -116,15 +116,13 @@ def _rounded_degrees(radians: float) -> float:
     return round(float(np.rad2deg(radians)), 4)
 
 
-OPCUA_NAMESPACE_URI = (
-    "urn:longreach:robotics"  # the names are those of http://opcfoundation.org/UA/Robotics/, the nodes our own
-)
+# The names are those of http://opcfoundation.org/UA/Robotics/, the nodes our own
+OPCUA_NAMESPACE_URI = "urn:longreach:robotics"
 ASYNCUA_CONNECTION_LOGGER_NAME = "asyncua.server.binary_server_asyncio"
 OPCUA_UPDATE_PERIOD_S = 0.2
 OPCUA_STOP_TIMEOUT_S = 3.0
-ASYNCUA_ADDRESS_SPACE_MODULE = (
-    "asyncua.server.standard_address_space.standard_address_space"  # 9 MB of source, seconds to import
-)
+# 9 MB of source, seconds to import
+ASYNCUA_ADDRESS_SPACE_MODULE = "asyncua.server.standard_address_space.standard_address_space"
 
 
 class OpcUaFace:

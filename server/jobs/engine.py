@@ -23,9 +23,8 @@ from server.listeners import Listeners
 
 log = logging.getLogger(__name__)
 
-STOP_TIMEOUT_S = (
-    3.0  # longest wait for the ramp when a job ends early: |qd|/qdd_stop is below 0.5 s, the rest is the link
-)
+# Longest wait for the ramp when a job ends early: |qd|/qdd_stop is below 0.5 s, the rest is the link
+STOP_TIMEOUT_S = 3.0
 
 
 class JobState(Enum):

@@ -65,12 +65,10 @@ class Knowledge:
     odometry_runs: list[OdometryRun] = field(default_factory=list)
     look_observations: list[LookAt] = field(default_factory=list)
     joint_estimate: JointEstimate | None = None
-    lens_estimate: tuple[Array, Array] | None = (
-        None  # camera and prints as the last estimate found them: mean, covariance
-    )
-    backlash_sides: Array | None = (
-        None  # where each joint rested in its play (n,), -1 to 1, by the last reading of the encoders
-    )
+    # Camera and prints as the last estimate found them: mean, covariance
+    lens_estimate: tuple[Array, Array] | None = None
+    # Where each joint rested in its play (n,), -1 to 1, by the last reading of the encoders
+    backlash_sides: Array | None = None
     kept_calibration: LocalCalibration | None = None  # the calibration as a thing that is kept, shown and expires
     target: AnchoredTarget | TaughtObject | None = None  # the object of interest, where it is not known by markers
     found_marks: tuple[AnchoredTarget, ...] = ()  # holes and rings that were found last, any of which may be the target

@@ -12,9 +12,8 @@ from recording.files import write_durably
 # The operating-hours counter: time that passed while a server ran on this database. All that lapses here lapses by
 # it.
 
-OPERATING_TIME_S_SQL = (
-    "(SELECT value / 1000.0 FROM meta WHERE name = 'operating_ms')"  # in a statement: the counter as it stands
-)
+# In a statement: the counter as it stands
+OPERATING_TIME_S_SQL = "(SELECT value / 1000.0 FROM meta WHERE name = 'operating_ms')"
 
 
 def read_operating_time(db: sqlite3.Connection) -> float:

@@ -17,12 +17,10 @@ from server.vision.contracts import Array, Image
 from server.vision.odometry_features import allowed_masks
 
 LOG10_NFA_MAX = -2.0  # one chance circle in a hundred pictures
-RIM_EDGE_MIN_FRAC = (
-    0.5  # of a rim with an edge within half a pixel: a chip of rock is round by and large, never so exactly
-)
-DIAMETER_SIGMA_FRAC = (
-    0.02  # one sigma of a true diameter about the nominal one: wear of a bit, a stencil, shade at the rim
-)
+# Of a rim with an edge within half a pixel: a chip of rock is round by and large, never so exactly
+RIM_EDGE_MIN_FRAC = 0.5
+# One sigma of a true diameter about the nominal one: wear of a bit, a stencil, shade at the rim
+DIAMETER_SIGMA_FRAC = 0.02
 CONCENTRIC_OFFSET_MAX_FRAC = 0.4  # of the larger radius: nearer centres belong to one mark
 EXCLUDED_DISC_RADIUS_FRAC = 1.25  # of the radius: chips and dust end there, the rock around begins
 CHI2_3DOF_999 = 16.3

@@ -23,9 +23,8 @@ from server.vision.odometry_sight import StereoMatches, optical_flow, plausible_
 SIFT_CONTRAST_MIN = 0.02  # half of OpenCV's default: worn paint has less contrast than the rock around it
 DESCRIPTOR_MARGIN_PX = 32  # about the features' region: the support of a descriptor
 SPREAD_PX, PER_SPREAD = 32, 8  # features of a whole image: no more in a cell, about 7000 at 720p
-TAUGHT_VIEWS_MIN = (
-    2  # a landmark that only one view shows may be a shadow, a highlight or an edge before the background
-)
+# A landmark that only one view shows may be a shadow, a highlight or an edge before the background
+TAUGHT_VIEWS_MIN = 2
 LANDMARK_CELL_PX = 11  # one landmark a cell: an object is small, so patches of 15 px may overlap by a quarter
 
 Descriptors = NDArray[np.uint8]

@@ -82,9 +82,8 @@ def _bad_structure(layout: BundleLayout) -> str:
     return f"frame {int(lonely[0])} has no observation" if len(lonely) else ""
 
 
-OWN_INFORMATION_MIN_FRAC = (
-    1e-10  # share of an unknown's information that must be its own; rounding leaves about 1e-14 of a gauge
-)
+# Share of an unknown's information that must be its own; rounding leaves about 1e-14 of a gauge
+OWN_INFORMATION_MIN_FRAC = 1e-10
 
 
 def why_not_believed(

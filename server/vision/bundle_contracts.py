@@ -16,9 +16,8 @@ Mask = NDArray[np.bool_]
 
 # Named tuples where compiled kernels take them: numba does not take dataclasses.
 
-POINT_PRIOR_INFORMATION = (
-    1e-6  # information on a point's direction and relative depth: sigma 1000, so that no point block is singular
-)
+# Information on a point's direction and relative depth: sigma 1000, so that no point block is singular
+POINT_PRIOR_INFORMATION = 1e-6
 
 
 class BundleWork(NamedTuple):
@@ -100,9 +99,8 @@ class BundleSettings:
     loss: BundleLoss = BundleLoss.HUBER
     loss_scale: float = 2.0  # in sigmas; with `trim` times the noise, where residuals are larger than their sigma
     inlier_sigma: float = 4.0  # an eye's residual beyond this (times the noise, where that is above 1) is an outlier
-    trim_outliers: bool = (
-        True  # leave outliers out and adjust again: a loss lets each of them pull a little (not with NONE)
-    )
+    # Leave outliers out and adjust again: a loss lets each of them pull a little (not with NONE)
+    trim_outliers: bool = True
     iterations_max: int = 50
     step_tol_sigma: float = 1e-2  # stop when no combination of unknowns moves by more than this many of its sigmas
     depth_min_m: float = 0.02  # an observation whose point lies nearer, or behind the eye, is not used

@@ -102,9 +102,8 @@ def _homography_jacobian(H: Array, plane: Array) -> Array:
 FIT_RESIDUAL_MAX_FRAC = 0.10  # rms of the fit over its contrast; clean corners stay below 0.05
 CONTRAST_MIN_GREY = 16.0
 SQUARE_SIDE_MIN_PX = 5.0  # of a square
-MARKER_CORNER_SIGMA_PX = (
-    0.8  # of a decoded marker's corner before refinement; found chess corners count as CORNER_SIGMA_PX
-)
+# Of a decoded marker's corner before refinement; found chess corners count as CORNER_SIGMA_PX
+MARKER_CORNER_SIGMA_PX = 0.8
 CORNER_SIGMA_PX = 0.2
 PREDICTION_SIGMA_MAX_FRAC = 0.10  # of a square: a corner is looked for only where its place is known to this sigma ...
 CORNER_SHIFT_MAX_FRAC = 0.35  # ... and is it only if it lies this near: the next one alike is 1.4 squares away

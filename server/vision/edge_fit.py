@@ -20,9 +20,8 @@ BLUR_MIN_PX, BLUR_MAX_PX, BLUR_START_PX = 0.3, 3.0, 0.8
 ITERATIONS_MAX = 10
 CELL_MIN_PX = 1.6
 COARSE_STATIONS, FINE_STATIONS = 24, 64  # pixel rows read across a side; of a long one every second or third
-FIT_RESIDUAL_MAX_FRAC = (
-    0.10  # rms of the edge fit over its contrast; clean sides reach 0.035, covered ones start at 0.13
-)
+# Rms of the edge fit over its contrast; clean sides reach 0.035, covered ones start at 0.13
+FIT_RESIDUAL_MAX_FRAC = 0.10
 COARSE_PX, FINE_PX = 2e-2, 5e-4  # a fit ends when its ends move by less
 _TABLE_END, _TABLE_PER_UNIT = 6.0, 256.0
 _STEP = ndtr(np.arange(-_TABLE_END, _TABLE_END + 2.0 / _TABLE_PER_UNIT, 1.0 / _TABLE_PER_UNIT))  # good to 5e-7

@@ -41,9 +41,8 @@ NO_RIVAL_CHI2_MARGIN = float("inf")
 
 TARGETS_MIN = 2  # with one target only nothing can outvote its other eye
 RESIDUAL_LEFT_MAX_FRAC = 0.4  # of the residual at most, once the lying view is out
-RUNNER_UP_RATIO_MIN = (
-    1.5  # leaving out any other view leaves at least so many times as much: it is that view and no other
-)
+# Leaving out any other view leaves at least so many times as much: it is that view and no other
+RUNNER_UP_RATIO_MIN = 1.5
 EYE_NAMES = ("left", "right")
 
 

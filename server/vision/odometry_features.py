@@ -11,9 +11,8 @@ from server.vision.contracts import Array, Image
 
 BORDER_PX = 14  # a patch and its gradient must fit in
 CORNER_QUALITY_MIN_FRAC = 0.003  # of the image's strongest corner
-CORNER_STRENGTH_MIN = (
-    2e-5  # smaller eigenvalue of the gradient matrix, cv2's scale: sensor noise of 2 grey levels gives 5e-6
-)
+# Smaller eigenvalue of the gradient matrix, cv2's scale: sensor noise of 2 grey levels gives 5e-6
+CORNER_STRENGTH_MIN = 2e-5
 CORNER_BLOCK_PX = 5
 COLUMNS, ROWS = 8, 5  # of the image's coarse cells
 N_IMAGE_CELLS = COLUMNS * ROWS

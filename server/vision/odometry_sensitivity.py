@@ -159,7 +159,7 @@ def keyframe_mixture(keyframes: Sequence[Keyframe], hosts: Indices, indices: Ind
     mixings = np.zeros((len(hosts), len(numbers), 3, 3))
     for host in np.unique(hosts):
         on = hosts == host
-        for serial, mixing in keyframes[host].mixing.items():
+        for serial, mixing in keyframes[host].keyframe_influence.items():
             if serial in serials:
                 mixings[on, np.searchsorted(numbers, serials[serial])] = mixing[indices[on]]
     return numbers, mixings

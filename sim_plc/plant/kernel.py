@@ -32,9 +32,9 @@ STOP_DAMPING_NM_S_RAD = 2e4
 ) = range(24)  # fmt: skip
 # Entries of `Parameters.oil`
 BULK, LAMINAR, P_SET, P_TANK, RIPPLE, RIPPLE_OMEGA, RIPPLE_PHASE, FLOW_MAX, DROOP, ACCUMULATOR = range(10)
-# Columns of `State.joint`
+# Columns of `State.joint_states`
 SPOOL, SPOOL_RATE, HELD_COMMAND, P_A, P_B, BRISTLE, OUTPUT = range(7)
-# Entries of `State.shared`
+# Entries of `State.shared_states`
 P_SUPPLY, TIME = range(2)
 
 

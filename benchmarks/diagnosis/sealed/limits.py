@@ -47,7 +47,7 @@ def scenes(remainders: tuple[Remainder, ...], plant: Plant = OWN) -> list[Scene]
     return [
         replace(
             first,
-            noise_factor=n,
+            noise=n,
             speed_noise=speed_noise_of(first) * (n.speed / NOISES[0].speed) ** 2,
             plain={},
             place=[],

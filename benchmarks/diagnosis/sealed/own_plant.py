@@ -98,17 +98,17 @@ def _run(
     """One row a PLC cycle. `u_given` with rows: those commands instead of the controller's (open loop); `near` with
     rows: the joints are set there now and then, and `smooth_out` goes on as if they were not.
     """
-    n, oil, shared = joint.shape[0], par.oil, state.shared
+    n, oil, shared = joint.shape[0], par.oil_parameters, state.shared_states
     lagged, u, slow, moving = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     load, wind, opened, ahead = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     dt = kernel.INTEGRATION_STEP_S
     cycle = STEPS * dt
     for k in range(ref.shape[0]):
         for j in range(n):
-            reading = _reading(state.q[par.motors[j]], encoder[j], joint[j])
+            reading = _reading(state.q[par.motor_joints[j]], encoder[j], joint[j])
             smooth_out[k, j] = reading + ahead[j]
             if near.shape[0] and k % FOLLOWS == FOLLOWS - 1:
-                state.q[par.motors[j]] = near[k, j]
+                state.q[par.motor_joints[j]] = near[k, j]
                 ahead[j] += reading - _reading(near[k, j], encoder[j], joint[j])
             reading = np.round(reading / resolution[j]) * resolution[j]
             tau = nominal[j, 1] * (1.0 + joint[j, f.KP_LAG])
@@ -119,26 +119,29 @@ def _run(
             if u_given.shape[0]:
                 u[j] = u_given[k, j]
             enc_out[k, j], u_out[k, j] = reading, u[j]
-            pressure_out[k, 2 * j], pressure_out[k, 2 * j + 1] = state.joint[j, kernel.P_A], state.joint[j, kernel.P_B]
+            pressure_out[k, 2 * j], pressure_out[k, 2 * j + 1] = (
+                state.joint_states[j, kernel.P_A],
+                state.joint_states[j, kernel.P_B],
+            )
             wind[j] = 0.99 * wind[j] + shock[k, j]
         pressure_out[k, 2 * n] = shared[kernel.P_SUPPLY]
         load[1] = _bilinear(
-            loads[0], grid[0], grid[1], grid[2], grid[3], state.q[par.motors[1]], state.q[par.motors[2]]
+            loads[0], grid[0], grid[1], grid[2], grid[3], state.q[par.motor_joints[1]], state.q[par.motor_joints[2]]
         )
         load[2] = _bilinear(
-            loads[1], grid[0], grid[1], grid[2], grid[3], state.q[par.motors[1]], state.q[par.motors[2]]
+            loads[1], grid[0], grid[1], grid[2], grid[3], state.q[par.motor_joints[1]], state.q[par.motor_joints[2]]
         )
         for i in range(state.q.shape[0]):
             true_out[k, i] = state.q[i]
-        for j in range(par.motors.shape[0]):
-            true_out[k, par.motors[j]] = state.joint[j, kernel.OUTPUT]
+        for j in range(par.motor_joints.shape[0]):
+            true_out[k, par.motor_joints[j]] = state.joint_states[j, kernel.OUTPUT]
         for _ in range(STEPS):
             p_supply = shared[kernel.P_SUPPLY] + oil[kernel.RIPPLE] * np.sin(
                 oil[kernel.RIPPLE_OMEGA] * shared[kernel.TIME] + oil[kernel.RIPPLE_PHASE]
             )
             demand = 0.0
             for j in range(n):
-                c, s, w = par.joint[j], state.joint[j], joint[j]
+                c, s, w = par.joint_parameters[j], state.joint_states[j], joint[j]
                 s[kernel.HELD_COMMAND] = play_operator(
                     s[kernel.HELD_COMMAND], u[j], c[kernel.HYSTERESIS] + w[f.HYSTERESIS]
                 )
@@ -164,9 +167,9 @@ def _run(
                 demand += abs(o)
             served = flow_limit / demand if demand > flow_limit else 1.0
             drawn = 0.0
-            for j in range(par.motors.shape[0]):
-                i = par.motors[j]
-                c, s = par.joint[j], state.joint[j]
+            for j in range(par.motor_joints.shape[0]):
+                i = par.motor_joints[j]
+                c, s = par.joint_parameters[j], state.joint_states[j]
                 o = opened[j] * served if j < n else 0.0
                 y = interpolate_table(par.table_y[j], c[kernel.TABLE_Q0], c[kernel.TABLE_STEP], state.q[i])
                 lever = interpolate_table(par.table_lever[j], c[kernel.TABLE_Q0], c[kernel.TABLE_STEP], state.q[i])
@@ -193,20 +196,22 @@ def _run(
                 torque = lever * (s[kernel.P_A] * c[kernel.AREA_A] - s[kernel.P_B] * c[kernel.AREA_B] - friction)
                 if j < n and joint[j, f.TUG] != 0.0:  # a cable that comes tight now and then
                     torque += joint[j, f.TUG] * max(np.sin(0.9 * shared[kernel.TIME]) - 0.3, 0.0)
-                state.tau[i] = torque
-            for m in range(par.flexes.shape[0]):
-                i = par.flexes[m]
-                state.tau[i] = -par.flex_k[m] * state.q[i] - par.flex_c[m] * state.qd[i]
+                state.torque_nm[i] = torque
+            for m in range(par.flex_joints.shape[0]):
+                i = par.flex_joints[m]
+                state.torque_nm[i] = -par.flex_k[m] * state.q[i] - par.flex_c[m] * state.qd[i]
             aba(
-                par.tree_R, par.tree_p, par.mass, par.com, par.inertia, par.armature, par.gravity,
-                state.q, state.qd, state.tau, state.work, state.qdd,
+                par.tree_R, par.tree_p, par.mass_kg, par.com_m, par.inertia_kg_m2, par.armature_kg_m2, par.gravity_m_s2,
+                state.q, state.qd, state.torque_nm, state.aba_workspace, state.qdd,
             )  # fmt: skip
             for i in range(state.q.shape[0]):
                 state.qd[i] += dt * state.qdd[i]
                 state.q[i] += dt * state.qd[i]
-            for j in range(par.motors.shape[0]):
-                state.joint[j, kernel.OUTPUT] = play_operator(
-                    state.joint[j, kernel.OUTPUT], state.q[par.motors[j]], par.joint[j, kernel.HALF_PLAY]
+            for j in range(par.motor_joints.shape[0]):
+                state.joint_states[j, kernel.OUTPUT] = play_operator(
+                    state.joint_states[j, kernel.OUTPUT],
+                    state.q[par.motor_joints[j]],
+                    par.joint_parameters[j, kernel.HALF_PLAY],
                 )
             pumped = pump_flow(shared[kernel.P_SUPPLY], oil[kernel.P_SET], oil[kernel.DROOP], oil[kernel.FLOW_MAX])
             shared[kernel.P_SUPPLY] = max(

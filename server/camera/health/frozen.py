@@ -18,9 +18,8 @@ from server.vision.contracts import Array
 TEXTURE_ENERGY_MIN = 1.0  # of a cell's fine pattern: less is compressed away, nothing to compare
 COMPARED_CELLS_MIN = 10
 FLAT_CELLS_QUANTILE = 0.2  # the plainest fifth of the picture: there the noise rules
-FROZEN_CORRELATION_MIN = (
-    0.955  # living pictures at rest: 0.45 to 0.93 for noise of 2 to 0.5 grey levels; recompressed: from 0.96
-)
+# Living pictures at rest: 0.45 to 0.93 for noise of 2 to 0.5 grey levels; recompressed: from 0.96
+FROZEN_CORRELATION_MIN = 0.955
 FROZEN_CHANGE_MAX_GREY = 0.65
 FROZEN_CHANGE_MAX_FRAC = 0.6  # where a stream's own noise at rest is known: so much less change ...
 FROZEN_DIFFERENCE_MAX_FRAC = 0.5  # ... and so much less difference of the fine pattern does not come from rest

@@ -13,9 +13,8 @@ UNIFORM_ROWS_MIN = 2  # of 90: a decoder fills what is missing with one grey
 STEP_MIN_GREY, STEP_MIN_RATIO = 5.0, 1.6  # of the mean step from a thumbnail row to the next
 STEP_NEIGHBOUR_ROWS = 3  # a horizontal edge of the scene moves by no more from pair to pair (24 px)
 BREAK_MIN_GREY, BREAK_RATIO = 10.0, 2.5
-PERSISTENT_STEP_PAIRS = (
-    150  # a step that stays this long in a picture that keeps still is something in front of the camera
-)
+# A step that stays this long in a picture that keeps still is something in front of the camera
+PERSISTENT_STEP_PAIRS = 150
 
 
 def wrong_size(frame: StereoFrame, camera: StereoCamera | None) -> tuple[Finding, ...]:

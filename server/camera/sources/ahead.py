@@ -8,9 +8,8 @@ from server.camera.contracts import StereoFrame, StereoSource
 
 READ_TIMEOUT_S = 0.1  # how soon the thread hears that it shall end
 TIMING_HISTORY_PAIRS = 30  # pairs whose times predict the next one's
-DECODE_HEADSTART_FACTOR = (
-    2.0  # times the shortest decoding: a little early is a pair a little older, late is a pair less
-)
+# Times the shortest decoding: a little early is a pair a little older, late is a pair less
+DECODE_HEADSTART_FACTOR = 2.0
 
 
 class AheadSource:

@@ -14,9 +14,8 @@ from server.jobs.plans.driving import drive_and_look
 from server.jobs.plans.looking import mount_rotation
 from server.jobs.requests import Progress, Request
 
-APPROACH_LEFT_RADIUS_FRAC = (
-    0.5  # of the calibration's radius that the approach leaves: room for what mount and look are wrong by
-)
+# Of the calibration's radius that the approach leaves: room for what mount and look are wrong by
+APPROACH_LEFT_RADIUS_FRAC = 0.5
 
 
 def approach(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, LookTaken]:

@@ -30,9 +30,8 @@ LOOKS_SHOWN_QUANTITIES = ("zeros", "lengths", "sag", "camera's mount", "backlash
 POSTURES, POSTURES_MIN = 12, 6
 N_TWO_SIDED_POSTURES = 3  # postures that are come to from above as well: what differs is the play
 LOOK_DURATION_S = 3.0  # to come to rest and look, without the way
-UNRESOLVED_SIGMA_MIN_FRAC = (
-    0.6  # of what was not known before: a number that the looks leave as open as that is not shown by them
-)
+# Of what was not known before: a number that the looks leave as open as that is not shown by them
+UNRESOLVED_SIGMA_MIN_FRAC = 0.6
 MOTION_SIZE_FACTORS = (1.0, 0.6, 0.35)
 PART_DURATION_MIN_S = 4.0
 
@@ -126,7 +125,7 @@ def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array)
     course = part_course(ctx.machine, ctx.chain, part, q_home, settings)
     refused: JobFailedError | None = None
     for size in MOTION_SIZE_FACTORS:
-        smaller = replace(course, modelled_output=q_home + size * (course.q - q_home))
+        smaller = replace(course, q=q_home + size * (course.q - q_home))
         fitted = fitted_course(ctx.machine, ctx.chain, smaller, settings)
         if isinstance(fitted, Refusal):
             refused = JobFailedError(fitted.reason, f"plan_{fitted.status.value}")

@@ -124,7 +124,7 @@ async def test_a_late_reader_gets_what_happens_from_then_on_and_only_the_newest_
 
 
 async def test_jobs_and_control_are_events(open_bench):
-    feed = open_bench.running.feed
+    feed = open_bench.running.event_feed
     async with open_bench.client() as client:
         await client.post("/v1/jobs", json={"kind": "park"}, headers=open_bench.control())
         await open_bench.settled()

@@ -155,7 +155,7 @@ async def test_nobody_parks_before_having_looked_for_a_wall(client, service):
 
 
 async def test_an_unknown_wall_and_a_plan_are_json(client, service):
-    service.cell.knowledge.previewed = previewed(60.0)
+    service.cell.knowledge.previewed_plan = previewed(60.0)
     plan = (await client.get("/v1/state")).json()["plan"]
     assert plan["clearance_mm"] is None
     assert plan["plan_hash"] == "0123456789abcdef"
@@ -182,8 +182,8 @@ async def test_a_pc_whose_plc_another_one_holds_is_not_ready(client, service, ph
 
 
 async def test_no_job_begins_while_the_numerics_load(client, service):
-    service.cell.starting = "the server is starting: it loads its numerics"
-    assert service.cell.starting in (await client.get("/readyz")).json()["reasons"]
+    service.cell.startup_note = "the server is starting: it loads its numerics"
+    assert service.cell.startup_note in (await client.get("/readyz")).json()["reasons"]
     refused = await client.post("/v1/jobs", json={"kind": "look"})
     assert (refused.status_code, refused.json()["code"]) == (409, "starting")
     assert not service.engine.jobs
@@ -264,10 +264,10 @@ async def test_no_motion_without_a_look_or_on_a_stale_one(client, service, kind)
 async def test_a_stale_or_foreign_plan_is_not_executed(client, service):
     execute = {"kind": "execute", "plan_hash": "0123456789abcdef"}
     assert "preview first" in (await client.post("/v1/jobs", json=execute)).json()["detail"]
-    service.cell.knowledge.previewed = previewed(60.0)
+    service.cell.knowledge.previewed_plan = previewed(60.0)
     other = await client.post("/v1/jobs", json={"kind": "execute", "plan_hash": "f" * 16})
     assert "is not the previewed one" in other.json()["detail"]
-    service.cell.knowledge.previewed = previewed(-1.0)
+    service.cell.knowledge.previewed_plan = previewed(-1.0)
     assert "has expired" in (await client.post("/v1/jobs", json=execute)).json()["detail"]
     assert not service.engine.jobs
 

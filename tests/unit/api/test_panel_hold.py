@@ -196,7 +196,7 @@ async def test_silence_stops_it_and_leaves_an_alarm(service, pressed, clock):
     clock.ns += 260_000_000
     await serving
     assert "silent" in service.engine.current.reason
-    assert [alarm.code for alarm in memory.book.alarms] == ["hold_lost"]
+    assert [alarm.code for alarm in memory.alarm_book.alarms] == ["hold_lost"]
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ async def test_silence_stops_it_and_leaves_an_alarm(service, pressed, clock):
 )
 async def test_what_may_not_be_pressed_moves_nothing(service, change, code):
     socket, memory = Socket(), PanelMemory(service)
-    service.cell.knowledge.last_look, service.cell.knowledge.previewed = looked(), previewed(60.0)
+    service.cell.knowledge.last_look, service.cell.knowledge.previewed_plan = looked(), previewed(60.0)
     lease = service.engine.leases.acquire("anna", ttl_s=60.0)
     (route,) = hold_router(service, memory).routes
     press = {

@@ -14,7 +14,7 @@ class Memory:
     """Counts its states; a page may be looking."""
 
     def __init__(self):
-        self.viewers, self.made, self.scrubbed = 0, 0, []
+        self.n_viewers, self.made, self.scrubbed = 0, 0, []
 
     def live_message(self):
         self.made += 1
@@ -83,7 +83,7 @@ async def test_a_page_that_keeps_up_gets_every_state(looking):
         socket.said.put_nowait('{"seen": true}')
         await turns()
     assert socket.heard == list(range(1, 11))
-    assert memory.viewers == 1
+    assert memory.n_viewers == 1
 
 
 @pytest.mark.parametrize("said", ["nonsense", "[1]", '{"scrub": "far"}', '{"scrub": null}', "7"])
@@ -102,4 +102,4 @@ async def test_a_page_that_goes_is_forgotten_also_while_nothing_is_sent_to_it(lo
         await tick()
     socket.said.put_nowait(None)
     await asyncio.wait_for(task, 5.0)
-    assert memory.viewers == 0
+    assert memory.n_viewers == 0

@@ -48,11 +48,11 @@ def test_help_imports_nothing_heavy(arguments, told):
     assert "typer" in modules  # the list is that of this process
 
 
-@pytest.mark.parametrize("one", CLI_COMMANDS + BENCHES, ids=lambda one: one.where)
+@pytest.mark.parametrize("one", CLI_COMMANDS + BENCHES, ids=lambda one: one.import_path)
 def test_each_is_there_and_the_list_says_what_it_says_of_itself(one):
     command = one.load()
     assert command.name == one.name
-    module, _, attribute = one.where.partition(":")
+    module, _, attribute = one.import_path.partition(":")
     if isinstance(getattr(importlib.import_module(module), attribute), typer.Typer):
         assert command.commands
     assert " ".join(command.help.split()) == one.about

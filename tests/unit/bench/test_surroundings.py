@@ -252,7 +252,7 @@ def test_the_python_api_has_a_place_for_compiled_code_where_nothing_can_be_writt
         "import os, tempfile; from pathlib import Path; import longreach.cli as cli\n"
         "cli._is_folder_writable = lambda folder: False\n"
         "import numba, longreach; longreach.tcp_pose\n"
-        "assert os.environ[cli.CACHE] == numba.config.CACHE_DIR != '', numba.config.CACHE_DIR\n"
+        "assert os.environ[cli.NUMBA_CACHE_ENV_VARIABLE] == numba.config.CACHE_DIR != '', numba.config.CACHE_DIR\n"
     )
     surrounded = os.environ | {"TMPDIR": str(tmp_path), surroundings.NUMBA_CACHE_ENV_VARIABLE: ""}
     done = subprocess.run([sys.executable, "-c", code], env=surrounded, capture_output=True, text=True, check=False)

@@ -42,8 +42,10 @@ def seen_target(As, rng, rotation_deg=0.0, position_m=0.0):
 
 def errors_of(found):
     assert found.status is CalibrationStatus.OK, found.reason
-    assert found.X is not None
-    return np.rad2deg(geodesic_angle(found.X, X_TRUE)), 1e3 * np.linalg.norm(found.X[:3, 3] - X_TRUE[:3, 3])
+    assert found.T_hand_cam is not None
+    return np.rad2deg(geodesic_angle(found.T_hand_cam, X_TRUE)), 1e3 * np.linalg.norm(
+        found.T_hand_cam[:3, 3] - X_TRUE[:3, 3]
+    )
 
 
 def test_exact_poses_give_exact_x_and_y():

@@ -143,12 +143,12 @@ def test_a_focal_length_off_alike_in_both_eyes_is_found_by_a_path_in_depth(off):
         found.append(estimate_jointly(machine(), [run], [seen_through(here.look(Q_START), lens)]))
     for estimate in found:
         sigma = np.sqrt(estimate.covariance[FOCAL - N_LENS, FOCAL - N_LENS])
-        assert abs(estimate.state.lens[FOCAL] - off) < 4.0 * sigma < 0.02
+        assert abs(estimate.state.lens_corrections[FOCAL] - off) < 4.0 * sigma < 0.02
         assert ("calibrate the camera" in "; ".join(doubts_of(estimate))) == (off != 0.0)
 
 
 def doubts_of(found):
-    return lens_doubts(found.state.lens, found.covariance[-N_LENS:, -N_LENS:], LensPrior())
+    return lens_doubts(found.state.lens_corrections, found.covariance[-N_LENS:, -N_LENS:], LensPrior())
 
 
 def seen_through(look, lens):

@@ -38,7 +38,7 @@ def estimated(lens, seed, T_cam_tool=T_CAM_TOOL, T_cam_ooi=T_CAM_OOI):
     corners, poses = seen_by(np.array(lens), T_cam_tool, T_cam_ooi, np.random.default_rng(seed))
     found = lens_evidence(machine(), *poses, corners, LensPrior())
     covariance = np.linalg.inv(found.information + np.diag(LensPrior().sigma ** -2.0))
-    return covariance @ found.vector, covariance
+    return covariance @ found.information_vector, covariance
 
 
 @pytest.mark.parametrize("unknown", [TOOL_PRINT, OOI_PRINT])

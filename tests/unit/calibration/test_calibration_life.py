@@ -78,7 +78,7 @@ def test_each_bound_holds_on_both_sides_and_says_what_to_do(status, inside, outs
 
 def test_a_machine_that_tells_no_temperature_is_not_judged_by_it():
     assert at(calibration(), oil=None).ok
-    assert at(calibration(made=MadeAt(MADE_S, Q, T_MADE, None)), oil=80.0).ok
+    assert at(calibration(made_at=MadeAt(MADE_S, Q, T_MADE, None)), oil=80.0).ok
 
 
 def test_a_slip_ends_it_wherever_the_machine_is():

@@ -123,9 +123,9 @@ def findings(places_px: list[float], period_ns: int = PERIOD_NS, corners: np.nda
         seen = corners + np.array([place, 0.0])
         view = MarkerView(10, seen, seen - [48.0, 0.0], 0.05, True, "")
         pair: Any = SimpleNamespace(
-            observation=SimpleNamespace(views=(view,)),
+            observation=SimpleNamespace(marker_views=(view,)),
             frame=SimpleNamespace(t_exposure_ns=(number + 1) * period_ns),
-            first=number == 0,
+            is_first=number == 0,
         )
         found_now = monitor.check(pair)
         assert all(one.code is FaultCode.JUMPED and one.forbids_look and not one.forbids_odometry for one in found_now)

@@ -28,7 +28,7 @@ def checked(residual_px: float = 0.02, left=SQUARE, right=SQUARE, white: float =
     T[2, 3] = 0.35
     tool = ObjectPose("tool", PoseStatus.OK, "", T, 1e-6 * np.eye(6), (10,), residual_px, float("inf"))
     pair: Any = SimpleNamespace(
-        observation=SimpleNamespace(views=(view,), tool=tool, ooi=NOT_SEEN),
+        observation=SimpleNamespace(marker_views=(view,), tool=tool, ooi=NOT_SEEN),
         frame=SimpleNamespace(left=image, right=image),
     )
     return MarkerMonitor(CAMERA).check(pair)

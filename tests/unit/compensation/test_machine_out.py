@@ -22,7 +22,7 @@ def budget(verdict: str, *, confirmed: bool = True) -> Budget:
     fit = Fit(candidates, np.array([1.5e-6, 0.003, -0.004, 0.0]), np.zeros(0), np.zeros((0, 4)), 0.0)
     entries = tuple(entries_of(fit)) if confirmed else ()
     found: Any = SimpleNamespace(
-        verdict=verdict, why="for a test", confirmed_effects=entries, effect_entries=lambda: entries
+        verdict=verdict, verdict_reason="for a test", confirmed_effects=entries, effect_entries=lambda: entries
     )
     return cast(Budget, found)
 

@@ -90,7 +90,7 @@ def test_every_file_of_the_catalogue_is_registered() -> None:
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_each_effect_is_complete(effect) -> None:
-    assert effect.size.neutral == NEUTRAL.get(effect.name, 0.0)
+    assert effect.size.neutral_value == NEUTRAL.get(effect.name, 0.0)
     assert sum(one.role == "size" for one in effect.parameters) == 1
     for text in (
         effect.looks_like,
@@ -112,11 +112,11 @@ def test_each_effect_is_complete(effect) -> None:
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
 def test_a_fit_starts_inside_the_bounds_and_off_neutral(effect) -> None:
     for parameter in effect.parameters:
-        assert parameter.low < parameter.start < parameter.high or parameter.integer
-        assert parameter.in_bounds(parameter.start)
-        assert parameter.role == "shape" or parameter.start != parameter.neutral
-        assert parameter.in_bounds(parameter.neutral)
-        assert parameter.high <= parameter.highest_value <= parameter.max_admitted
+        assert parameter.plausible_min < parameter.start_value < parameter.plausible_max or parameter.is_integer
+        assert parameter.in_bounds(parameter.start_value)
+        assert parameter.role == "shape" or parameter.start_value != parameter.neutral_value
+        assert parameter.in_bounds(parameter.neutral_value)
+        assert parameter.plausible_max <= parameter.highest_value <= parameter.max_admitted
         assert not parameter.in_bounds(parameter.max_admitted * 1.01)
 
 
@@ -125,7 +125,7 @@ def test_draws_from_the_prior_stay_inside_the_bounds(effect) -> None:
     rng = np.random.default_rng(1)
     for parameter in effect.parameters:
         values = [parameter.draw_value(rng) for _ in range(200)]
-        assert all(parameter.low <= value <= parameter.high for value in values)
+        assert all(parameter.plausible_min <= value <= parameter.plausible_max for value in values)
         assert np.ptp(values) > 0.0
 
 

@@ -147,7 +147,7 @@ def test_every_parameter_is_felt_finite_and_neutral_is_exact(effect) -> None:
     joint = 2 if effect.scope == "joint" else None
     base = packed("gravity_sag", 2, compliance_rad_nm=1e-6) if effect.name == "payload_error" else neutral_sets(6)
     nominal = link_poses(ARM, base, QS)
-    for option in effect.choice.options if effect.choice else ("",):
+    for option in effect.quantity_choice.options if effect.quantity_choice else ("",):
         for slot in slots_of(effect.name, joint, option):
             for value, same in (
                 (slot.neutral_value, True),
@@ -164,7 +164,7 @@ def test_every_parameter_is_felt_finite_and_neutral_is_exact(effect) -> None:
 
 def encoder_readings(sets, q_true):
     """Readings (m, n) [rad] at true motor-side angles (m, n): bias, scale and one sine."""
-    P = sets.joint[0]
+    P = sets.joint_parameters[0]
     wave = P[:, ECC_AMPLITUDE] * np.sin(P[:, ECC_ORDER] * q_true + P[:, ECC_PHASE])
     return q_true * (1.0 + P[:, SCALE]) + P[:, BIAS] + wave
 

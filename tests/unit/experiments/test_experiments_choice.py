@@ -14,12 +14,15 @@ NAMES = ((("valve_lag", 1), ("transport_delay", None)), (("load_droop", 1), None
 
 def proposed(monkeypatch: pytest.MonkeyPatch, nats: dict[str, tuple[float, float, float]]) -> dict[str, Any]:
     cell = SimpleNamespace(stage="actuator", joint=1)
-    pairs = [SimpleNamespace(names=two, weight=w, cell=cell) for two, w in zip(NAMES, (0.2, 0.19, 0.18), strict=True)]
+    pairs = [
+        SimpleNamespace(differing_effects=two, importance_weight=w, cell=cell)
+        for two, w in zip(NAMES, (0.2, 0.19, 0.18), strict=True)
+    ]
     library = tuple(Motion(name, "steps", np.zeros((100, 1))) for name in nats)
     monkeypatch.setattr(choice, "_possible_experiments", lambda *_: library)
     monkeypatch.setattr(choice, "_expected_nats", lambda _, pair, one: nats[one.name][pairs.index(pair)])
     found: Any = None
-    return choice._best_experiment(found, SimpleNamespace(sliding=(False,)), pairs)  # type: ignore[arg-type]
+    return choice._best_experiment(found, SimpleNamespace(joint_slides=(False,)), pairs)  # type: ignore[arg-type]
 
 
 def test_what_settles_two_of_three_pairs_is_no_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -85,7 +85,7 @@ def test_descriptions_survive_json_to_half_a_milliradian(library):
         assert isinstance(back, Motion)
         rows = len(back.q)
         assert np.abs(back.q - one.q[:rows]).max() < 5e-4, one.name
-        assert (back.name, back.segment_kind) == (one.name, one.kind)
+        assert (back.name, back.segment_kind) == (one.name, one.segment_kind)
 
 
 def test_postures_survive_json():

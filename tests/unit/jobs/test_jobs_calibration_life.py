@@ -253,14 +253,14 @@ def test_a_sure_move_costs_nothing_more(monkeypatch):
     asked = world.paths, len(world.pairs)
     assured, _ = run(assured_preview(ctx, taken, 0, 3), world)
     assert (world.paths, len(world.pairs)) == asked
-    assert assured.paths == 0
+    assert assured.n_calibration_paths == 0
 
 
 def test_an_unsure_move_gets_a_further_path_first(monkeypatch):
     world, ctx, taken = calibrated()
     predict(monkeypatch, 2.6, 2.4)
     assured, story = run(assured_preview(ctx, taken, 0, 0), world)
-    assert (world.paths, assured.paths, len(ctx.knowledge.odometry_runs)) == (2, 1, 2)
+    assert (world.paths, assured.n_calibration_paths, len(ctx.knowledge.odometry_runs)) == (2, 1, 2)
     assert any("5.2 mm (2 sigma, allowed 5)" in getattr(item, "text", "") for item in story)
 
 
@@ -277,7 +277,7 @@ def test_what_stays_unsure_is_a_closer_look_while_a_move_is_left_and_refused_aft
     world, ctx, taken = calibrated()
     predict(monkeypatch, 3.0)
     assured, story = run(assured_preview(ctx, taken, 0, 1), world)
-    assert max(assured.previewed.predicted_sigma_mm) == 3.0
+    assert max(assured.previewed_plan.predicted_sigma_mm) == 3.0
     assert any("moving closer to look again" in getattr(item, "text", "") for item in story)
     with pytest.raises(
         JobFailedError, match=r"y known to \+-6\.0 mm .*2 calibration paths.*no move is left"
@@ -293,7 +293,7 @@ def test_too_near_for_a_further_path_the_move_is_driven_all_the_same(monkeypatch
     predict(monkeypatch, 3.0)
     assured, story = run(assured_preview(ctx, taken, 0, 1), world)
     assert any("no further path" in getattr(item, "text", "") for item in story)
-    run(execute(ctx, assured.previewed, 1), world)
+    run(execute(ctx, assured.previewed_plan, 1), world)
 
 
 def test_what_is_no_more_than_a_guess_is_refused_even_with_moves_left(monkeypatch):

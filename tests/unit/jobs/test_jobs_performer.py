@@ -102,7 +102,7 @@ def test_odometry_is_switched_off_once_and_without_a_process_too():
     client._track = TrackCollector(0)
     client.drop_odometry()
     client.drop_odometry()
-    assert [command.on for command in sent] == [False]
+    assert [command.enabled for command in sent] == [False]
 
 
 @pytest.mark.parametrize("reached", [True, False])

@@ -158,7 +158,7 @@ async def next_tail(cell, steering, number):
     await asyncio.sleep(0.0)
     cell.vision.report(report())
     seen = await steering.next_pair(asked(after=number))
-    return seen.tail, seen.tail_text
+    return seen.tail_status, seen.tail_text
 
 
 async def test_a_correction_never_keeps_a_pair_waiting_and_its_answer_is_told_once(cell):

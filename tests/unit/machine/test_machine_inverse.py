@@ -15,7 +15,7 @@ from machine.rotations import rotation_from_rotvec
 
 
 def chain_with(**columns):
-    """The nominal chain with single entries changed: d={2: 0.05}."""
+    """The nominal chain with single entries changed: dh_d_m={2: 0.05}."""
     changed = {}
     for name, entries in columns.items():
         values = getattr(CHAIN, name).copy()
@@ -28,8 +28,8 @@ def chain_with(**columns):
 TILTED_LINK_7 = pose(rotation_from_rotvec(np.array([1.2, -0.4, 0.3])), np.array([0.02, -0.05, 0.2]))
 CHAINS = {
     "nominal": CHAIN,
-    "d3": chain_with(d={2: 0.05}),
-    "d3 negative, a1 and a3 0": chain_with(d={2: -0.08}, a={0: 0.0, 2: 0.0}),
+    "d3": chain_with(dh_d_m={2: 0.05}),
+    "d3 negative, a1 and a3 0": chain_with(dh_d_m={2: -0.08}, dh_a_m={0: 0.0, 2: 0.0}),
     "other zeros": chain_with(theta_offset={0: 0.3, 1: -0.2, 2: 1.0, 3: 0.5, 4: 0.1, 5: -2.0}),
     "other link 7": dataclasses.replace(CHAIN, T_flange_tcp=TILTED_LINK_7),
 }
@@ -150,7 +150,7 @@ def test_out_of_reach_names_distance_limit_and_remedy():
     close = inverse_nearest(centred, pose(tcp_pose(CHAIN, np.zeros(6))[:3, :3], [0.60, 0.0, 1.75]), np.zeros(6))
     assert close.status is InverseStatus.OUT_OF_REACH
     assert "further away" in close.reason
-    shifted = chain_with(d={2: 0.05})
+    shifted = chain_with(dh_d_m={2: 0.05})
     inside = pose(tcp_pose(CHAIN, np.zeros(6))[:3, :3], [0.55, 0.0, 3.5])  # the wrist centre on the slew axis
     beside = inverse_nearest(shifted, inside, np.zeros(6))
     assert beside.status is InverseStatus.OUT_OF_REACH

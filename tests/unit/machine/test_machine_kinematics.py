@@ -102,7 +102,7 @@ def test_chain_copies_its_arrays_and_refuses_wrong_ones():
     assert chain.dh_a_m[0] == CHAIN.dh_a_m[0]
     with pytest.raises(ValueError, match="read-only"):
         chain.dh_d_m[0] = 1.0
-    with pytest.raises(MachineError, match=r"d has shape \(5,\)"):
+    with pytest.raises(MachineError, match=r"dh_d_m has shape \(5,\)"):
         dataclasses.replace(CHAIN, dh_d_m=np.zeros(5))
     with pytest.raises(MachineError, match="alpha"):
         dataclasses.replace(CHAIN, dh_alpha_rad=np.full(6, np.nan))

@@ -83,7 +83,7 @@ def asked(command: Command, view: dict[str, Any], table: LimitTable = TABLE) -> 
 
     def ask(g: Any) -> Answer:
         verdict = g.gate(command, g.GateView(**view), table)
-        sent = verdict.sent
+        sent = verdict.command_to_send
         told = ("sent", "unchanged")
         if sent is not command:
             told = ("sent", sent.mode, sent.knots, sent.interp, sent.cmd_flags, sent.session, sent.seq)

@@ -29,7 +29,7 @@ def pin_model(tree):
     for i in range(N_TREE_JOINTS):
         placement = pin.SE3(tree.tree_R[i], tree.tree_p[i])
         parent = model.addJoint(parent, pin.JointModelRZ(), placement, f"joint_{i}")
-        body = pin.Inertia(float(tree.mass[i]), tree.com[i], tree.inertia[i])
+        body = pin.Inertia(float(tree.mass_kg[i]), tree.com_m[i], tree.inertia[i])
         model.appendBodyToJoint(parent, body, pin.SE3.Identity())
     model.armature = tree.armature
     return model

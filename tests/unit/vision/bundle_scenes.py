@@ -67,9 +67,9 @@ def only(problem, keep):
     """The same problem with some observations (n,) left out."""
     return replace(
         problem,
-        frames=problem.frames[keep],
-        points=problem.points[keep],
-        uv=problem.uv[keep],
+        frame_indices=problem.frame_indices[keep],
+        point_indices=problem.point_indices[keep],
+        rays=problem.rays[keep],
         sigma_px=problem.sigma_px[keep],
     )
 

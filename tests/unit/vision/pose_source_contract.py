@@ -17,7 +17,7 @@ def check_contract(source: ObjectPoseSource, pair, truth, position_m: float, rot
     observation = source.observe(*pair, 123_456_789)
     assert observation.t_exposure_ns == 123_456_789
     for name, found in (("tool", observation.tool), ("ooi", observation.ooi)):
-        assert found.on == name
+        assert found.object_name == name
         assert found.status is PoseStatus.OK, found.reason
         error = deviation(found.T_cam_object, truth[name])
         assert np.linalg.norm(error[:3]) < rotation_rad, f"{name} [rad]"

@@ -46,9 +46,9 @@ def observed(eyes, pairs=12):
 @pytest.mark.parametrize("background", [55.0, 70.0])
 def test_a_print_without_a_white_margin_is_named_so_and_not_covered_or_blurred(background):
     seen = observed(scene(0, background))
-    bare = [view for view in seen.views if "no white margin" in view.reason]
+    bare = [view for view in seen.marker_views if "no white margin" in view.reason]
     assert bare, [view.reason for view in seen.views]
-    assert not any("covered" in view.reason for view in seen.views)
+    assert not any("covered" in view.reason for view in seen.marker_views)
     assert all("at least one cell of white" in view.reason for view in bare)
 
 
@@ -60,7 +60,7 @@ def test_a_print_without_a_white_margin_says_nothing_of_the_focus():
     for reason in ("", f"marker 10 has {NO_WHITE_MARGIN_REASON}"):
         view = MarkerView(10, corners + np.array([SHIFT_PX, 0.0]), corners, 0.1, False, reason)
         pair = SimpleNamespace(
-            frame=SimpleNamespace(left=left, right=right), observation=SimpleNamespace(views=(view,))
+            frame=SimpleNamespace(left=left, right=right), observation=SimpleNamespace(marker_views=(view,))
         )
         found[reason] = len(BlurMonitor().at_markers(pair))
     assert list(found.values()) == [1, 0]
@@ -68,8 +68,10 @@ def test_a_print_without_a_white_margin_says_nothing_of_the_focus():
 
 def test_with_a_margin_nothing_is_said():
     seen = observed(scene(24, 80.0))
-    assert {view.marker_id for view in seen.views} == set(PLACES)
-    assert not any(word in view.reason for view in seen.views for word in ("margin", "covered", "white on black"))
+    assert {view.marker_id for view in seen.marker_views} == set(PLACES)
+    assert not any(
+        word in view.reason for view in seen.marker_views for word in ("margin", "covered", "white on black")
+    )
 
 
 def test_a_cover_over_two_sides_stays_a_cover():
@@ -78,7 +80,7 @@ def test_a_cover_over_two_sides_stays_a_cover():
         left, top, side = PLACES[10]
         eye[top + 60 : top + side + 60, left + x - 10 : left + x + 6] = 25
         eye[top + side - 8 : top + side + 60, left + x - 60 : left + x + side + 60] = 25
-    reasons = [view.reason for view in observed(eyes).views if view.marker_id == 10]
+    reasons = [view.reason for view in observed(eyes).marker_views if view.marker_id == 10]
     assert all("no white margin" not in reason for reason in reasons), reasons
 
 

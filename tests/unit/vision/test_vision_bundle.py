@@ -177,7 +177,7 @@ def test_few_iterations_say_that_they_did_not_suffice():
 
 def test_the_problem_is_not_changed():
     scene = make_scene(np.random.default_rng(15), outlier_frac=0.1)
-    before = {name: np.array(getattr(scene.problem, name)) for name in ("Ts_vo_cam", "points_vo", "uv", "sigma_px")}
+    before = {name: np.array(getattr(scene.problem, name)) for name in ("Ts_vo_cam", "points_vo", "rays", "sigma_px")}
     adjust_bundle(scene.problem)
     for name, array in before.items():
         assert np.array_equal(getattr(scene.problem, name), array, equal_nan=True)

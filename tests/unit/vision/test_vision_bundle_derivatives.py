@@ -26,12 +26,12 @@ def moved(T, step):
 def residual_vector(problem, x):
     """All residuals [sigma] of the start moved by x: free frames, then points."""
     Ts, points = problem.Ts_vo_cam.copy(), problem.points_vo.copy()
-    free = np.flatnonzero(~problem.fixed)
+    free = np.flatnonzero(~problem.fixed_frames)
     for place, frame in enumerate(free):
         Ts[frame] = moved(Ts[frame], x[6 * place : 6 * place + 6])
     o = 6 * len(free)
     points += x[o:].reshape(-1, 3)
-    off = rays_of(Ts, points, problem.frames, problem.points) - problem.uv
+    off = rays_of(Ts, points, problem.frame_indices, problem.point_indices) - problem.rays
     return np.nan_to_num(off * np.tile(FOCAL_PX, 2) / SIGMA_PX).ravel()
 
 

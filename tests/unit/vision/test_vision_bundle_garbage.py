@@ -19,7 +19,7 @@ NASTY = st.one_of(
 
 
 def well_formed(problem, found):
-    k, m, n = len(problem.Ts_vo_cam), len(problem.points_vo), len(problem.frames)
+    k, m, n = len(problem.Ts_vo_cam), len(problem.points_vo), len(problem.frame_indices)
     assert found.Ts_vo_cam.shape == (k, 4, 4)
     assert found.points_vo.shape == (m, 3)
     assert found.covariances.shape == (k, 6, 6)
@@ -66,7 +66,7 @@ def test_nothing_at_all():
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e200])
 def test_numbers_that_are_none(problem, bad):
     Ts, points, uv, sigma = (
-        np.array(array) for array in (problem.Ts_vo_cam, problem.points_vo, problem.uv, problem.sigma_px)
+        np.array(array) for array in (problem.Ts_vo_cam, problem.points_vo, problem.rays, problem.sigma_px)
     )
     Ts[1, 0, 3] = bad
     points[0] = bad
@@ -74,7 +74,7 @@ def test_numbers_that_are_none(problem, bad):
     sigma[4] = bad
     assert not_believed(problem, Ts_vo_cam=Ts)
     assert not_believed(problem, points_vo=points)
-    assert not_believed(problem, uv=uv) or np.isnan(bad)
+    assert not_believed(problem, rays=uv) or np.isnan(bad)
     assert not_believed(problem, sigma_px=sigma)
     assert not_believed(problem, focal_px=(bad, 500.0))
     assert not_believed(problem, baseline_m=bad)
@@ -98,7 +98,7 @@ def test_a_matrix_that_is_no_rotation(problem):
 
 
 def test_a_frame_that_sees_nothing_is_named(problem):
-    found = adjust_bundle(only(problem, problem.frames != 2))
+    found = adjust_bundle(only(problem, problem.frame_indices != 2))
     assert found.status is BundleStatus.DEGENERATE
     assert "frame 2" in found.reason
 
@@ -141,10 +141,10 @@ def test_rays_of_another_place_are_not_believed():
     [
         {"points_vo": np.zeros((3, 2))},
         {"Ts_vo_cam": np.zeros((3, 3, 4))},
-        {"uv": np.zeros((5, 4))},
-        {"uv": np.zeros(7)},
-        {"fixed": np.ones(9, dtype=bool)},
-        {"frames": np.array([0, 1, 7])},
+        {"rays": np.zeros((5, 4))},
+        {"rays": np.zeros(7)},
+        {"fixed_frames": np.ones(9, dtype=bool)},
+        {"frame_indices": np.array([0, 1, 7])},
     ],
 )
 def test_arrays_that_do_not_fit_together_raise(problem, changes):
@@ -158,14 +158,15 @@ def test_any_numbers_give_a_status(data):
     """A good problem in which some numbers were replaced by anything."""
     scene = make_scene(np.random.default_rng(data.draw(st.integers(0, 5))), n_frames=3, n_points=12)
     arrays = {
-        name: np.array(getattr(scene.problem, name)) for name in ("Ts_vo_cam", "points_vo", "uv", "sigma_px", "fixed")
+        name: np.array(getattr(scene.problem, name))
+        for name in ("Ts_vo_cam", "points_vo", "rays", "sigma_px", "fixed_frames")
     }
     for _ in range(data.draw(st.integers(1, 6))):
-        name = data.draw(st.sampled_from(["Ts_vo_cam", "points_vo", "uv", "sigma_px"]))
+        name = data.draw(st.sampled_from(["Ts_vo_cam", "points_vo", "rays", "sigma_px"]))
         flat = arrays[name].reshape(-1)
         flat[data.draw(st.integers(0, flat.size - 1))] = data.draw(NASTY)
     if data.draw(st.booleans()):
-        arrays["fixed"] = np.array(data.draw(st.lists(st.booleans(), min_size=3, max_size=3)))
+        arrays["fixed_frames"] = np.array(data.draw(st.lists(st.booleans(), min_size=3, max_size=3)))
     changed = replace(scene.problem, **arrays)
     chosen = BundleSettings(
         loss=data.draw(st.sampled_from(list(BundleLoss))), iterations_max=data.draw(st.sampled_from([0, 1, 5, 30]))

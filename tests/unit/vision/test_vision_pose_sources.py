@@ -51,16 +51,16 @@ def test_the_papers_mono_source_is_coarser_but_right(pair_and_truth):
         assert len(found.marker_ids) == 1
         error = deviation(found.T_cam_object, truth[name])
         assert 1e-5 < np.linalg.norm(error[3:]) < 0.1, "m"
-    assert all(view.corners_right_px is None for view in observation.views)
+    assert all(view.corners_right_px is None for view in observation.marker_views)
     check_blind(source, pair[0].shape)
 
 
 def test_one_marker_of_the_ooi_is_enough(pair_and_truth):
     pair, truth = pair_and_truth
     seen = ArucoPoseSource(machine()).observe(*pair, 0)
-    keep = next(view for view in seen.views if view.marker_id in (1, 2, 3) and view.used)
+    keep = next(view for view in seen.marker_views if view.marker_id in (1, 2, 3) and view.used)
     images = [image.copy() for image in pair]
-    for view in seen.views:
+    for view in seen.marker_views:
         if view.marker_id in (1, 2, 3) and view.marker_id != keep.marker_id:
             for image, corners in zip(images, (view.corners_left_px, view.corners_right_px), strict=True):
                 if corners is not None:

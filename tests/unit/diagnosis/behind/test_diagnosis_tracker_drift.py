@@ -20,7 +20,7 @@ class Residual:
             drift[k] = kept * drift[k - 1] + np.sqrt(1.0 - kept**2) * rng.normal(0.0, drift_m, 3)
         self.rows = np.repeat(drift, POINTS, axis=0) + rng.normal(0.0, NOISE_M, (INSTANTS * POINTS, 3))
         self.noise: Any = self
-        self.instants = np.repeat(np.arange(INSTANTS), POINTS)
+        self.instant_index = np.repeat(np.arange(INSTANTS), POINTS)
 
     def __call__(self, _base: Any) -> np.ndarray:
         return self.rows.reshape(1, -1)

@@ -77,7 +77,7 @@ def test_what_a_healthy_machine_leaves_is_read_from_its_baseline() -> None:
     remainders = {("structure", None, "tracker"): Remainder("structure", None, "tracker", 1e-4, 1e-4, level=1.3)}
     nominal = SimpleNamespace(baseline_remainder=lambda *place: remainders.get(place))
     for known, level in ((nominal, 1.3), (None, 1.0)):
-        assert usual_level(cast(Any, SimpleNamespace(nominal=known)), "structure", None, "tracker") == level
+        assert usual_level(cast(Any, SimpleNamespace(nominal_machine=known)), "structure", None, "tracker") == level
 
 
 @pytest.mark.parametrize(

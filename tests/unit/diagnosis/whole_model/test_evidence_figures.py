@@ -58,7 +58,7 @@ def test_a_size_that_goes_with_the_position_or_the_time_of_one_part_is_found_out
         SimpleNamespace(rows=SimpleNamespace(row_count=count), t_s=np.arange(count) * 0.1, regressors=regressors)
         for count, regressors in ((100, ()), (ROWS - 100, (("position", position[100:]),)))
     )
-    cell = cast(Any, SimpleNamespace(rows=SimpleNamespace(fold=kind, row_count=ROWS), parts=parts))
+    cell = cast(Any, SimpleNamespace(rows=SimpleNamespace(fold=kind, row_count=ROWS), joined_cells=parts))
     late = (np.arange(ROWS) - 100.0) / (ROWS - 100.0)
     found = {}
     for name, size in (

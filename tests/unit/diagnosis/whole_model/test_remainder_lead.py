@@ -12,8 +12,10 @@ N = 2000
 
 def fit_with(residual: np.ndarray, **signals: np.ndarray) -> Any:
     part = SimpleNamespace(regressors=tuple(signals.items()), t_s=np.arange(N) * 0.05)
-    cell = SimpleNamespace(restless="", by_part=lambda values: ((part, values),))
-    return cast(Any, SimpleNamespace(cell=cell, best=SimpleNamespace(lin=SimpleNamespace(residual=residual))))
+    cell = SimpleNamespace(loose_target_text="", by_part=lambda values: ((part, values),))
+    return cast(
+        Any, SimpleNamespace(cell=cell, best_fit=SimpleNamespace(linear_model=SimpleNamespace(residual=residual)))
+    )
 
 
 def test_the_signal_that_a_remainder_follows_is_named_with_its_share() -> None:
