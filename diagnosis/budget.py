@@ -1,6 +1,6 @@
 """The error budget: what each effect costs in millimetres at the tool, how sure it is, and what is left unexplained."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -207,22 +207,23 @@ def _budget_column(
             True,
         )
     seen = error.budget_column == "sees"
-    left = [
-        _left_and_noise_mm(whole, part, residual)
-        for fit in fits
-        for part, residual in fit.cell.by_part(
-            fit.best_fit.linear_model.residual if seen else _residual_with(fit.cell, sure)
-        )
-        if isinstance(part.whitened, CornerResidual if seen else PointResidual)
-    ]
-    if not left:  # nothing measured it: all that is known is what the confirmed effects do
+
+    def largest(residual_of: Callable[[WholeFit], Array]) -> tuple[float, float]:
+        measured = CornerResidual if seen else PointResidual
+        parts = [part for fit in fits for part in fit.cell.by_part(residual_of(fit))]
+        left = [_left_and_noise_mm(whole, *part) for part in parts if isinstance(part[0].whitened, measured)]
+        return max(left, default=(-1.0, 0.0))
+
+    after, floor = largest(lambda fit: fit.best_fit.linear_model.residual if seen else _residual_with(fit.cell, sure))
+    if after < 0.0:  # nothing measured it: all that is known is what the confirmed effects do
         return BudgetColumn(error.budget_column, _rms_mm(explained), 0.0, 0.0, False)
-    after, floor = max(left)
-    before = together_mm((_rms_mm(explained), after))
     if seen:  # a mean error of corners says little of the distance: what the effects that are not confirmed do is added
         before = together_mm((_rms_mm(error.total_error), after))
         after = together_mm((_rms_mm(error.total_error - explained), after))
-    return BudgetColumn(error.budget_column, before, after, floor, True)
+        return BudgetColumn(error.budget_column, before, after, floor, True)
+    # The larger: an unknown frame takes up a part of what effects do, and a clock's error moves no arm.
+    nominal, _ = largest(lambda fit: _residual_with(fit.cell, ()))
+    return BudgetColumn(error.budget_column, max(nominal, together_mm((_rms_mm(explained), after))), after, floor, True)
 
 
 def _residual_with(cell: Cell, terms: Sequence[EffectTerm]) -> Array:

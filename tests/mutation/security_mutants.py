@@ -113,7 +113,10 @@ MUTANTS = {
         "test_a_foreign_origin_commands_nothing",
     ),
     "any name will do": (put(gatekeeper, "host_allowed", lambda *_: True), "test_a_rebound_name_reaches_nothing"),
-    "bodies of any length": (put(guard, "BODY_MAX", 1 << 40), "test_an_oversized_body_is_refused_whole_or_in_pieces"),
+    "bodies of any length": (
+        put(guard, "REQUEST_BODY_MAX_BYTES", 1 << 40),
+        "test_an_oversized_body_is_refused_whole_or_in_pieces",
+    ),
     "run ids are joined to the folder": (put(runs, "run_path", joined), "test_a_run_id_never_leaves_the_folder"),
     "paths are joined to the folder": (
         put(diagnoses, "path_inside", lambda folder, relative: folder / relative.replace("\x00", "")),
@@ -135,7 +138,7 @@ MUTANTS = {
         "test_a_key_file_that_cannot_be_read_puts_every_key_out_of_force_but_never_a_stop",
     ),
     "a person may be a fleet": (
-        put(lease, "KINDS_OF_ROLE", dict.fromkeys(Role, ("operator", "fleet", "engineer"))),
+        put(lease, "LEASE_KINDS_BY_ROLE", dict.fromkeys(Role, ("operator", "fleet", "engineer"))),
         "test_a_persons_key_gets_no_control_as_a_fleet_and_so_no_motion_without_the_hold",
     ),
     "logging out does nothing": (put(Sessions, "close", lambda *_: None), "test_logging_out_ends_the_session"),

@@ -18,7 +18,9 @@ EQUIVALENT = {
     "_trajectory_field_refusals: 1 <= count <= KNOTS_PER_COMMAND: operand 2 scaled": "a count: n <= 6.12 is n <= 6",
     "_trajectory_field_refusals: KNOTS_PER_COMMAND: scaled by 1.02": "the same",
     "_motion_field_refusals: command.traj_id < 1: operand 0 scaled": "a whole number from 0 on: 1.02 n < 1 is n < 1",
-    "_stale_state_refusals: 0 <= view.state_age_ns <= STATE_LATE.ns: operand 0 scaled": "0 times 1.02 is 0",
+    "_stale_state_refusals: 0 <= view.state_age_ns <= STATE_LATE_TIMEOUT.duration_ns: operand 0 scaled": (
+        "0 times 1.02 is 0"
+    ),
     "_motion_field_refusals: 0.0 <= command.speed_override <= 1.0: operand 0 scaled": "0 times 1.02 is 0",
     "_one_knot: q < axis.q_min: boundary 0 shifted": "asked only where q is outside, so never at q_min",
     "_knot_step_refusals: dt_ns < table.spacing_min_ns: boundary 0 shifted": "asked only where dt is outside",

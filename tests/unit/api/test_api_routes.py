@@ -187,7 +187,7 @@ async def test_no_job_begins_while_the_numerics_load(client, service):
     refused = await client.post("/v1/jobs", json={"kind": "look"})
     assert (refused.status_code, refused.json()["code"]) == (409, "starting")
     assert not service.engine.jobs
-    service.cell.starting = ""
+    service.cell.startup_note = ""
     assert (await client.post("/v1/jobs", json={"kind": "look"})).status_code == 202
     await asyncio.wait({service.engine._task}, timeout=5.0)
 

@@ -55,7 +55,7 @@ def test_each_is_there_and_the_list_says_what_it_says_of_itself(one):
     module, _, attribute = one.import_path.partition(":")
     if isinstance(getattr(importlib.import_module(module), attribute), typer.Typer):
         assert command.commands
-    assert " ".join(command.help.split()) == one.about
+    assert " ".join(command.help.split()) == one.help_text
 
 
 def test_a_command_of_the_table_takes_its_own_arguments_and_a_typo_is_answered():

@@ -154,7 +154,7 @@ class Interrupted:
 def test_two_hundred_interruptions_leave_whole_parts_and_a_next_step(stage, tmp_path, monkeypatch):
     monkeypatch.setattr(drive_steps, "refuse_unsafe_reference", lambda *_: None)  # it takes seconds, 200 times
     told = planned(stage.ctx, stage.world, stage.desk)
-    whole, start = stage.desk.session.planned, stage.world.q_ref.copy()
+    whole, start = stage.desk.session.planned_identification, stage.world.q_ref.copy()
     length = 2 * sum(len(part.steps) for part in whole.parts) + 2 * told.looks
     rng = np.random.default_rng(57)
     for number in range(200):
@@ -190,4 +190,6 @@ def test_two_hundred_interruptions_leave_whole_parts_and_a_next_step(stage, tmp_
 
 def replace_session(session, planned_whole):
     """The session as it was when its plan was made."""
-    return Session(replace(session.drive, done=set()), planned_whole, tuple(part.name for part in planned_whole.parts))
+    return Session(
+        replace(session.drive, done_parts=set()), planned_whole, tuple(part.name for part in planned_whole.parts)
+    )

@@ -52,8 +52,8 @@ def test_what_is_refused_forgets_nothing(done, why: str) -> None:
     with pytest.raises(JobFailedError, match="retract first" if why.startswith("no path") else "cover is on"):
         again(world, ctx)
     assert world.moved == moved
-    assert ctx.knowledge.mount is mount
-    assert len(ctx.knowledge.looks) >= looks
+    assert ctx.knowledge.mount_rotation_estimate is mount
+    assert len(ctx.knowledge.look_observations) >= looks
     run(return_to_start(ctx), world)
     assert np.abs(world.q - start).max() < np.deg2rad(0.7)  # the stall, on either side
 

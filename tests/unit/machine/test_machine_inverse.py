@@ -146,7 +146,7 @@ def test_out_of_reach_names_distance_limit_and_remedy():
     assert "joint 2 (lift)" in far.reason
     assert "reaches at most 4.05 m" in far.reason
     assert "nearer" in far.reason
-    centred = chain_with(a={0: 0.0})
+    centred = chain_with(dh_a_m={0: 0.0})
     close = inverse_nearest(centred, pose(tcp_pose(CHAIN, np.zeros(6))[:3, :3], [0.60, 0.0, 1.75]), np.zeros(6))
     assert close.status is InverseStatus.OUT_OF_REACH
     assert "further away" in close.reason
@@ -178,11 +178,11 @@ def test_each_joint_limit_is_found_and_named(index):
 def test_broken_contracts_raise():
     T = tcp_pose(CHAIN, QS[0])
     with pytest.raises(MachineError, match="twists of Table 1"):
-        inverse_all(chain_with(alpha={1: 0.1}), T)
+        inverse_all(chain_with(dh_alpha_rad={1: 0.1}), T)
     with pytest.raises(MachineError, match="spherical"):
-        inverse_all(chain_with(a={4: 0.1}), T)
+        inverse_all(chain_with(dh_a_m={4: 0.1}), T)
     with pytest.raises(MachineError, match="two booms"):
-        inverse_all(chain_with(a={1: 0.0}), T)
+        inverse_all(chain_with(dh_a_m={1: 0.0}), T)
     with pytest.raises(MachineError, match="orthonormal"):
         inverse_all(CHAIN, np.diag([1.0, 1.0, 1.01, 1.0]))
     with pytest.raises(MachineError, match="mirrored"):

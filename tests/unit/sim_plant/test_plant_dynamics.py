@@ -29,9 +29,9 @@ def pin_model(tree):
     for i in range(N_TREE_JOINTS):
         placement = pin.SE3(tree.tree_R[i], tree.tree_p[i])
         parent = model.addJoint(parent, pin.JointModelRZ(), placement, f"joint_{i}")
-        body = pin.Inertia(float(tree.mass_kg[i]), tree.com_m[i], tree.inertia[i])
+        body = pin.Inertia(float(tree.mass_kg[i]), tree.com_m[i], tree.inertia_kg_m2[i])
         model.appendBodyToJoint(parent, body, pin.SE3.Identity())
-    model.armature = tree.armature
+    model.armature = tree.armature_kg_m2
     return model
 
 
@@ -41,7 +41,7 @@ def test_aba_agrees_with_pinocchio(tree, pin_model):
     for _ in range(200):
         q, qd, tau = rng.normal(size=11), rng.normal(size=11), 1e3 * rng.normal(size=11)
         aba(
-            tree.tree_R, tree.tree_p, tree.mass, tree.com, tree.inertia, tree.armature, GRAVITY,
+            tree.tree_R, tree.tree_p, tree.mass_kg, tree.com_m, tree.inertia_kg_m2, tree.armature_kg_m2, GRAVITY,
             q, qd, tau, work, qdd,
         )  # fmt: skip
         expected = pin.aba(pin_model, data, q, qd, tau)
