@@ -159,10 +159,10 @@ OSCILLATION_DAMPING_RATIO = 0.25  # wide enough that an oscillation between two 
 RESPONSE_FAMILY_NAMES = (
     "echoes",
     "catching up",
-    "swings",
-    "uneven swings",
-    "the other joints' swings",
-)  # old name, in baselines
+    "swings",  # old name, in baselines
+    "uneven swings",  # old name, in baselines
+    "the other joints' swings",  # old name, in baselines
+)
 
 
 def actuator_responses(c: Course) -> dict[str, Array]:
