@@ -32,7 +32,5 @@ with tempfile.TemporaryDirectory() as place:
     whole = longreach.read_recording(Path(place) / "run")  # an MCAP file is read by the same call
     states = whole.of(PlcState)
     lag = column(states, "q_ref_rad")[:, 0] - column(states, "q_rad")[:, 0]
-    print(
-        f"{whole.run_info.name}: {len(states)} PLC states, joint 1 lags by up to {np.rad2deg(np.abs(lag).max()):.2f} "
-        "deg"
-    )
+    lag_deg = np.rad2deg(np.abs(lag).max())
+    print(f"{whole.run_info.name}: {len(states)} PLC states, joint 1 lags by up to {lag_deg:.2f} deg")

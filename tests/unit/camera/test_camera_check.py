@@ -218,7 +218,7 @@ def test_one_eye_darker_than_the_other_is_named() -> None:
 
 
 def corners_of(pair: Pair, marker_id: int) -> tuple[Array | None, Array | None]:
-    view = next(one for one in ArucoPoseSource(MACHINE).observe(*pair, 0).marker_views if one.marker_id == marker_id)
+    view = next(seen for seen in ArucoPoseSource(MACHINE).observe(*pair, 0).marker_views if seen.marker_id == marker_id)
     return view.corners_left_px, view.corners_right_px
 
 

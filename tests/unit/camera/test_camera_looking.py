@@ -219,6 +219,6 @@ def test_pipeline_reports_poses_odometry_preview_and_rate() -> None:
     ended = pipeline.switch_odometry(False)
     assert ended is not None
     assert ended.points_vo.shape == (7, 3)  # for looking at
-    assert ended.still_masks == (None, None)  # of one pair nothing is told
+    assert ended.still_masks == (None, None)  # one pair says nothing of what stands still
     assert pipeline.switch_odometry(False) is None
     assert process(9).odometry is None

@@ -148,7 +148,7 @@ def test_a_diagnosed_file_is_read(tmp_path):
     settings = ServerSettings.model_validate({"compensation": {"machine_file": str(machine_file(tmp_path, "effects"))}})
     known = compensation_from(settings, MACHINE)
     assert known is not None
-    assert [one.name for one in known.effects_by_use.compensated] == [one.name for one in SEVERAL]
+    assert [effect.name for effect in known.effects_by_use.compensated] == [effect.name for effect in SEVERAL]
 
 
 @pytest.mark.parametrize("word", ["undecided", "outside"])

@@ -94,7 +94,7 @@ def test_all_terms_at_once_equal_the_slow_reference(seed: int) -> None:
 def test_each_effect_with_neutral_size_is_an_exact_identity(effect) -> None:
     plant = plant_of_hiab()
     run = drive(plant, loads=True)
-    shapes = {one.name: one.start_value for one in effect.shapes}
+    shapes = {parameter.name: parameter.start_value for parameter in effect.shapes}
     entry = make_entry(
         effect, None if effect.scope == "machine" else 2, {effect.size.name: effect.size.neutral_value, **shapes}
     )

@@ -60,7 +60,7 @@ def test_a_plan_moves_nothing_and_its_hash_drives_every_part_once(stage, tmp_pat
     start = stage.world.q_ref.copy()
     requests, driven = performed(driving(stage.ctx, stage.world, stage.desk, told), stage.world)
     assert np.allclose(stage.world.q_ref, start, atol=1e-9)
-    marks = [mark for one in requests if isinstance(one, Move) for mark in one.segment_marks]
+    marks = [mark for request in requests if isinstance(request, Move) for mark in request.segment_marks]
     assert [mark.repeat_of for mark in marks].count("repeats") == 4
     assert {mark.kind for mark in marks} == {"repeat", "sweep", "multisine", "workcycle", "steps", "staircase", "hold"}
     assert [one.kind for one in requests if isinstance(one, BeginSegment)] == ["static"]

@@ -44,7 +44,7 @@ def service(tmp_path):
 
 
 def by_path(service) -> dict[tuple[str, ...], OpcUaValue]:
-    return {one.browse_path: one for one in opcua_values(service)}
+    return {value.browse_path: value for value in opcua_values(service)}
 
 
 def test_axes_are_in_degrees_with_their_names(service):
@@ -60,7 +60,7 @@ def test_axes_are_in_degrees_with_their_names(service):
 def test_what_the_plc_has_not_told_lately_is_not_fresh(service):
     now_ns = service.cell.link.latest.t_mono_ns
     at = {
-        age_s: {one.browse_path: one.is_fresh for one in opcua_values(service, now_ns + int(age_s * 1e9))}
+        age_s: {value.browse_path: value.is_fresh for value in opcua_values(service, now_ns + int(age_s * 1e9))}
         for age_s in (0.2, 0.3)
     }
     assert at[0.2][POSITION_2] is True
@@ -89,9 +89,9 @@ def test_faults_are_told_as_the_companion_specification_names_them(service):
 
 
 def test_the_paths_never_change(service):
-    before = [one.browse_path for one in opcua_values(service)]
+    before = [value.browse_path for value in opcua_values(service)]
     service.cell.link.latest = None
-    assert [one.browse_path for one in opcua_values(service)] == before
+    assert [value.browse_path for value in opcua_values(service)] == before
     assert len(set(before)) == len(before)
 
 

@@ -136,9 +136,9 @@ def test_a_foreign_channel_under_a_known_topic_is_not_decoded_and_said(
     recording = read_run(path)
     assert recording.complete
     assert len(recording.of(Sent)) == 5
-    told = f"{topic} ({encoding}, schema 'nav_msgs/Odometry'): 1 messages were not read"
-    assert recording.foreign_channels == (told,)
-    assert f"channel {told}: it is not of this format" in check_recording(path).problems
+    message = f"{topic} ({encoding}, schema 'nav_msgs/Odometry'): 1 messages were not read"
+    assert recording.foreign_channels == (message,)
+    assert f"channel {message}: it is not of this format" in check_recording(path).problems
     assert recover(path, tmp_path / "saved.mcap").n_messages == 6
 
 

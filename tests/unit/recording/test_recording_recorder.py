@@ -168,7 +168,8 @@ def test_stretches_of_a_trajectory_count_from_one_moment_and_a_cut_repeat_is_non
     path = recorder.stop()
     assert path is not None
     found = [
-        (one.name, one.t_start_plc_s - 1000.0, one.t_end_plc_s - 1000.0) for one in read_run(path).run_info.segments
+        (segment.name, segment.t_start_plc_s - 1000.0, segment.t_end_plc_s - 1000.0)
+        for segment in read_run(path).run_info.segments
     ]
     wanted = [("repeats 0", 0.0, 0.25), ("repeats 1", 0.25, 0.5), ("steps", 0.5, 0.6)]
     assert [one[0] for one in found] == [one[0] for one in wanted]
@@ -308,7 +309,7 @@ def test_a_plc_that_was_switched_off_and_on_costs_no_recording(tmp_path: Path) -
     assert path is not None
     found = read_run(path)
     assert len(found.of(PlcState)) == 100
-    assert [one.name for one in found.run_info.segments] == ["first"]
+    assert [segment.name for segment in found.run_info.segments] == ["first"]
     assert found.run_info.segments[0].t_end_plc_s == pytest.approx(1000.49)
     assert "restarted" in " ".join(entry.text for entry in found.log_entries)
 

@@ -82,7 +82,7 @@ def test_a_new_baseline_takes_the_old_ones_place() -> None:
 
     text = with_baseline(old, Found())  # pyright: ignore[reportArgumentType]
     nominal = nominal_of(text)
-    assert [one.name for one in nominal.baseline_effects] == ["backlash"]
+    assert [effect.name for effect in nominal.baseline_effects] == ["backlash"]
     assert nominal.baseline_remainders == ()
     assert parse_machine_toml(text).joints == parse_machine_toml(MACHINE_TOML).joints
 

@@ -31,8 +31,8 @@ def test_static_poses_alone_are_enough_for_the_structure() -> None:
     assert whole.findings == ()
     assert stages_present(whole) == ("structure",)
     found = localise(whole)
-    assert {one.stage for one in found.gap_places} == {"structure"}
-    assert max(one.model_gap for one in found.gap_places) == pytest.approx(NOISE_M, rel=0.25)
+    assert {place.stage for place in found.gap_places} == {"structure"}
+    assert max(place.model_gap for place in found.gap_places) == pytest.approx(NOISE_M, rel=0.25)
     assert merged_stages(whole)[-1][0] == ("joint", "structure")
 
 
@@ -54,7 +54,7 @@ def test_a_log_of_which_nothing_is_replayed_is_said_beside_what_is_judged() -> N
 
 def test_a_long_link_and_a_soft_one_are_seen_in_static_poses() -> None:
     for sets in (packed("link_length_error", 2, error_m=0.02), packed("gravity_sag", 2, compliance_rad_nm=1e-6)):
-        gaps = [one.model_gap for one in localise(examined(static_recording(sets))).gap_places]
+        gaps = [place.model_gap for place in localise(examined(static_recording(sets))).gap_places]
         assert np.linalg.norm(gaps) > 3e-3
 
 
@@ -130,9 +130,9 @@ def camera_gaps(sets: ParameterSets, with_plc: bool = True) -> dict[tuple[str, s
     whole = examined(camera_recording(sets, with_plc))
     assert whole.has_judgeable_stage, [str(finding) for finding in whole.findings]
     return {
-        (one.motion_regime, one.axis or ""): one.model_gap
-        for one in localise(whole).gap_places
-        if one.stage == "camera"
+        (place.motion_regime, place.axis or ""): place.model_gap
+        for place in localise(whole).gap_places
+        if place.stage == "camera"
     }
 
 

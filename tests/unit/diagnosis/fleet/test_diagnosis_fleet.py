@@ -83,7 +83,7 @@ def answer_with(recording: str, day: int, size: float | None, serial: str = "7",
 def test_a_play_that_grows_is_a_drift_and_one_that_stays_is_none() -> None:
     grows = [answer_with(f"g{day}", day, 2e-3 + 2e-4 * day) for day in (1, 2, 3, 4)]
     stays = [answer_with(f"s{day}", day, 3e-3 + 3e-5 * (-1) ** day, "8") for day in (1, 2, 3, 4)]
-    drifts = {one.machine: one for one in summary_of(grows + stays).effect_drifts}
+    drifts = {drift.machine: drift for drift in summary_of(grows + stays).effect_drifts}
     assert drifts["hiab033 7"].is_drifting
     assert abs(drifts["hiab033 7"].per_day - 2e-4) < 1e-6
     assert not drifts["hiab033 8"].is_drifting

@@ -232,9 +232,9 @@ def test_text_of_two_bytes_a_letter_is_told(tmp_path: Path) -> None:
 
 
 def test_channels_of_others_are_a_note() -> None:
-    told = "/odometry (json, schema 'nav_msgs/Odometry'): 7 messages were not read"
-    findings = examine_recording(replace(MADE, foreign_channels=(told,)), Path("made")).findings
-    assert [one.severity for one in findings if told in str(one)] == ["note"]
+    message = "/odometry (json, schema 'nav_msgs/Odometry'): 7 messages were not read"
+    findings = examine_recording(replace(MADE, foreign_channels=(message,)), Path("made")).findings
+    assert [finding.severity for finding in findings if message in str(finding)] == ["note"]
 
 
 def test_a_column_that_is_there_twice_is_read_as_neither(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ def places(*effects: EffectEntry):
 def test_nothing_is_left_of_a_nominal_machine() -> None:
     found = places()
     assert found.floor_known
-    whole = [one for one in found.gap_places if one.motion_regime == "all"]
+    whole = [place for place in found.gap_places if place.motion_regime == "all"]
     assert {one.stage for one in whole} == {"link", "controller", "actuator"}
     assert len(whole) == 18
     for one in whole:
@@ -47,8 +47,8 @@ def test_each_gap_lies_where_it_was_put(name: str) -> None:
     assert top.stage == stage
     assert joint is None or top.joint == joint
     assert top.model_gap > 5.0 * top.noise_floor
-    share = sum(one.tcp_mm**2 for one in found.gap_places if one.stage == stage and one.motion_regime == "all")
-    rest = sum(one.tcp_mm**2 for one in found.gap_places if one.stage != stage and one.motion_regime == "all")
+    share = sum(place.tcp_mm**2 for place in found.gap_places if place.stage == stage and place.motion_regime == "all")
+    rest = sum(place.tcp_mm**2 for place in found.gap_places if place.stage != stage and place.motion_regime == "all")
     assert share > 9.0 * rest
 
 

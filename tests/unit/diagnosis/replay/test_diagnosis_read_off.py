@@ -90,4 +90,8 @@ def test_a_limit_of_the_command_lies_above_all_that_was_commanded() -> None:
     assert narrowed.parameter_slots[0].lower_bound == pytest.approx(0.588)
     assert narrowed.parameter_slots[0].start_value >= narrowed.parameter_slots[0].lower_bound
     full = SimpleNamespace(u=np.array([[1.0]]))
-    assert not [one for one in candidates_within_log((limit,), (full,)) if one.parameter_slots[0].lower_bound < 0.97]  # pyright: ignore[reportArgumentType]
+    assert not [
+        candidate
+        for candidate in candidates_within_log((limit,), (full,))
+        if candidate.parameter_slots[0].lower_bound < 0.97
+    ]  # pyright: ignore[reportArgumentType]

@@ -144,7 +144,7 @@ def test_a_sound_fast_loop_that_nobody_repeated_has_no_fault(tmp_path: Path, see
 def test_a_loop_that_something_else_commands_as_well_is_not_run(tmp_path: Path) -> None:
     """A name that is there would have gained nothing by what the controller alone gives."""
     found = budget_of(read_for_diagnosis(recorded(tmp_path, replace(FAST, ahead=1.0, play_frac=0.03))))
-    cells = [one.cell for one in found.part_fits]
+    cells = [fit.cell for fit in found.part_fits]
     assert [quiet_loop(one) for one in cells if one.stage == "actuator"] == [None]
 
 

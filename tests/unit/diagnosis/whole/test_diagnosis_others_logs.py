@@ -62,7 +62,7 @@ def test_joints_without_valve_commands_are_judged_one_by_one() -> None:
         line.evidence.effect_term.effect.effect_and_joint for line in found.effect_lines if line.status != "doubtful"
     ]
     assert named in ([("flow_gain_error", 2)], [("controller_gain_error", 2)])
-    assert next(one.joint for one in found.localisation.gap_places if one.stage == "actuator") == 2
+    assert next(place.joint for place in found.localisation.gap_places if place.stage == "actuator") == 2
 
 
 @pytest.mark.parametrize("lag_s", [0.03, pytest.param(0.0, marks=pytest.mark.slow)])

@@ -46,7 +46,9 @@ def test_poses_at_rest_of_an_arm_given_as_urdf() -> None:
     assert stages_present(whole) == ("structure",)
     assert [one.code for one in whole.findings] == ["duplicate_points"]  # columns 3 and 4 of the file are the same
     found = localise(whole)
-    assert 1e-3 < np.linalg.norm([one.model_gap for one in found.gap_places]) < 8e-3  # millimetres: the chain is right
+    assert (
+        1e-3 < np.linalg.norm([place.model_gap for place in found.gap_places]) < 8e-3
+    )  # millimetres: the chain is right
     assert merged_stages(whole)[-1][0] == ("joint", "structure")
 
 
