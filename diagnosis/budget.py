@@ -1,6 +1,6 @@
 """The error budget: what each effect costs in millimetres at the tool, how sure it is, and what is left unexplained."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,6 @@ from diagnosis.localise import Localisation, beyond_noise, localise
 from diagnosis.reading.read import Read
 from diagnosis.replay.repeats import align_repeats
 from diagnosis.replay.stretches import repeat_groups
-from diagnosis.search.candidates import parameter_sets_with
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import entries_of as entries_of_fit
 from diagnosis.search.work import Progress, WorkProgress, no_progress
@@ -32,7 +31,7 @@ from diagnosis.verdict import (
 )
 from diagnosis.whole_model.evidence import NORMAL_QUANTILE_95, Evidence, evidence_of
 from diagnosis.whole_model.held_out import HeldOut, held_out
-from diagnosis.whole_model.linear import EffectTerm
+from diagnosis.whole_model.linear import EffectTerm, pack_terms
 from diagnosis.whole_model.parts import fit_machine
 from diagnosis.whole_model.probability import CONFIRMED_PROBABILITY, LIKELY_PROBABILITY, probability
 from diagnosis.whole_model.solve import WholeFit, fit_of, refit_reduced, refit_terms
@@ -107,7 +106,7 @@ def budget_of(whole: Read, progress: Progress = no_progress, left_out: tuple[str
     work.report_concluding_progress("held-out data", 0.8)
     predicted = tuple(held_out(fit.cell, fit_of(fit.best_fit.current_terms, fit.best_fit.linear_model)) for fit in fits)
     closing = tuple(tuple(gaps_closed(prediction)) for prediction in predicted)
-    columns = tuple(_budget_column(whole, error, chance, fits, sure) for error in errors)
+    columns = tuple(_budget_column(whole, error, chance, fits, sure, predicted) for error in errors)
     total = sum(column.before_mm**2 for column in columns)
     lines = tuple(
         line for error in errors for line in _effect_lines(error, evidence, chance, total)
@@ -192,7 +191,12 @@ def _lines_without_tool_error(
 
 
 def _budget_column(
-    whole: Read, error: ToolError, chance: dict[int, float], fits: tuple[WholeFit, ...], sure: Sequence[EffectTerm]
+    whole: Read,
+    error: ToolError,
+    chance: dict[int, float],
+    fits: tuple[WholeFit, ...],
+    sure: Sequence[EffectTerm],
+    predicted: tuple[HeldOut, ...],
 ) -> BudgetColumn:
     """One column's miss before and after; measured where the recording measured it."""
     chosen = [k for k, term in enumerate(error.effect_terms) if chance[id(term)] >= CONFIRMED_PROBABILITY]
@@ -207,33 +211,39 @@ def _budget_column(
             True,
         )
     seen = error.budget_column == "sees"
-
-    def largest(residual_of: Callable[[WholeFit], Array]) -> tuple[float, float]:
-        measured = CornerResidual if seen else PointResidual
-        parts = [part for fit in fits for part in fit.cell.by_part(residual_of(fit))]
-        left = [_left_and_noise_mm(whole, *part) for part in parts if isinstance(part[0].whitened, measured)]
-        return max(left, default=(-1.0, 0.0))
-
-    after, floor = largest(lambda fit: fit.best_fit.linear_model.residual if seen else _residual_with(fit.cell, sure))
-    if after < 0.0:  # nothing measured it: all that is known is what the confirmed effects do
+    if seen:
+        left = _largest_miss_mm(whole, CornerResidual, [(fit.cell, fit.best_fit.linear_model.residual) for fit in fits])
+    else:
+        left = _largest_miss_mm(whole, PointResidual, [(fit.cell, _residual_with(fit.cell, sure)) for fit in fits])
+    if left is None:  # nothing measured it: all that is known is what the confirmed effects do
         return BudgetColumn(error.budget_column, _rms_mm(explained), 0.0, 0.0, False)
+    after, floor = left
     if seen:  # a mean error of corners says little of the distance: what the effects that are not confirmed do is added
         before = together_mm((_rms_mm(error.total_error), after))
         after = together_mm((_rms_mm(error.total_error - explained), after))
-        return BudgetColumn(error.budget_column, before, after, floor, True)
-    # The larger: an unknown frame takes up a part of what effects do, and a clock's error moves no arm.
-    nominal, _ = largest(lambda fit: _residual_with(fit.cell, ()))
-    return BudgetColumn(error.budget_column, max(nominal, together_mm((_rms_mm(explained), after))), after, floor, True)
+    else:  # the larger: an unknown frame takes up a part of what effects do, and a clock's error moves no arm
+        nominal = _largest_miss_mm(
+            whole, PointResidual, [(each.cell, each.residual_without_effects) for each in predicted]
+        )
+        before = max(nominal[0] if nominal else 0.0, together_mm((_rms_mm(explained), after)))
+    return BudgetColumn(error.budget_column, before, after, floor, True)
 
 
 def _residual_with(cell: Cell, terms: Sequence[EffectTerm]) -> Array:
-    """What a part of the machine leaves (N,), whitened, with these effects and no other."""
+    """What a part of the machine leaves (N,), whitened, with those of these effects that it shows and no other."""
     own = {candidate.effect_and_joint for candidate in cell.candidates}
-    sets = cell.baseline_parameters
-    for term in terms:
-        if term.effect.effect_and_joint in own:
-            sets = parameter_sets_with(sets, (term.effect,), term.theta)
-    return cell.whitened(sets)[0]
+    return cell.whitened(pack_terms(cell, [term for term in terms if term.effect.effect_and_joint in own]))[0]
+
+
+def _largest_miss_mm(
+    whole: Read,
+    measured_by: type[PointResidual | CornerResidual],
+    residuals: Sequence[tuple[Cell, Array]],
+) -> tuple[float, float] | None:
+    """The largest miss beyond noise of all that was measured so, with its noise [mm]; None where nothing was."""
+    parts = [part for cell, residual in residuals for part in cell.by_part(residual)]
+    misses = [_left_and_noise_mm(whole, *part) for part in parts if isinstance(part[0].whitened, measured_by)]
+    return max(misses, default=None)
 
 
 def _left_and_noise_mm(whole: Read, part: Cell, residual: Array) -> tuple[float, float]:

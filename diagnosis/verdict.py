@@ -131,14 +131,12 @@ def stages_of(
             continue
         joints: Sequence[int | None] = [None]
         if stage in PER_JOINT_STAGES:
-            joints = sorted({place.joint for place in before.gap_places if place.stage == stage and place.joint}) or [
-                None
-            ]
+            judged = {place.joint for place in before.gap_places if place.stage == stage and place.joint}
+            joints = sorted(judged) or [None]
+        of_stage = [line for line in lines if stage_of[id(line)] == stage]
         for joint in joints:
-            of_stage = [line for line in lines if stage_of[id(line)] == stage]
-            here = [
-                line for line in of_stage if joint is None or line.evidence.effect_term.effect.joint in (None, joint)
-            ]
+            own_joint = (None, joint)
+            here = [line for line in of_stage if joint is None or line.evidence.effect_term.effect.joint in own_joint]
             confirmed = any(_is_sure(line) for line in here)
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
             matters = any(line.tool_rms_mm > SMALL_MM for line in here if _is_sure(line))

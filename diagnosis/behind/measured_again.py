@@ -10,6 +10,7 @@ from diagnosis.behind.point_residual import PointResidual
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
+NOISE_MAX_M = 0.02  # no instrument that measures an arm scatters more: two points of one name, say
 SAME_POSTURE_TOLERANCE_RAD = 2e-3
 MOTION_DIRECTION_WINDOW_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is not noise
 FEW_AT_REST, FEW_IN_MOTION = 4, 8  # points measured again for a floor at all: in motion some are so by chance
@@ -37,7 +38,10 @@ class MeasuredAgain:
 
 
 def measured_again(rough: PointResidual, base: ParameterSets) -> MeasuredAgain | None:
-    """From deviations of the residual where one point was measured again in the same pose; None if it hardly was."""
+    """From deviations of the residual where one point was measured again in the same pose.
+
+    None if it hardly was, or where they differ by more than noise can.
+    """
     residual = rough(base)[0].reshape(-1, 3)
     direction = _motion_directions(rough)
     points = rough.nominal_machine.tracked_points
@@ -67,6 +71,8 @@ def measured_again(rough: PointResidual, base: ParameterSets) -> MeasuredAgain |
     places = [(point.joint, point.name) for point in points]
     loose = "" if rough.encoder_paths else loose_point(of_point.sum(axis=1), again, *zip(*places, strict=True))
     sigma = np.sqrt(squares / dof if dof >= PER_AXIS_SIGMA_DOF_MIN else np.full(3, squares.mean() / dof))
+    if sigma.max() > NOISE_MAX_M:
+        return None
     together = 0.0 if loose else _shared_variance_fraction(deviation[repeated], rough.noise.instant_index[repeated])
     per_pose = dof / float(again.max())  # points measured in a pose
     common_m = float(np.sqrt(together) * sigma.min())

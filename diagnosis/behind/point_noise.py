@@ -20,7 +20,6 @@ from diagnosis.search.candidates import Candidate
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-NOISE_MAX_M = 0.02  # no instrument that measures an arm scatters more: two points of one name, say
 # Than what no mixture of effects explains: what differs so from repeat to repeat is not scatter
 REPEAT_SCATTER_RATIO_MAX = 2.0
 DRIFT_TO_SCATTER_RATIO_MAX = 2.0  # of the noise: trackers drift by as much as they scatter
@@ -68,8 +67,6 @@ def _at_rest(
     rough: PointResidual, base: ParameterSets, candidates: tuple[Candidate, ...], has_baseline: bool
 ) -> PointScatter:
     again = measured_again(rough, base)
-    if again is not None and float(again.sigma_m.max()) > NOISE_MAX_M:
-        again = None
     if again is not None and has_baseline:
         return PointScatter(again.sigma_m, 0.0, True, again.pointwise_dof, again.loose_target_text)
     if again is not None:
