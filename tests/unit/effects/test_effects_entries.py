@@ -102,7 +102,7 @@ def test_every_effect_written_is_read_back_the_same() -> None:
     back = read(entries_to_toml(entries))
     assert [one.name for one in back] == [one.name for one in entries]
     for one, two in zip(back, entries, strict=True):
-        assert (one.joint, one.option, one.values) == (two.joint_parameters, two.option, two.values)
+        assert (one.joint, one.option, one.values) == (two.joint, two.option, two.values)
         assert one.direction == pytest.approx(two.direction, abs=1e-15)
 
 
