@@ -23,7 +23,7 @@ CONFIRMED_PROBABILITY = 0.9  # probability from which an effect is confirmed; be
 LIKELY_PROBABILITY = 0.5
 FEATURE_VALUE_MAX = 1e3
 SIZE_AGREEMENT_FRAC = 0.01  # a size that is the same to a hundredth is the same
-EXPLAINED_FRAC_MIN = 1e-4  # of what is left: below, an effect is lost in it
+EXPLAINED_FRAC_FLOOR = 1e-4  # of what is left: below, an effect is lost in it
 RIDGE_PENALTY = 2.5**-2.0
 
 
@@ -41,7 +41,7 @@ def evidence_features(evidence: Evidence) -> Array:
             np.log1p(min(evidence.full_model_z_score, FEATURE_VALUE_MAX)),
             min(z / DETECTION_LIMIT_SIGMAS, 1.0),
             -np.log(SIZE_AGREEMENT_FRAC + min(evidence.size_scatter_frac, 1.0)),
-            np.log(max(evidence.explained_frac, EXPLAINED_FRAC_MIN)),
+            np.log(max(evidence.explained_frac, EXPLAINED_FRAC_FLOOR)),
             float(evidence.noise_known),
         ]
     )

@@ -92,7 +92,7 @@ class HandEyeUnknowns:
     T_base_target: Array
     offset_s: float = 0.0
 
-    def changed_by(self, change: Array) -> "HandEyeUnknowns":
+    def moved_by(self, change: Array) -> "HandEyeUnknowns":
         """Changed by (X 6, Y 6, offset if it is free)."""
         offset_s = self.offset_s + (float(change[12]) if len(change) > 12 else 0.0)
         return HandEyeUnknowns(
@@ -206,7 +206,7 @@ def refine_hand_eye(
         cost = _student_t_cost(residuals, S, freedom)
         H, g = _normal_equations(residuals, J, S, weights)
         change: Array = -np.linalg.lstsq(H + damping * np.diag(np.diag(H)), g, rcond=None)[0].astype(float)
-        tried = at.changed_by(change)
+        tried = at.moved_by(change)
         tried_residuals, tried_J = model.evaluate(tried)
         if _student_t_cost(tried_residuals, S, freedom) <= cost + 1e-9:
             at, residuals, J, damping = tried, tried_residuals, tried_J, max(0.1 * damping, 1e-9)

@@ -12,7 +12,7 @@ from server.targets.circle_fit import Circle, CircleFit, fit_circle
 from server.targets.circle_search import CirclePlace, find_places
 from server.targets.contracts import SurfacePatch, TargetSettings
 from server.targets.stereo_match import noise_grey
-from server.targets.surface import ROLL_SIGMA_RAD, measure_around, target_frame
+from server.targets.surface import ROLL_SIGMA_RAD, measure_surface_around, target_frame
 from server.vision.contracts import Array, Image
 from server.vision.odometry_features import allowed_masks
 
@@ -136,7 +136,7 @@ def _mark_surface_patch(
 ) -> SurfacePatch:
     """The mark as a patch: the rim's circle, axis and depth combined with the surface around it."""
     u, v, _ = _disc_px(camera, fit)
-    around = measure_around(left, right, camera, (u, v), float(fit.circle.centre[2]), avoid, settings)
+    around = measure_surface_around(left, right, camera, (u, v), float(fit.circle.centre[2]), avoid, settings)
     if around.T_cam_target is None or around.covariance is None:
         return around
     order = [3, 4, 5, 0, 1, 2]  # rotation first

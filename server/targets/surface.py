@@ -106,7 +106,7 @@ def measure_patch(
     )
 
 
-def measure_around(
+def measure_surface_around(
     left: Image,
     right: Image,
     camera: StereoCamera,

@@ -155,7 +155,7 @@ def test_the_jacobian_against_finite_differences():
     for k in range(J.shape[2]):
         step = np.zeros(J.shape[2])
         step[k] = 1e-6
-        ahead, behind = (model.evaluate(at.changed_by(sign * step))[0] for sign in (1.0, -1.0))
+        ahead, behind = (model.evaluate(at.moved_by(sign * step))[0] for sign in (1.0, -1.0))
         np.testing.assert_allclose(J[:, :, k], (ahead - behind) / 2e-6, atol=2e-5)
 
 
