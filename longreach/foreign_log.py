@@ -14,7 +14,6 @@ from rich.markup import escape
 from rich.table import Column, Table
 
 from recording.errors import RecordingError
-from recording.files import write_durably
 from recording.foreign.assemble import AssembledRecording
 from recording.foreign.convert import convert_foreign, is_foreign
 from recording.foreign.found import SourceContents
@@ -40,20 +39,11 @@ def convert_log(
 
     def confirm(found: SourceContents, assembled: AssembledRecording) -> bool:
         show(found, assembled, screen)
-        if mapping_out is not None:
-            _write_mapping(mapping_out, found.proposed_mapping_toml)
         if yes or not found.guessed_entries:
             return True
         return sys.stdin.isatty() and typer.confirm("Are the guesses right?", default=False, err=True)
 
-    convert_foreign(source, target, urdf, mapping, confirm)
-
-
-def _write_mapping(path: Path, text: str) -> None:
-    try:
-        write_durably(path, text)
-    except OSError as error:
-        raise RecordingError(f"mapping file {path} cannot be written: {error.strerror}") from error
+    convert_foreign(source, target, urdf, mapping, confirm, mapping_out)
 
 
 def show(found: SourceContents, assembled: AssembledRecording, screen: Console) -> None:

@@ -88,7 +88,8 @@ class RecordStream:
             "lz4",
         ):
             raise error
-        self._mark_damaged(str(error) or type(error).__name__)
+        said = str(error) or type(error).__name__
+        self._mark_damaged(said if self._path.stat().st_size else "it is empty")
 
     def _mark_damaged(self, reason: str) -> None:
         self.cut, self.reason = True, self.reason or reason
@@ -118,7 +119,7 @@ def read_mcap(path: Path) -> Recording:
     for record in stream:
         collected.take(record)
     if not collected.any_record:
-        raise RecordingError(f"recording {path} is not an MCAP file: {stream.reason or 'it is empty'}")
+        raise RecordingError(f"recording {path} is not an MCAP file: {stream.reason}")
     return collected.recording(complete=not stream.cut)
 
 

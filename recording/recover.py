@@ -41,7 +41,7 @@ def recover(source: Path, target: Path) -> RecoverReport:
         with file:
             copier.copy(stream, Writer(file, compression=CompressionType.ZSTD))
         if copier.messages + copier.attachments == 0:
-            raise RecordingError(f"recording {source}: nothing can be read: {stream.reason or 'it is empty'}")
+            raise RecordingError(f"recording {source}: nothing can be read: {stream.reason}")
     except OSError as error:
         target.unlink(missing_ok=True)
         raise _unwritable_file_error(target, error) from error

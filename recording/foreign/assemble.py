@@ -13,7 +13,7 @@ from machine.rotations import Array
 from recording.errors import RecordingError
 from recording.files import read_text
 from recording.foreign.found import JointSignal, SourceContents, TrackedPointSeries
-from recording.foreign.machine_file import drive_model, machine_toml, with_fitted_gains
+from recording.foreign.machine_file import drive_model, machine_toml, with_fitted_gains, with_fitted_position_loops
 from recording.foreign.mapping import Mapping
 from recording.foreign.urdf_ends import ChosenChain, chain_for
 from recording.rows import TrackerPoint, csv_fields
@@ -45,11 +45,13 @@ def assemble(found: SourceContents, mapping: Mapping, name: str, urdf: Path | No
 
     Raises: RecordingError: no joint was recorded, too many rows, or a URDF that cannot be read or is of another robot.
     """
+    if mapping.joint_names:
+        found = _with_joint_names(found, mapping.joint_names)
     recorded = [joint for signal in found.signals_of("position") for joint in signal.joint_names]
     text = _urdf_text(urdf)
     chain = None
     if text:
-        chain = chain_for(text, () if found.joints_numbered else recorded, mapping.urdf)
+        chain = chain_for(text, () if found.joints_numbered else recorded, mapping.urdf, len(set(recorded)))
     if chain is not None and found.joints_numbered:
         found = _named_by_chain(found, chain)
         recorded = [joint for signal in found.signals_of("position") for joint in signal.joint_names]
@@ -76,6 +78,9 @@ def assemble(found: SourceContents, mapping: Mapping, name: str, urdf: Path | No
     drive = drive_model(mapping.actuator, found.command_kind, limits, [float(value) for value in largest])
     if found.command_kind == "valve" and command is not None and mapping.actuator.velocity_max is None:
         drive = with_fitted_gains(drive, t, signals["position"], command)
+    bandwidths = (mapping.actuator.bandwidth_hz, mapping.actuator.velocity_bandwidth_hz)
+    if drive.command_kind == "position" and bandwidths == (None, None):
+        drive = with_fitted_position_loops(drive, t, signals["position"], signals["reference"])
     step_s = float(f"{np.median(np.diff(t)):.6g}") if len(t) > 1 else 0.01
     on_joint = {tracker.point: tracker.joint for tracker in mapping.ros.tracker if tracker.joint is not None}
     points = {track.name: on_joint.get(track.name, len(joints)) for track in found.tracked_points}
@@ -96,6 +101,21 @@ def assemble(found: SourceContents, mapping: Mapping, name: str, urdf: Path | No
         urdf_name_and_text=(urdf.name if urdf else "", text),
         notes=(*notes, *drive.notes),
     )
+
+
+def _with_joint_names(found: SourceContents, names: dict[str, str]) -> SourceContents:
+    """The joints by the mapping's names. Raises: RecordingError: a joint of the mapping was not recorded."""
+    recorded = {joint for signal in found.signals for joint in signal.joint_names}
+    unknown = sorted(set(names) - recorded)
+    if unknown:
+        raise RecordingError(
+            f"joints {unknown} of joint_names were not recorded; recorded are {', '.join(sorted(recorded))}"
+        )
+    signals = [
+        replace(signal, joint_names=tuple(names.get(joint, joint) for joint in signal.joint_names))
+        for signal in found.signals
+    ]
+    return replace(found, signals=signals, joints_numbered=False)
 
 
 def _named_by_chain(found: SourceContents, chain: ChosenChain) -> SourceContents:

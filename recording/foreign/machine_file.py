@@ -13,9 +13,11 @@ from recording.foreign.urdf_ends import ChosenChain
 
 DEFAULT_VELOCITY_MAX = 3.0  # [rad/s or m/s], where neither URDF nor mapping has one and nothing faster was commanded
 DEFAULT_BANDWIDTH_HZ = 5.0  # of the position loop: industrial arms lie between 3 and 10
-DEFAULT_VELOCITY_BANDWIDTH_HZ = 25.0  # of the velocity loop: five times as fast, as loops in one another are tuned
 DEFAULT_DAMPING_RATIO = 1.0
 FITTED_COMMAND_MIN_FRAC = 0.25  # share of the full command: dead bands end below
+VELOCITY_LOOP_RATIO = 5.0  # of the velocity loop's bandwidth to the position loop's, as loops in one another are tuned
+FITTED_BANDWIDTH_RANGE_HZ = (0.5, 50.0)
+FITTED_PERIOD_MIN_STEPS = 10.0  # a loop faster than this many rows of the log cannot be seen in it
 MODEL_CYCLE_MAX_S = 4e-3  # the model's cycle is a whole part of the log's, at most this
 
 
@@ -26,7 +28,7 @@ class DriveModel:
     command_kind: CommandKind
     velocity_max: tuple[float, ...]
     kp_frac_per_rad: tuple[float, ...]
-    bandwidth_hz: float
+    velocity_loop_hz: tuple[float, ...]
     damping_ratio: float
     notes: tuple[str, ...]
 
@@ -48,7 +50,7 @@ def drive_model(wanted: Actuator, command_kind: str, limits: Sequence[float], co
         fastest.append(wanted.velocity_max or max(known, 1.05 * largest))
     position_hz, velocity_hz = (
         wanted.bandwidth_hz or DEFAULT_BANDWIDTH_HZ,
-        wanted.velocity_bandwidth_hz or DEFAULT_VELOCITY_BANDWIDTH_HZ,
+        wanted.velocity_bandwidth_hz or VELOCITY_LOOP_RATIO * DEFAULT_BANDWIDTH_HZ,
     )
     damping = wanted.damping or DEFAULT_DAMPING_RATIO
     kp = tuple(2.0 * math.pi * position_hz / speed for speed in fastest)
@@ -59,7 +61,7 @@ def drive_model(wanted: Actuator, command_kind: str, limits: Sequence[float], co
         notes.append(
             "assumed, not measured: give yours under [actuator] of the mapping file; the gap is the gap to these"
         )
-    return DriveModel(kind, tuple(fastest), kp, velocity_hz, damping, tuple(notes))
+    return DriveModel(kind, tuple(fastest), kp, (velocity_hz,) * len(kp), damping, tuple(notes))
 
 
 def with_fitted_gains(drive: DriveModel, t_s: Array, q: Array | None, u: Array) -> DriveModel:
@@ -84,6 +86,61 @@ def with_fitted_gains(drive: DriveModel, t_s: Array, q: Array | None, u: Array) 
     return replace(
         drive, velocity_max=tuple(fastest), kp_frac_per_rad=kp, notes=(*drive.notes, f"{note}; give velocity_max")
     )
+
+
+def with_fitted_position_loops(drive: DriveModel, t_s: Array, q: Array | None, q_ref: Array | None) -> DriveModel:
+    """The drive with the bandwidth of each joint's position loop that this recording shows: a robot log states none.
+
+    Model: least output error of the closed loop from the reference to the encoder, velocity loop `VELOCITY_LOOP_RATIO`
+           times as fast; a joint whose reference stands still keeps the assumed bandwidth.
+    Args:  t_s: (m,) [s], q, q_ref: (m, n) [rad or m].
+    """
+    if q is None or q_ref is None or len(t_s) < 3:
+        return drive
+    step_s = float(np.median(np.diff(t_s)))
+    grid_s = np.arange(t_s[0], t_s[-1], step_s)
+    lowest, highest = FITTED_BANDWIDTH_RANGE_HZ
+    highest = max(lowest, min(highest, 1.0 / (FITTED_PERIOD_MIN_STEPS * step_s)))
+    kp, velocity_hz, found_hz = list(drive.kp_frac_per_rad), list(drive.velocity_loop_hz), []
+    for k, velocity_max in enumerate(drive.velocity_max):
+        good = np.isfinite(q[:, k]) & np.isfinite(q_ref[:, k])
+        if good.sum() < 3 or np.ptp(q_ref[good, k]) == 0.0:
+            continue
+        reference = np.interp(grid_s, t_s[good], q_ref[good, k])
+        encoder = np.interp(grid_s, t_s[good], q[good, k])
+        bandwidth_hz = _fitted_bandwidth_hz(reference, encoder, step_s, drive.damping_ratio, (lowest, highest))
+        kp[k] = 2.0 * math.pi * bandwidth_hz / velocity_max
+        velocity_hz[k] = VELOCITY_LOOP_RATIO * bandwidth_hz
+        found_hz.append(f"{bandwidth_hz:.3g}")
+    if not found_hz:
+        return drive
+    note = f"position loops of {', '.join(found_hz)} Hz are fitted to this recording, which hides an error of the gain"
+    return replace(
+        drive,
+        kp_frac_per_rad=tuple(kp),
+        velocity_loop_hz=tuple(velocity_hz),
+        notes=(*drive.notes, f"{note}; give bandwidth_hz"),
+    )
+
+
+def _fitted_bandwidth_hz(
+    reference: Array, encoder: Array, step_s: float, damping_ratio: float, range_hz: tuple[float, float]
+) -> float:
+    from scipy.signal import bilinear, lfilter
+
+    def miss(log_hz: float) -> float:
+        position, velocity = 2.0 * math.pi * math.exp(log_hz), 2.0 * math.pi * VELOCITY_LOOP_RATIO * math.exp(log_hz)
+        gain = position * velocity**2
+        b, a = bilinear([gain], [1.0, 2.0 * damping_ratio * velocity, velocity**2, gain], 1.0 / step_s)
+        return float(np.sum((lfilter(b, a, reference - reference[0]) + reference[0] - encoder) ** 2))
+
+    lower, upper, best = math.log(range_hz[0]), math.log(range_hz[1]), 0.0
+    for _ in range(5):  # each grid spans two steps of the one before: 0.1 % at the end
+        grid = np.linspace(lower, upper, 15)
+        best = float(grid[np.argmin([miss(log_hz) for log_hz in grid])])
+        step = float(grid[1] - grid[0])
+        lower, upper = max(best - step, lower), min(best + step, upper)
+    return math.exp(best)
 
 
 def model_and_log_cycle_s(log_step_s: float) -> tuple[float, float]:
@@ -113,7 +170,7 @@ def machine_toml(
         lines += ["[[joint]]", f"name = {json.dumps(joint)}", f'type = "{"prismatic" if sliding[k] else "revolute"}"']
         lines += [
             f"velocity_gain_rad_s = {drive.velocity_max[k]:.9g}",
-            f"valve_frequency_hz = {drive.bandwidth_hz:.9g}",
+            f"valve_frequency_hz = {drive.velocity_loop_hz[k]:.9g}",
         ]
         lines += [f"valve_damping = {drive.damping_ratio:.9g}", f"kp_frac_per_rad = {drive.kp_frac_per_rad[k]:.9g}", ""]
     cycle_s, log_cycle_s = model_and_log_cycle_s(log_step_s)

@@ -74,9 +74,13 @@ class TimeWindow(_Section):
 
 
 class Mapping(_Section):
-    """The whole file; every section is optional. `rate_hz`: of a table without a column of times."""
+    """The whole file; every section is optional.
+
+    `joint_names`: the log's name of a joint -> the URDF's; `rate_hz`: of a table without a column of times.
+    """
 
     joints: list[str] = []
+    joint_names: dict[str, str] = {}
     rate_hz: Positive | None = None
     ros: RosTopics = RosTopics()
     column: list[ColumnMapping] = []

@@ -152,7 +152,7 @@ class RosBag:
             else:
                 _store_schema_or_channel(record, schemas, channels)
         if not records:
-            raise RecordingError(f"{path} is not an MCAP file: {stream.reason or 'it is empty'}")
+            raise RecordingError(f"{path} is not an MCAP file: {stream.reason}")
         if written > messages and not stream.cut:  # chunks without check sums: damage shows by the count only
             self.cut = True
             self.notes.append(f"{path.name} is damaged: {written - messages} of its {written} messages cannot be read")

@@ -56,7 +56,6 @@ def table_found(path: Path, mapping: Mapping) -> SourceContents:
     _require_centred_commands(kinds.get("command", ()), kinds.get("position", ()))
     found.tracked_points += _tracked_point_series(columns, wanted, clock[0])
     found.command_kind = _command_kind(wanted.values())
-    found.proposed_mapping_toml = propose_mapping(wanted.values())
     if not found.signals_of("position") and not found.tracked_points:
         raise RecordingError(
             f"{path}: no column is a joint's position, of {_column_names_text(columns)}: give a mapping file"
@@ -220,12 +219,17 @@ def _command_kind(columns: Iterable[ColumnMapping]) -> str:
     return "valve" if units[0].lower() in ("frac", "%", "percent", "pct") else "velocity"
 
 
-def propose_mapping(columns: Iterable[ColumnMapping]) -> str:
-    """The guesses as a mapping file, to be corrected."""
-    lines = []
-    for column in columns:
+def proposed_table_mapping(path: Path) -> str:
+    """Every column of a table as a mapping file, to be corrected: its guess, or ignored.
+
+    Raises: RecordingError: unreadable.
+    """
+    columns = read_table(path)
+    guesses, lines = _guessed_column_mapping(columns), []
+    for column in (guesses.get(one.name, ColumnMapping(name=one.name, signal="ignored")) for one in columns):
         lines += ["[[column]]", f"name = {json.dumps(column.name)}", f'signal = "{column.signal}"']
         lines += [f"joint = {column.joint}"] if column.joint is not None else []
         lines += [f"point = {json.dumps(column.point)}"] if column.point else []
-        lines += [f"unit = {json.dumps(column.unit)}", ""]
+        lines += [f"unit = {json.dumps(column.unit)}"] if column.unit else []
+        lines.append("")
     return "\n".join(lines)

@@ -20,10 +20,12 @@ class ChosenChain:
     is_guess: bool
 
 
-def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain) -> ChosenChain:
+def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain, n_recorded: int = 0) -> ChosenChain:
     """The chain between the ends that are given, else the one that holds most of the recorded joints.
 
-    Args:   recorded: names of the recorded joints; empty: they are numbers, and the longest chain is taken.
+    Args:   recorded: names of the recorded joints; empty: they are numbers, and the longest chain is taken;
+            n_recorded: how many joints were recorded. A chain of numbered joints has fingers only where the others
+            are fewer than that.
     Model:  of the links that recorded joints move, the one with most recorded joints on the way to the root; fingers,
             which are several moving joints on one link, do not count.
     Raises: RecordingError: no URDF, no such link, or no recorded joint in it; names both sides.
@@ -32,7 +34,7 @@ def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain) -> Chosen
         root = ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"))
         parents = {_joint_link_name(joint, "child"): joint for joint in root.findall("joint")}
         base = wanted.base_link or _root_link(parents)
-        tip = wanted.tip_link or _find_tip_link(parents, recorded)
+        tip = wanted.tip_link or _find_tip_link(parents, recorded, n_recorded)
         chain = urdf_chain(text, base, tip)
     except ElementTree.ParseError as error:
         raise RecordingError(f"the URDF is not XML: {error}; a xacro file has to be expanded by xacro first") from error
@@ -43,7 +45,7 @@ def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain) -> Chosen
         ours, theirs = ", ".join(sorted(recorded)[:8]), ", ".join(joint.name for joint in moving)
         raise RecordingError(
             f"no joint between {base} and {tip} of the URDF ({theirs}) was recorded ({ours}); give this robot's URDF, "
-            "or base_link and tip_link under [urdf] of the mapping file; a joint must be called the same in both"
+            "or say under [joint_names] of the mapping file what the URDF calls each joint"
         )
     return ChosenChain(base, tip, moving, not (wanted.base_link and wanted.tip_link))
 
@@ -67,25 +69,26 @@ def _joints_to_root(parents: dict[str, ElementTree.Element], link: str) -> list[
     return way
 
 
-def _find_tip_link(parents: dict[str, ElementTree.Element], recorded: Collection[str]) -> str:
+def _find_tip_link(parents: dict[str, ElementTree.Element], recorded: Collection[str], n_recorded: int) -> str:
     moving = [joint for joint in parents.values() if joint.get("type") != "fixed"]
+    names = recorded or {joint.get("name") for joint in moving}
     last_mover = {id(joint): _next_moving(parents, _joint_link_name(joint, "parent")) for joint in moving}
     siblings = list(last_mover.values())
     best, tip = 0, ""
     for joint in moving:
         above = last_mover[id(joint)]
         is_finger = joint.find("mimic") is not None or (above is not None and siblings.count(above) > 1)
-        if joint.get("name") not in recorded or (is_finger and joint.get("type") == "prismatic"):
+        if joint.get("name") not in names or (is_finger and joint.get("type") == "prismatic"):
             continue
         count = sum(
-            element.get("name") in recorded for element in _joints_to_root(parents, _joint_link_name(joint, "child"))
+            element.get("name") in names for element in _joints_to_root(parents, _joint_link_name(joint, "child"))
         )
         if count > best:
             best, tip = count, _joint_link_name(joint, "child")
-    if tip:
+    if tip and (recorded or best >= n_recorded):
         return tip
     leaves = set(parents) - {_joint_link_name(joint, "parent") for joint in parents.values()}
-    return max(leaves, key=lambda link: len(_joints_to_root(parents, link)), default="")
+    return max(sorted(leaves), key=lambda link: len(_joints_to_root(parents, link)), default="")
 
 
 def _next_moving(parents: dict[str, ElementTree.Element], link: str) -> str | None:

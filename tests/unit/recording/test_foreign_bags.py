@@ -1,5 +1,6 @@
 """ROS bags without ROS: what a bag holds comes out as it went in, and what is wrong with it is said."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -123,6 +124,23 @@ def test_names_that_differ_are_mapped(tmp_path: Path, urdf: Path) -> None:
         convert_foreign(tmp_path / "bag", tmp_path / "out2", urdf, mapping, yes)
 
 
+def test_joints_that_the_urdf_calls_otherwise_are_named_by_the_mapping(tmp_path: Path, urdf: Path) -> None:
+    with BagMaker(tmp_path / "bag", "SQLITE3") as bag:
+        for k in range(ROWS):
+            bag.joint_state("/joint_states", k * STEP_S, ["arm_a", "arm_b"], encoders(k * STEP_S))
+    with pytest.raises(RecordingError, match=r"say under \[joint_names\] of the mapping file"):
+        convert_foreign(tmp_path / "bag", tmp_path / "out", urdf, None, yes)
+    mapping = tmp_path / "mapping.toml"
+    mapping.write_text('[joint_names]\narm_a = "j1"\narm_b = "j2"\n', encoding="utf-8")
+    convert_foreign(tmp_path / "bag", tmp_path / "out", urdf, mapping, yes)
+    assert re.findall(r'name = "(j\d)"', read_run(tmp_path / "out").machine_toml) == ["j1", "j2"]
+    mapping.write_text('[joint_names]\narm_c = "j1"\n', encoding="utf-8")
+    with pytest.raises(
+        RecordingError, match=r"\['arm_c'\] of joint_names were not recorded; recorded are arm_a, arm_b"
+    ):
+        convert_foreign(tmp_path / "bag", tmp_path / "out2", urdf, mapping, yes)
+
+
 def test_bags_that_are_none_are_refused_with_a_reason(tmp_path: Path, urdf: Path) -> None:
     def refused(path: Path) -> str:
         with pytest.raises(RecordingError) as caught:
@@ -134,6 +152,7 @@ def test_bags_that_are_none_are_refused_with_a_reason(tmp_path: Path, urdf: Path
         (tmp_path / f"noise.{ending}").write_bytes(bytes(range(256)) * 9)
         assert str(tmp_path / f"empty.{ending}") in refused(tmp_path / f"empty.{ending}")
         assert str(tmp_path / f"noise.{ending}") in refused(tmp_path / f"noise.{ending}")
+    assert refused(tmp_path / "empty.mcap").endswith("is not an MCAP file: it is empty")
     bag = full_bag(tmp_path / "bag", "SQLITE3")
     shutil.copytree(bag, tmp_path / "cut")
     file = tmp_path / "cut" / "bag.db3"

@@ -14,6 +14,8 @@ from recording.errors import RecordingError
 from recording.foreign.assemble import AssembledRecording
 from recording.foreign.convert import convert_foreign
 from recording.foreign.found import SourceContents
+from recording.foreign.mapping import UrdfChain, read_mapping
+from recording.foreign.urdf_ends import chain_for
 from recording.opening import read_run
 from recording.rows import PlcState, TrackerPoint
 
@@ -126,6 +128,29 @@ def test_guesses_have_to_be_confirmed(tmp_path: Path) -> None:
     assert "guessed and not confirmed: t, q1, q1_ref" in done.output
     done = CliRunner().invoke(app, ["recording", "convert", str(path), str(tmp_path / "out"), "--yes"])
     assert done.exit_code == 0, done.output
+
+
+def test_the_guesses_are_written_also_where_they_are_not_enough(tmp_path: Path) -> None:
+    path, mapping = write(tmp_path / "log.csv", ["a", "q1"], np.c_[T, ENC[:, 0]]), tmp_path / "mapping.toml"
+    call = ["recording", "convert", str(path), str(tmp_path / "out"), "--mapping-out", str(mapping)]
+    done = CliRunner().invoke(app, call)
+    assert done.exit_code == 2
+    assert "no column of times" in done.output
+    written = read_mapping(mapping)
+    assert [(column.name, column.signal) for column in written.column] == [("a", "ignored"), ("q1", "q")]
+    mapping.write_text(mapping.read_text("utf-8").replace('"ignored"', '"time"\nunit = "s"'), encoding="utf-8")
+    _, _, enc = converted(path, tmp_path, mapping)
+    assert len(enc) == len(T)
+
+
+@pytest.mark.parametrize(("n_joints", "tip"), [(2, "l2"), (3, "f1")])
+def test_a_finger_is_a_joint_only_where_as_many_joints_were_recorded(tmp_path: Path, n_joints: int, tip: str) -> None:
+    text = """<robot name="arm"><link name="base"/><link name="l1"/><link name="l2"/><link name="f1"/><link name="f2"/>
+<joint name="j1" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 0 1"/></joint>
+<joint name="j2" type="revolute"><parent link="l1"/><child link="l2"/><axis xyz="0 0 1"/></joint>
+<joint name="finger1" type="prismatic"><parent link="l2"/><child link="f1"/><axis xyz="0 1 0"/></joint>
+<joint name="finger2" type="prismatic"><parent link="l2"/><child link="f2"/><axis xyz="0 1 0"/></joint></robot>"""
+    assert chain_for(text, (), UrdfChain(), n_joints).tip_link == tip
 
 
 @pytest.mark.parametrize(
