@@ -226,7 +226,8 @@ def proposed_table_mapping(path: Path) -> str:
     """
     columns = read_table(path)
     guesses, lines = _guessed_column_mapping(columns), []
-    for column in (guesses.get(one.name, ColumnMapping(name=one.name, signal="ignored")) for one in columns):
+    for name in (column.name for column in columns):
+        column = guesses.get(name, ColumnMapping(name=name, signal="ignored"))
         lines += ["[[column]]", f"name = {json.dumps(column.name)}", f'signal = "{column.signal}"']
         lines += [f"joint = {column.joint}"] if column.joint is not None else []
         lines += [f"point = {json.dumps(column.point)}"] if column.point else []
