@@ -59,7 +59,8 @@ def report_page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] 
         html_section("Findings about the recording", _table_by_columns(result["findings"], FINDING_TABLE_COLUMNS)),
         _collapsible_section("What the confirmed effects look like", confirmed_effects_html(result)),
         _collapsible_section(
-            "Every place: stage, joint, axis, regime", _table_by_columns(_places_to_show(result), PLACE_TABLE_COLUMNS)
+            "Every place: stage, joint, axis, regime",
+            _table_by_columns(_stages_with_most_gap(result), PLACE_TABLE_COLUMNS),
         ),
         _collapsible_section(
             "Smallest effects this recording could have shown",
@@ -122,7 +123,7 @@ def _indistinguishable_list(result: dict[str, Any]) -> str:
     return f"<p>Cannot be distinguished here:</p><ul>{lines}</ul>" if lines else ""
 
 
-def _places_to_show(result: dict[str, Any]) -> list[dict[str, Any]]:
+def _stages_with_most_gap(result: dict[str, Any]) -> list[dict[str, Any]]:
     return [place for place in result["localisation"] if place["regime"] == "all" or place["joint"] is None][
         :LISTED_PLACES_MAX
     ]

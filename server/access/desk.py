@@ -71,9 +71,9 @@ class LeaseDesk:
         """As LeaseBook.request_control."""
         return self.book.request_control(owner)
 
-    def grant_to(self, lease_id: str, to: str) -> Lease:
-        """As LeaseBook.grant_to."""
-        return self.book.grant_to(lease_id, to, self.now_s)
+    def offer_to(self, lease_id: str, to: str) -> Lease:
+        """As LeaseBook.offer_to."""
+        return self.book.offer_to(lease_id, to, self.now_s)
 
     def check(self, lease_id: str, fencing: int | None) -> Lease:
         """As LeaseBook.check: what a command that moves or arms must pass."""

@@ -215,7 +215,7 @@ def lease_router(desk: LeaseDesk, keeper: Keeper | None = None) -> APIRouter:
     @router.post("/{lease_id}/grant", response_model=ControlView, responses=REFUSED)
     async def grant(lease_id: LeaseId, body: GrantRequest, request: Request) -> ControlView:
         """Hand over: the named client may acquire within 30 s; until then the holder keeps control."""
-        log.log_note(request, desk.grant_to(lease_id, body.to), "lease.grant", body.to)
+        log.log_note(request, desk.offer_to(lease_id, body.to), "lease.grant", body.to)
         return control_view(desk)
 
     return router

@@ -35,7 +35,7 @@ class _OpenedReplay:
     name: str = ""
     file_size_and_mtime: tuple[int, int] = (0, 0)  # size and time of change: the run that is being recorded grows
     replay_json: bytes = b""
-    picture_bytes: bytes = b""
+    jpeg_data: bytes = b""
 
 
 def recordings_router(service: JobService) -> APIRouter:
@@ -83,15 +83,15 @@ def recordings_router(service: JobService) -> APIRouter:
                     )
                 (size,) = struct.unpack_from("<I", out)
                 opened.name, opened.file_size_and_mtime = name, version
-                opened.replay_json, opened.picture_bytes = out[4 : 4 + size], out[4 + size :]
+                opened.replay_json, opened.jpeg_data = out[4 : 4 + size], out[4 + size :]
         return Response(opened.replay_json, media_type="application/json")
 
     @router.get("/{name}/pictures/{start}-{end}", response_model=None)
     async def recording_picture(name: str, start: int, end: int) -> Response:
         """An image of the run whose replay was opened last."""
-        if opened.name != name or not 0 <= start < end <= len(opened.picture_bytes):
+        if opened.name != name or not 0 <= start < end <= len(opened.jpeg_data):
             return problem_response(404, "Not opened", "open the replay of the run first", "not_opened")
-        return Response(opened.picture_bytes[start:end], media_type="image/jpeg")
+        return Response(opened.jpeg_data[start:end], media_type="image/jpeg")
 
     return router
 

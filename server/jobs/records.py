@@ -112,7 +112,7 @@ class PatternResult:
 
 
 @dataclass(frozen=True, slots=True)
-class LineLook:
+class LineEquationLook:
     """One look of a line-equation run: "oriented", "move", "servo 1"; and when it was taken."""
 
     name: str
@@ -126,7 +126,7 @@ class LineResult:
 
     variant: str
     note: str
-    looks: tuple[LineLook, ...]
+    looks: tuple[LineEquationLook, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -158,7 +158,7 @@ def teach_layout(
     """
     fits = _fit_layouts(views, task, camera, settings)
     if isinstance(fits, Refusal):
-        return refused_layout(fits, len(views))
+        return layout_not_found(fits, len(views))
     refusal = check_sides(fits.free_sides_fit, task.printed_m, task.marker_ids, settings)
     markers = _taught_markers(fits, task)
     refusal = refusal or check_sigmas(
@@ -181,7 +181,7 @@ def teach_layout(
     return layout if refusal is None else replace(layout, status=refusal.status, reason=refusal.reason, markers=())
 
 
-def refused_layout(refusal: Refusal, n_views: int) -> TaughtLayout:
+def layout_not_found(refusal: Refusal, n_views: int) -> TaughtLayout:
     """A layout that there is not."""
     nan = float("nan")
     return TaughtLayout(refusal.status, refusal.reason, (), n_views, nan, nan, nan, nan)

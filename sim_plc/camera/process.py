@@ -212,11 +212,11 @@ def _end_with_parent(server: uvicorn.Server, loop: asyncio.AbstractEventLoop) ->
     if parent is None:
         return
 
-    def ended() -> None:
+    def on_parent_ended() -> None:
         loop.remove_reader(parent.sentinel)
         server.should_exit = True
 
-    loop.add_reader(parent.sentinel, ended)
+    loop.add_reader(parent.sentinel, on_parent_ended)
 
 
 async def _serve(

@@ -19,7 +19,7 @@ from server.jobs.plans.driving import drive_and_correct
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.orienting import orient
 from server.jobs.plans.planning import onto_reference, plan_settings, plan_to
-from server.jobs.records import LineLook, LineResult
+from server.jobs.records import LineEquationLook, LineResult
 from server.jobs.requests import (
     Arm,
     MachineReading,
@@ -66,10 +66,10 @@ def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Request, objec
     return LineResult(variant, note, tuple(_line_look(name, taken) for name, taken in looks))
 
 
-def _line_look(name: str, taken: LookTaken) -> LineLook:
+def _line_look(name: str, taken: LookTaken) -> LineEquationLook:
     if taken.error is None:
         raise JobFailedError(f"look '{name}' failed: {taken.record.reason}", "look_rejected")
-    return LineLook(name, taken.error, taken.record.t_plc_ns)
+    return LineEquationLook(name, taken.error, taken.record.t_plc_ns)
 
 
 def drive_circle(ctx: PlanContext) -> Generator[Request, object, WatchedCircle]:

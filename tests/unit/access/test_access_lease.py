@@ -61,7 +61,7 @@ def test_asking_and_granting_hand_it_over_to_the_named_one_only():
     assert book.request_control("bert").asked_by == ("bert",)
     book.request_control("cora")
     assert book.request_control("bert").asked_by == ("cora", "bert")
-    book.grant_to(lease.lease_id, "bert", 1.0)
+    book.offer_to(lease.lease_id, "bert", 1.0)
     assert book.check(lease.lease_id, lease.fencing, 1.0).owner == "anna"  # until it is collected
     with pytest.raises(LeaseHeldError):
         book.acquire("cora", PERSON, TTL_S, "c", 1.5)
@@ -70,7 +70,7 @@ def test_asking_and_granting_hand_it_over_to_the_named_one_only():
 
 def test_an_offer_that_is_not_collected_ends():
     book, lease = held_by()
-    book.grant_to(lease.lease_id, "bert", 0.0)
+    book.offer_to(lease.lease_id, "bert", 0.0)
     late_s = HANDOVER_OFFER_TTL_S
     book.keep_alive(lease.lease_id, late_s)
     with pytest.raises(LeaseHeldError):

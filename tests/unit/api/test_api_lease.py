@@ -168,7 +168,7 @@ async def test_the_job_of_a_lost_lease_is_stopped_and_says_why(client, clock, se
     elif how == "released":
         desk.release(lease.lease_id)
     else:
-        desk.grant_to(lease.lease_id, "bert")
+        desk.offer_to(lease.lease_id, "bert")
         await acquired(client, "bert")
     await asyncio.wait_for(ended.wait(), 5.0)
     guard.cancel()
