@@ -211,8 +211,7 @@ def _from_camera(
     settings = TeachSettings()
     console.print(
         f"markers {', '.join(map(str, task.marker_ids))}: hold the camera still, then move it to the side, up or down "
-        "by a "
-        f"third of its distance, and hold it still again; {n_views} views; Ctrl-C when you have enough"
+        f"by a third of its distance, and hold it still again; {n_views} views; Ctrl-C when you have enough"
     )
     with console.status("waiting for images") as status:
 

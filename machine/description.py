@@ -302,8 +302,7 @@ def _check_lens(camera: StereoCamera, off_centre: bool) -> None:
         raise MachineFileError(
             f"camera: principal point ({camera.cx_px:g}, {camera.cy_px:g}) px lies {100 * off_frac:.0f} % of the image "
             f"from its middle (limit {100 * PRINCIPAL_OFFSET_MAX_FRAC:g} %); give the calibration of this image size, "
-            "or "
-            "confirm a cropped picture with off_centre = true"
+            "or confirm a cropped picture with off_centre = true"
         )
     x = max(camera.cx_px, camera.width_px - 1.0 - camera.cx_px) / camera.fx_px
     y = max(camera.cy_px, camera.height_px - 1.0 - camera.cy_px) / camera.fy_px

@@ -137,8 +137,7 @@ def _check_board(name: str, board: BoardSection) -> None:
     if board.marker_m > limit:
         raise MachineFileError(
             f"{name}.marker_m = {board.marker_m} exceeds {MARKER_OF_SQUARE_MAX_FRAC:g} of square_m, {limit:g} [m]; "
-            "leave white "
-            "around the markers, or measure both again"
+            "leave white around the markers, or measure both again"
         )
 
 

@@ -91,8 +91,7 @@ def _parse_remainder(table: object, where: str) -> Remainder:
     if unknown:
         raise MachineFileError(
             f"{where}: unknown key {unknown[0]!r}; it has {', '.join(sorted(REMAINDER_TABLE_KEYS))}. A baseline of an "
-            "older version "
-            "has to be fitted again (`longreach diagnose --fit-baseline`)"
+            "older version has to be fitted again (`longreach diagnose --fit-baseline`)"
         )
     stage, joint, on, ar, by_axis = (table.get(key) for key in ("stage", "joint", "on", "ar", "by_axis"))
     if stage not in REMAINDER_STAGES:

@@ -6,9 +6,8 @@ from benchmarks.reproduce.report_tables import TableView
 LEAD = (
     "Makinen, Mustalahti, Launis, Mattila: Vision-aided precise positioning for long-reach robotic manipulators using "
     "local calibration, Advanced Robotics, 2023. A crane of 5 m reach carries a stereo camera near its tip. It is to "
-    "bring its tool in front of an object of interest (OOI) on a wall, first by turning parallel to it, then by one "
-    "of two ways to find out how the camera sits: the line equation (Table 2) or trajectory matching (Tables 3 and "
-    "4).",
+    "bring its tool in front of an object of interest (OOI) on a wall, first by turning parallel to it, then by one of "
+    "two ways to find out how the camera sits: the line equation (Table 2) or trajectory matching (Tables 3 and 4).",
     "Everything called ours was run on simulated machines of preset 'paper': each seed draws another machine (link "
     "lengths, joint zeros, sag, backlash, valves) whose camera is tilted by 5 deg against the drawing, whose tool "
     "marker sits 3 deg (sd) off, and whose camera clock is 0.15 s late. None of these numbers is in the paper; they "

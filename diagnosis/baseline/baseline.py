@@ -89,8 +89,7 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     if not fitted or len(checked) < JUDGING_RECORDINGS_MIN:
         raise DiagnosisError(
             f"a baseline from {len(wholes)} recordings: give at least {1 + JUDGING_RECORDINGS_MIN}, of which 1 is "
-            "fitted and "
-            f"{JUDGING_RECORDINGS_MIN} judge"
+            f"fitted and {JUDGING_RECORDINGS_MIN} judge"
         )
     entries = _refit_effect_sizes(wholes, _fit_until_effects_stable(fitted, progress), progress)
     progress("what the model is wrong by on all recordings alike")

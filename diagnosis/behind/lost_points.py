@@ -46,8 +46,7 @@ def without_spikes(
     first = int(np.argmax(spikes))
     text = (
         f"{int(spikes.sum())} of {len(spikes)} points spring by {OUTLIER_MIN_M:g} m or more for one row and back, the "
-        "first "
-        f"({table.point_names[first]}) at {table.t_s[first]:.3f} s; they are left out"
+        f"first ({table.point_names[first]}) at {table.t_s[first]:.3f} s; they are left out"
     )
     return left, [Finding("lost_points", "problem", "tracker.csv", text, int(spikes.sum()))]
 

@@ -133,8 +133,8 @@ def _bridged_rows_findings(cut: list[list[NDArray[np.int64]]]) -> list[Finding]:
     if not any(cut):
         return []
     text = (
-        f"rows are missing so often that no stretch is whole; up to {INTERPOLATED_ROWS_MAX} at a time are filled "
-        "by lines"
+        f"rows are missing so often that no stretch is whole; up to {INTERPOLATED_ROWS_MAX} at a time are filled by "
+        "lines"
     )
     return [Finding("bridged", "problem", "plc.csv", f"{text}: look at the logger")]
 

@@ -74,9 +74,8 @@ def _require_no_follower(chain: Sequence[UrdfJoint], joint_names: Sequence[str] 
         measured = joint_names is not None and joint.name in joint_names
         if joint.joint_type != "fixed" and joint.mimicked_joint in known and not measured:
             raise MachineError(
-                f"urdf: joint {joint.name!r} mimics {joint.mimicked_joint!r}, and one reading that moves two joints "
-                "is not "
-                f"modelled; record {joint.name!r} as a joint of its own and give it a [[joint]]"
+                f"urdf: joint {joint.name!r} mimics {joint.mimicked_joint!r}, and one reading that moves two joints is "
+                f"not modelled; record {joint.name!r} as a joint of its own and give it a [[joint]]"
             )
 
 

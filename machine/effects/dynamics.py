@@ -225,8 +225,8 @@ def simulate(
         N_MACHINE_PARAMETERS,
     ):
         raise MachineError(
-            f"parameters have shapes {sets.joint_parameters.shape}, {sets.machine_parameters.shape}; the plant has "
-            f"{n} joints"
+            f"parameters have shapes {sets.joint_parameters.shape}, {sets.machine_parameters.shape}; the plant has {n} "
+            "joints"
         )
     if last < drive.first_stage:
         raise MachineError(f"a run cannot begin at stage {drive.first_stage.name} and end at {last.name}; swap them")

@@ -88,8 +88,7 @@ class CollectedTopics:
         if self.n_numbers > BAG_NUMBERS_MAX:
             raise RecordingError(
                 f"the bag holds more than {BAG_NUMBERS_MAX:g} numbers of joints and points, the limit; read a part of "
-                "it "
-                "by [window] from_s and to_s of the mapping file"
+                "it by [window] from_s and to_s of the mapping file"
             )
 
 

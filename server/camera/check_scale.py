@@ -138,8 +138,8 @@ def check_focal(machine: Machine, seen: Sequence[PairObservation], tape: Tape | 
     figures = {"focal_off_frac": off, "focal_sigma_frac": sigma}
     if not doubts and sigma > FOCAL_SIGMA_CHECKED_FRAC:
         text += (
-            f"; unchecked to {100 * FOCAL_SIGMA_CHECKED_FRAC:g} %: tape the distance from tool to OOI, and give "
-            "it by --tape"
+            f"; unchecked to {100 * FOCAL_SIGMA_CHECKED_FRAC:g} %: tape the distance from tool to OOI, and give it by "
+            "--tape"
         )
     if not doubts:
         return CheckFinding("focal", Level.OK, text, "", figures)

@@ -127,8 +127,7 @@ def _read_lens_model(fields: Fields, lens_names: tuple[tuple[str, ...], ...] = D
     if any(len(lens) == FISHEYE_COEFFICIENT_COUNT and lens.any() for lens in lenses):
         raise fields.refusal(
             f"{FISHEYE_COEFFICIENT_COUNT} distortion coefficients are k1 k2 p1 p2 of the pinhole model or k1 k2 k3 k4 "
-            "of the "
-            "fisheye model, and the file does not state which; add the line `model: pinhole` or `model: fisheye`"
+            "of the fisheye model, and the file does not state which; add the line `model: pinhole` or `model: fisheye`"
         )
     return "brown"
 

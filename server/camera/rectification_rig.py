@@ -136,8 +136,7 @@ def _check_places(R: Array, t: Array, file: str) -> None:
     if turn_deg > EYE_ROTATION_MAX_DEG:
         raise CalibrationFileError(
             f"{file}: the eyes are turned by {turn_deg:.1f} deg against each other (limit {EYE_ROTATION_MAX_DEG:g}); "
-            "is it the "
-            "rotation from the left to the right eye?"
+            "is it the rotation from the left to the right eye?"
         )
     length = float(np.linalg.norm(t))
     if not BASELINE_MIN_M <= length <= BASELINE_MAX_M:

@@ -71,8 +71,7 @@ def find_places(
     if T is None:
         return (
             f"the wall's plane is not known: fewer than {PLANE_POINTS_MIN} points on one plane in both eyes; add "
-            "light, come "
-            "nearer or face the wall"
+            "light, come nearer or face the wall"
         )
     view = square_view(left, camera, T, masks[0], 0.5 * min(diameters_m))
     radii_m = _candidate_radii(diameters_m, 1.0 / view.px_m)

@@ -108,9 +108,8 @@ class TaughtTracker:
         if rival:
             reason = (
                 f"object '{self._taught.name}': {best.n_inliers} of its features fit one place and {rival} fit "
-                "another; "
-                "there are two of them in view, or it is a similar one with other measures. "
-                "Cover the other one, or teach this object"
+                "another; there are two of them in view, or it is a similar one with other measures. Cover the other "
+                "one, or teach this object"
             )
             return no_fix(reason, best.n_inliers)
         return self._fix_from_guess(pair, best.T_cam_object)
@@ -163,17 +162,15 @@ class TaughtTracker:
             return no_fix(
                 f"object '{name}': {n} of {visible} landmarks that nothing covers are where they were taught "
                 f"({100 * share:.0f} %, limits {FIX_LANDMARKS_MIN} and {100 * limit:.0f} %); it has changed, needs "
-                "light, or is "
-                "a similar one. Clean and light it, or teach this object",
+                "light, or is a similar one. Clean and light it, or teach this object",
                 n,
                 share,
             )
         if fit.variance_factor > VARIANCE_FACTOR_MAX:
             return no_fix(
                 f"object '{name}': its landmarks fit {np.sqrt(fit.variance_factor):.1f} times worse than their noise "
-                "(limit "
-                f"{np.sqrt(VARIANCE_FACTOR_MAX):.0f}); it is a similar one with other measures, or bent. Teach this "
-                "object",
+                f"(limit {np.sqrt(VARIANCE_FACTOR_MAX):.0f}); it is a similar one with other measures, or bent. Teach "
+                "this object",
                 n,
                 share,
             )
@@ -182,8 +179,7 @@ class TaughtTracker:
     def _not_seen(self, n: int) -> TargetFix:
         reason = (
             f"object '{self._taught.name}': {n} of its landmarks are recognised (limit {FIX_LANDMARKS_MIN}); bring it "
-            "into view, "
-            "clear what covers it, or add light"
+            "into view, clear what covers it, or add light"
         )
         return no_fix(reason, n, seen=False)
 

@@ -227,7 +227,6 @@ def _choose_world_motion(one: _MotionHypothesis, two: _MotionHypothesis, scene: 
         small.fit,
         (
             f"two motions in the picture, {large.n_points} points in {large.n_cells} of 40 cells and {small.n_points} "
-            "in "
-            f"{small.n_cells}; mask what moves with the camera, or clear the view"
+            f"in {small.n_cells}; mask what moves with the camera, or clear the view"
         ),
     )

@@ -84,8 +84,8 @@ def line(case: SoakCase) -> str:
     wrong = f"  [red]{'; '.join(case.violations)}[/]" if case.violations else ""
     return (
         f"{case.number:4d} {case.fault}{at}: {', '.join(case.ends)[:110]}; {case.seconds:.0f} s, ready "
-        f"{case.ready_after_s:.1f} s later; MiB: {memory}; tasks {case.tasks:.0f}, database {case.store_bytes:.0f} B"
-        f"{wrong}"
+        f"{case.ready_after_s:.1f} s later; MiB: {memory}; tasks {case.tasks:.0f}, database {case.store_bytes:.0f} "
+        f"B{wrong}"
     )
 
 

@@ -59,17 +59,15 @@ def _low_contrast_findings(pair: Pair) -> tuple[Finding, ...]:
     if max(spread) < CONTRAST_STD_MIN_GREY:
         text = (
             f"no contrast in either eye: {max(spread):.1f} grey levels (limit {CONTRAST_STD_MIN_GREY:g}); check "
-            "lenses, fog "
-            "and light"
+            "lenses, fog and light"
         )
         return (Finding(FaultCode.NO_CONTRAST, text),)
     low = min(spread)
     if low < CONTRAST_STD_MIN_GREY and low < EYE_CONTRAST_RATIO_MIN * max(spread):
         eye = "left" if spread[0] < spread[1] else "right"
         text = (
-            f"the {eye} eye shows nothing: contrast {low:.1f} grey levels (limit {CONTRAST_STD_MIN_GREY:g}), the "
-            "other eye "
-            f"{max(spread):.1f}; check its lens and cable"
+            f"the {eye} eye shows nothing: contrast {low:.1f} grey levels (limit {CONTRAST_STD_MIN_GREY:g}), the other "
+            f"eye {max(spread):.1f}; check its lens and cable"
         )
         return (Finding(FaultCode.EYE_GONE, text),)
     return ()

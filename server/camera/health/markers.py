@@ -67,8 +67,8 @@ class MarkerMonitor:
         which = "" if worst is None else f", most of it at marker {worst.marker_id} ({worst.residual_rms_px:.2f} px)"
         text = (
             f"the {found.object_name}'s markers contradict their layout: residual {found.residual_rms_px:.2f} px rms "
-            "(limit "
-            f"{limit_px:.2f} px){which}; a marker has {MOVED_MARKER_REASON}: fix it, then measure the layout again"
+            f"(limit {limit_px:.2f} px){which}; a marker has {MOVED_MARKER_REASON}: fix it, then measure the layout "
+            "again"
         )
         return (Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False),)
 
@@ -127,9 +127,8 @@ def _marker_misfit_finding(found: ObjectPose, limit_px: float) -> Finding:
     """Both eyes see one target and no pose of its size fits both."""
     text = (
         f"the {found.object_name}'s marker fits no pose of its size: residual {found.residual_rms_px:.2f} px rms "
-        "(limit "
-        f"{limit_px:.2f} px); its print is of another size than the machine file's side, something lies over it, or "
-        "it is over-exposed: measure its side, clean it, lower the exposure"
+        f"(limit {limit_px:.2f} px); its print is of another size than the machine file's side, something lies over "
+        "it, or it is over-exposed: measure its side, clean it, lower the exposure"
     )
     return Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False)
 

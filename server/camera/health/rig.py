@@ -238,8 +238,7 @@ def _misalignment_findings(spots: Sequence[Array], camera: StereoCamera) -> tupl
         return ()
     text = (
         f"rows of the two eyes differ by {rows_px:.1f} px (limit {ROW_OFFSET_MAX_PX:g} px); the images are not "
-        "rectified as "
-        "the camera file says, or the rig was bumped: load the file of this stream, or recalibrate"
+        "rectified as the camera file says, or the rig was bumped: load the file of this stream, or recalibrate"
     )
     return (Finding(FaultCode.ROWS_DIFFER, text),)
 
@@ -264,8 +263,7 @@ def _distortion_findings(kept: Sequence[Array], camera: StereoCamera) -> tuple[F
     rectified = camera.distortion[0] * bow < 0.0
     what = "the images are rectified, but the file states raw" if rectified else "the images are not rectified"
     text = (
-        f"rows of the two eyes differ by {effect_px:.1f} px in a lens's pattern (limit {DISTORTION_MAX_PX:g} px; k1 "
-        "is off by "
-        f"{bow:+.2f}); {what}, or it is another camera's file: load the file of this stream"
+        f"rows of the two eyes differ by {effect_px:.1f} px in a lens's pattern (limit {DISTORTION_MAX_PX:g} px; k1 is "
+        f"off by {bow:+.2f}); {what}, or it is another camera's file: load the file of this stream"
     )
     return (Finding(FaultCode.NOT_AS_CALIBRATED, text),)

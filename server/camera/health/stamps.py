@@ -104,9 +104,8 @@ class StampMonitor:
             self.short_ns = usual_ns - step_ns
             text = (
                 f"camera stamps jumped: a step of {step_ns / 1e6:.1f} ms where {usual_ns / 1e6:.1f} ms are usual "
-                f"(limit {STAMP_PERIOD_MIN_FRAC * usual_ns / 1e6:.1f} ms): its clock was set, or it is faster from "
-                "now on; "
-                "restart the stream if this stays"
+                f"(limit {STAMP_PERIOD_MIN_FRAC * usual_ns / 1e6:.1f} ms): its clock was set, or it is faster from now "
+                "on; restart the stream if this stays"
             )
             return Finding(FaultCode.STAMP_JUMPED, text)
         return None
@@ -133,8 +132,8 @@ class StampMonitor:
         if later_s > FRAME_LATENESS_MAX_S:
             text = (
                 f"picture is {1e3 * later_s:.0f} ms older than the fastest (limit {1e3 * FRAME_LATENESS_MAX_S:.0f} "
-                "ms); the "
-                "network or this computer is overloaded, or the camera's clock was set: restart the stream if it stays"
+                "ms); the network or this computer is overloaded, or the camera's clock was set: restart the stream if "
+                "it stays"
             )
             return Finding(FaultCode.LATE, text)
         return None

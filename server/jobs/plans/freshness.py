@@ -8,6 +8,6 @@ def require_fresh(plan_hash: str, t_made_ns: int, expires_ns: int, t_now_ns: int
     if t_now_ns > expires_ns:
         age_s, most_s = (t_now_ns - t_made_ns) * 1e-9, (expires_ns - t_made_ns) * 1e-9
         raise PlanRefusedError(
-            f"plan {plan_hash} is {age_s:.0f} s old and has expired (limit {most_s:.0f} s, [position] plan_expires_s)"
-            f"; {remedy}"
+            f"plan {plan_hash} is {age_s:.0f} s old and has expired (limit {most_s:.0f} s, [position] plan_expires_s); "
+            f"{remedy}"
         )
