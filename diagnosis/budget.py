@@ -46,8 +46,8 @@ MM = 1e3
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The whole answer. `machine`: what a machine file gets, the effects that are more likely there than not, fitted as
-    if there were no other. `shrinks`: by part of `held_out`, how far its gap closes on motions that were left out.
+    """The whole answer. `machine_file_terms`: the effects that are more likely there than not, fitted as if there were
+    no other. `gap_closures`: by part of `held_out`, how far its gap closes on motions that were left out.
     """
 
     recording: Read

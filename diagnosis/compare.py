@@ -31,10 +31,10 @@ MM = 1e3
 
 @dataclass(frozen=True, slots=True)
 class ToolMiss:
-    """One machine file's miss at the tool. `t_s` (m,) on the PLC's clock, `mm` (m,); by what it was measured.
+    """One machine file's miss at the tool. `t_s` (m,) on the PLC's clock, `miss_mm` (m,).
 
-    `by`: "camera" (where the object seems to be, about its median: all that is wrong is in it), or "encoders" (how the
-    tool follows what was sent).
+    `measured_by`: "camera" (where the object seems to be, about its median: all that is wrong is in it), or "encoders"
+    (how the tool follows what was sent).
     """
 
     machine_file_name: str

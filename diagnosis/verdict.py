@@ -26,7 +26,7 @@ StageVerdict = Literal["none", "explained", "partly", "unexplained", "not_measur
 
 @dataclass(frozen=True, slots=True)
 class EffectLine:
-    """One effect of the budget. `mm`: what it does at the tool by itself (RMS), with 90 % limits; `squares_mm2`: its
+    """One effect of the budget. `tool_rms_mm`: what it does at the tool by itself, with 90 % limits; `squares_mm2`: its
     Shapley value in the column's mean square.
     """
 

@@ -34,7 +34,8 @@ def _first_difference(old: tuple[Knot, ...], new: tuple[Knot, ...]) -> int | Non
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """One trajectory on its way to the PLC. `splice`: the first changed knot while the PLC may hold the old ones."""
+    """One trajectory on its way to the PLC. `splice_knot_index`: first changed knot while the PLC may hold the old
+    ones."""
 
     traj_id: int
     knots: tuple[Knot, ...]

@@ -49,8 +49,8 @@ class Frames:
 class CornerResidual:
     """Whitened corners (sets, N): measured less foreseen, the OOI's place in the base fitted each time.
 
-    `untimed`: the delay of the camera's stamps is fitted as well, since its clock's offset is not given. `layout`:
-    noise of the markers' places on their object by `layout_m` each, the same in all frames.
+    `fits_clock_offset`: the delay of the camera's stamps is fitted as well, since its clock's offset is not
+    given. `layout_noise`: of the markers' places on their object by `layout_m` each, the same in all frames.
     """
 
     nominal_machine: Nominal

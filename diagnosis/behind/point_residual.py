@@ -24,8 +24,8 @@ class PointResidual:
     """Residuals (sets, 3 m) of measured points in units of the floor; unknown frame and places are fitted each time.
 
     Axes: radial, tangential and up about the base's upright, since a slewing arm oscillates across more than it bends.
-    `known`: (3 m,) [m], what the machine's model is known to be wrong by. `t_start_s`: of the recording, where the
-    tracker's clock may be off (see `true_times`); None where that is the camera's.
+    `known_model_error_m`: (3 m,), what the machine's model is known to be wrong by. `t_start_s`: of the recording,
+    where the tracker's clock may be off (see `true_times`); None where that is the camera's.
     """
 
     nominal_machine: Nominal

@@ -39,7 +39,7 @@ SIGNAL_ADVICE_BY_STAGE = {
 class Pair:
     """Two sets of effects of one part, how much their difference matters, and the effects that differ.
 
-    `spread`: by how much the part's scores are to be divided.
+    `variance_inflation`: by how much the part's scores are to be divided.
     """
 
     cell: Cell

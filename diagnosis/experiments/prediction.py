@@ -37,7 +37,7 @@ IMAGE_EDGE_MARGIN_PX = 2.0
 class Hypothesis:
     """Effects at their fitted sizes in one cell, with what the first recording says of the sizes.
 
-    `hold`: (k, k), rows that a deviation from theta costs there, whitened.
+    `sqrt_information`: (k, k), rows that a deviation from theta costs there, whitened.
     """
 
     fit: Fit

@@ -55,7 +55,7 @@ class SharedEffect:
 
 @dataclass(frozen=True, slots=True)
 class EffectDrift:
-    """Change of an effect's size on one machine: slope per day with 90 % limits. `drifts`: zero lies outside them."""
+    """Change of an effect's size on one machine: slope per day with 90 % limits. `is_drifting`: zero lies outside."""
 
     machine: str
     name: str

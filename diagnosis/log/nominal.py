@@ -50,11 +50,11 @@ class SensorAccuracy:
 
 @dataclass(frozen=True, slots=True)
 class Nominal:
-    """A machine file, as far as it goes. `absent`: what each missing part would have needed, by part.
+    """A machine file, as far as it goes. `missing_part_reasons`: what each missing part would have needed, by part.
 
     `q_min`, `q_max`: (n,) [rad], -inf and inf where not given. `actuators` without kp holds 0 there: stage controller
-    is then absent. `sliding`: joints that slide (n,), whose rad are m. `baseline`: effects that belong to this machine
-    before anything is wrong with it. `findings`: what in the file is odd, and nothing of it fatal.
+    is then absent. `joint_slides` (n,): whose rad are m. `baseline_effects`: they belong to this machine before
+    anything is wrong with it. `findings`: what in the file is odd, and nothing of it fatal.
     """
 
     name: str

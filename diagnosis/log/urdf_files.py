@@ -14,7 +14,7 @@ LISTED_FILES_MAX = 6
 
 @dataclass(frozen=True, slots=True)
 class UrdfFiles:
-    """`recorded`: the recording's attachments. `folder`: the machine file's folder, if there is one."""
+    """Where the URDF files of a machine are: attached to its recording, or in its machine file's folder."""
 
     attachments: Sequence[Attachment] = ()
     machine_file_folder: Path | None = None

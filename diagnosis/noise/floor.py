@@ -59,7 +59,7 @@ class Whitener:
 class Floor:
     """Noise of one signal: rms of its deviation (n,), rms of its increments (n,), the whitener.
 
-    `known`: from repeats; else a bound from the signal's fastest part, to be said in the report.
+    `is_measured`: from repeats; else a bound from the signal's fastest part, to be said in the report.
     """
 
     deviation_rms: Array

@@ -34,10 +34,10 @@ DEFAULT_SEND_PERIOD_S = 0.01
 class PreparedStretch:
     """A stretch ready to be replayed with any number of parameter sets: a drive for each stage that it allows.
 
-    `others`: (cycles, n) each, courses that a stage's input may as well have taken between logged rows; none where each
-    cycle was logged. `late`: the drives of stages whose input jumps, with each jump as late as it may be: at the end of
-    its logged row, where what was sent is not known. `sided`: the others are of datagrams that came a cycle later, and
-    one earlier; not so where what was received was not logged.
+    `alternative_inputs`: (cycles, n) each, courses that a stage's input may as well have taken between logged rows;
+    none where each cycle was logged. `late_jump_inputs`: the drives of stages whose input jumps, with each jump as late
+    as it may be: at the end of its logged row, where what was sent is not known. `two_sided_alternatives`: they are of
+    datagrams that came a cycle later, and one earlier; not so where what was received was not logged.
     """
 
     plant: Actuators
@@ -76,7 +76,8 @@ class _ControllerCommands:
 class Replayer:
     """The replays of one machine. `torque_reference`: (n,) [N m], None where masses or limits are not known.
 
-    `finer`: how much of the way from this model's steps to endlessly many the machine's own are found to have gone.
+    `step_refinement_frac`: how much of the way from this model's steps to endlessly many the machine's own are found to
+    have gone.
     """
 
     nominal_machine: Nominal

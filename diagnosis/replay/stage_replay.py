@@ -35,13 +35,14 @@ UNIFORM_SIGMA_PER_HALF_WIDTH = 3.0**-0.5  # standard deviation of what lies anyw
 class StretchReplay:
     """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
 
-    `between`: (m, joints) each, how far another guess of the input's course between logged rows drives the increments
-    apart; `sided`: there are two such guesses at most, one a cycle later and one earlier. `unsure`: (m, joints), the
-    same of jumps that each may be anywhere in its row; None where no row hides one.
-    `slower`: (m, joints), the same of valves that are TIMING_S slower, where the joints' loops run through them; None
-    where the valve commands are known: what is late there comes late, and no more.
-    `moved`: by joint, what is known of its model beyond what has been taken off `measured`, if it moves like a given
-    course (m,); empty, or None, where nothing is.
+    `input_guess_differences`: (m, joints) each, how far another guess of the input's course between logged rows drives
+    the increments apart; `two_sided_alternatives`: two such guesses at most, one a cycle later and one earlier.
+    `jump_timing_differences`: (m, joints), the same of jumps that each may be anywhere in its row; None where no row
+    hides one. `valve_delay_differences`: (m, joints), the same of valves that are TIMING_UNCERTAINTY_S slower, where
+    the joints' loops run through them; None where the valve commands are known: what is late there comes late, and no
+    more.
+    `model_error_by_motion`: by joint, what is known of its model beyond what has been taken off `measured_output`, if
+    it moves like a given course (m,); empty, or None, where nothing is.
     """
 
     plant: Actuators
@@ -59,7 +60,7 @@ class StretchReplay:
 class Replay:
     """The whitened residual of a stage for some joints, over several stretches.
 
-    `day`: what the machine's numbers wander by from day to day, where that is known.
+    `day_to_day_noise`: what the machine's numbers wander by from day to day, where that is known.
     """
 
     stage: str

@@ -33,11 +33,11 @@ Variant = tuple[str, int | None, str, tuple[float, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One effect on one joint (1-based; None: the machine), in one variant: `fixed` numbers do not move in a fit.
+    """One effect on one joint (1-based; None: the machine), in one variant: `fixed_parameters` do not move.
 
-    `read_off`: the log itself shows its size, and nothing of it is fitted. `counted`: that size is a share, counted
-    among so many; 0: it is not a share. `cycles`: of a delay, a PLC's cycle and what the nominal machine has of it [s]:
-    whole cycles are where its cost has a kink that no gradient finds.
+    `read_off`: the log itself shows its size, and nothing of it is fitted. `share_sample_count`: that size is a share,
+    counted among so many; 0: it is not a share. `cycle_and_delay_s`: of a delay, a PLC's cycle and what the nominal
+    machine has of it: whole cycles are where its cost has a kink that no gradient finds.
     """
 
     name: str

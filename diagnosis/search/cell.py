@@ -24,7 +24,7 @@ DYNAMIC_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly
 class ResidualRows:
     """What each residual (N,) belongs to: fold (left out together), block (scored together), series, channel.
 
-    `alike`: rows that a model is wrong by alike (one posture), as numbers; None: those of a block.
+    `correlation_group`: rows that a model is wrong by alike (one posture), as numbers; None: those of a block.
     """
 
     fold: NDArray[np.int64]
@@ -48,13 +48,13 @@ class ResidualRows:
 class Cell:
     """One independent part. `whitened(sets)` gives residuals (sets, N) in units of the floor.
 
-    `scale`: (N,) what one whitened unit is in `unit`; `base`: the baseline's parameters; `floor_known`: from repeats.
+    `scale`: (N,) what one whitened unit is in `unit`; `floor_known`: from repeats.
     `quiet`: the noise's own energy in whitened units, below 1 where the floor was raised to what is believed.
-    `usual`: what each effect gains on baseline recordings [nats], by name; None without a baseline.
-    `restless`: what moved by itself from one look at a posture to the next, in words; empty where nothing did.
-    `parts`: the cells that this one joins, rows end to end; empty for a plain one.
+    `baseline_gain_nats`: what each effect gains on baseline recordings, by name; None without a baseline.
+    `loose_target_text`: what moved by itself from one look at a posture to the next, in words; empty where nothing did.
+    `joined_cells`: the cells that this one joins, rows end to end; empty for a plain one.
     `at_noise`: the same cell by another filter, where the noise was never measured; else None.
-    `course`: what is known of the stages before, too, if this one was given it.
+    `upstream_parameters`: what is known of the stages before, too, if this one was given it.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """
 

@@ -28,15 +28,15 @@ DISTINCT_SQUARED_DISTANCE_MIN = 9.0  # least squared distance below which two se
 class Evidence:
     """What speaks for one effect of the best set of its part.
 
-    `gain_nats`: what the best set without it and its equals loses. `sd`: (slots,) of its numbers, with what its
-    definition leaves open. `z`: its size over that. `scatter`: by what share its size differs between kinds of motion,
-    times, amplitudes or postures, beyond noise; a cause has one size. `equals`: sets of effects that take its place at
-    a distance T below 9. `left`: mean squared residual of its part in noise floors. `noise_known`: from repeats or
-    stated accuracy.
-    `above`: what it alone explains, as a share of that and what its part leaves beyond noise.
-    `alone`: its size over its deviation with every effect of the part in the model; with its equals if they share it.
-    `prior_nats`: with a baseline its prior log odds, of which the gain is the rest; else None.
-    `wide`: (sizes, 2) 90 % limits in that model of sizes that the data do not determine by themselves; None without.
+    `gain_nats`: what the best set without it and its equals loses. `parameter_sd`: (slots,) of its numbers, with what
+    its definition leaves open. `size_z_score`: its size over that. `size_scatter_frac`: by what share its size differs
+    between kinds of motion, times, amplitudes or postures, beyond noise; a cause has one size.
+    `equivalent_effect_sets`: sets of effects that take its place at a distance T below 9. `residual_mean_square`: of
+    its part in noise floors. `noise_known`: from repeats or stated accuracy.
+    `explained_frac`: what it alone explains, as a share of that and what its part leaves beyond noise.
+    `full_model_z_score`: its size over its deviation with every effect of the part in the model; with its equals if
+    they share it. `prior_nats`: with a baseline its prior log odds, of which the gain is the rest; else None.
+    `full_model_limits`: (sizes, 2) 90 % in that model of sizes that the data do not determine by themselves, or None.
     """
 
     effect_term: EffectTerm

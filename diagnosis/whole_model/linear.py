@@ -30,7 +30,7 @@ COLLINEARITY_TOLERANCE = 1e-5  # of the cosine between columns, by finite steps 
 
 @dataclass(frozen=True, slots=True)
 class EffectTerm:
-    """One effect of the library with its numbers (slots,); `present`: whether the machine is taken to have it."""
+    """One effect of the library with its numbers (slots,); `is_present`: whether the machine is taken to have it."""
 
     effect: Candidate
     theta: Array
@@ -69,8 +69,8 @@ class EffectTerm:
 class LinearModel:
     """Residual (N,) and columns J (N, k) about the terms as they stand; x (k,): their numbers in those columns.
 
-    `first`: (terms + 1,) columns of each term. `weight`: (N,) of each row in a least-squares step. `log_odds`:
-    (terms,), prior, of a term being there.
+    `term_first_column`: (terms + 1,). `robust_weight`: (N,) of each row in a least-squares step. `log_odds`: (terms,),
+    prior, of a term being there.
     """
 
     effect_terms: tuple[EffectTerm, ...]

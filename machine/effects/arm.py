@@ -18,8 +18,8 @@ Convention = Literal["classic", "modified"]
 class Arm:
     """T_base_link_i = T_base_link_(i-1) before_i motion_i(q_i) after_i; motion about (or, prismatic, along) z.
 
-    `before`, `after`: (n, 4, 4). `zero`: added to q (n,). `moves`: factor on zero + q (n,): 1, -1 where a URDF's
-    joint is passed from child to parent, 0 where a joint is not in the chain. `prismatic`: 1.0 or 0.0 (n,).
+    `before`, `after`: (n, 4, 4). `q_offset`: added to q (n,). `motion_factor`: on q_offset + q (n,): 1, -1 where
+    a URDF's joint is passed from child to parent, 0 where a joint is not in the chain. `prismatic`: 1.0 or 0.0 (n,).
     `length_before`, `length_after`: where an error of the DH length a (row 0) and d (row 1) enters, unit vectors or
     zero (n, 2, 3).
     `mass`: (n,) [kg], `com`: (n, 3) [m] in link frames. `gravity`: (3,) in an upright base. `T_flange_tcp`: (4, 4).

@@ -94,9 +94,10 @@ _MACHINE: dict[tuple[str, str], int] = {
 class ParameterSlot:
     """One number that a fit may move: where it stands, its bounds, neutral, and a step that it feels.
 
-    `high`: what good machines have, and the ruler of steps and scans; `highest`: where a fit has to stop.
-    `index`: 0 for plain numbers, else the component of a direction's vector. `joint`: 1-based, None for the machine.
-    `scale`: how many times larger sizes are on this machine than those that the effect's prior was made for.
+    `typical_max`: what good machines have, and the ruler of steps and scans; `upper_bound`: where a fit has to stop.
+    `component_index`: 0 for plain numbers, else the component of a direction's vector. `joint`: 1-based, None for the
+    machine.
+    `size_scale`: how many times larger sizes are on this machine than those that the effect's prior was made for.
     """
 
     effect: str

@@ -22,13 +22,16 @@ class Prior:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number of an effect. Role "size": at `neutral` the effect vanishes exactly; "shape": only says how it looks.
+    """One number of an effect. Role "size": at `neutral_value` the effect vanishes exactly; "shape": only says how it
+    looks.
 
-    `start`: where a fit begins, never at neutral, where thresholds have no slope. `low`..`high`: what is believable;
-    a fit that ends there means "larger than assumed". `most`: how far beyond `high` a poor machine's size may lie;
-    `high` is then what good ones have, and the ruler of steps and scans. `lightest`: what arms far lighter than a crane
-    may have, and machine files hold; a fit's bounds go with the arm's weight (see `Slot.scale`). `open_frac`,
-    `open_size`: by how much a size depends on what the effect's definition leaves open, in proportion and at least.
+    `start_value`: where a fit begins, never at neutral, where thresholds have no slope.
+    `plausible_min`..`plausible_max`: a fit that ends there means "larger than assumed". `poor_machine_max`: how far
+    beyond it a poor machine's size may lie; `plausible_max` is then what good ones have, and the ruler of steps and
+    scans. `light_arm_max`: what arms far lighter than a crane may have, and machine files hold; a fit's bounds go with
+    the arm's weight (see
+    `ParameterSlot.size_scale`). `open_frac`, `open_size`: by how much a size depends on what the effect's definition
+    leaves open, in proportion and at least.
     """
 
     name: str
@@ -88,7 +91,7 @@ class QuantityChoice:
 class Direction:
     """The unit vector that a size is measured along or about. In a fit size and direction are one plain vector.
 
-    `fitted`: how many of its components, from the first, a fit moves; the others are another effect's.
+    `n_fitted_components`: how many of its components, from the first, a fit moves; the others are another effect's.
     """
 
     name: str
@@ -101,8 +104,8 @@ class Direction:
 class Effect:
     """One entry of the catalogue. `looks_like`, `distinguished_by`: for the report; `source`: where it comes from.
 
-    `prevalence`: how likely a machine that no one has measured has it (at one joint), before any data. `threshold`:
-    small sizes change nothing until a motion exceeds them, so that there is no slope at neutral.
+    `prior_probability`: how likely a machine that no one has measured has it (at one joint), before any data.
+    `has_threshold`: small sizes change nothing until a motion exceeds them, so that there is no slope at neutral.
     """
 
     name: str

@@ -15,7 +15,8 @@ Use = Literal["used", "ignored"]
 class JointSignal:
     """Numbers of joints over time: t_s (m,) [s], values (m, n) [rad or m, per s for velocities]; NaN where missing.
 
-    `held`: a value counts until the next one comes (a command); else it lies on a line between its neighbours.
+    `hold_last_value`: a value counts until the next one comes (a command); else it lies on a line between its
+    neighbours.
     """
 
     kind: Kind
@@ -40,7 +41,7 @@ class TrackedPointSeries:
 class SourceEntry:
     """One line of the list that the user sees: a topic or a column, and what became of it.
 
-    `guess`: it was taken for this by its name or its size; the user has to confirm it.
+    `is_guess`: it was taken for this by its name or its size; the user has to confirm it.
     """
 
     name: str
@@ -53,9 +54,9 @@ class SourceEntry:
 
 @dataclass(slots=True)
 class SourceContents:
-    """All that was found. `notes`: remarks on the file as a whole. `cut`: not all of the file could be read.
+    """All that was found. `notes`: remarks on the file as a whole. `truncated`: not all of the file could be read.
 
-    `numbered`: joints are called joint1, joint2 ... by their place; `proposal`: the guesses as a mapping file's text.
+    `joints_numbered`: they are called joint1, joint2 ... by their place; `proposed_mapping_toml`: the guesses of a bag.
     """
 
     signals: list[JointSignal] = field(default_factory=list)

@@ -12,7 +12,7 @@ from recording.foreign.mapping import UrdfChain
 
 @dataclass(frozen=True, slots=True)
 class ChosenChain:
-    """The two ends, and the moving joints between them. `guess`: the ends were chosen by the recorded joints."""
+    """The two ends, and the moving joints between them. `is_guess`: chosen by the recorded joints."""
 
     base_link: str
     tip_link: str

@@ -32,10 +32,11 @@ class BoardView:
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
-    """`lenses`: each eye's numbers in the order of `LENS` (eyes, 9); `rig`: rotation vector [rad] and translation [m]
-    that take the left eye's points to the right one's (6,), None for one eye. `covariance`: of the lenses and the rig,
-    in this order. `rms_px`: per coordinate; `view_rms_px`: of each used view; `dropped`: views left out, and why.
-    `boards`: rotation vector and translation of the board in the left eye, of each used view (views, 6).
+    """`lens_parameters`: each eye's in the order of `LENS_PARAMETER_NAMES` (eyes, 9); `rig_parameters`: rotation vector
+    [rad] and translation [m] that take the left eye's points to the right one's (6,), None for one eye. `covariance`:
+    of both, in this order. `rms_px`: per coordinate; `view_rms_px`: of each used view; `dropped_views`: with the
+    reason.
+    `board_poses`: rotation vector and translation of the board in the left eye, of each used view (views, 6).
     """
 
     size_px: tuple[int, int]

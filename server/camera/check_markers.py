@@ -27,10 +27,10 @@ RECTIFIED_CELL_PX = 8  # a cell of the straightened marker
 
 @dataclass(frozen=True, slots=True)
 class MarkerFigures:
-    """One marker in one pair. `centre_px`: in the left eye, or the right one's where only that sees it.
+    """One marker in one pair; its figures are the left eye's, or the right one's where only that sees it.
 
     `turn_right_deg`, `turn_down_deg`: by which the camera must turn so that both eyes hold it clear of their borders.
-    `brighter`: side of the marker whose white is brighter ("left", ...), empty where all are alike.
+    `brighter_side`: side of the marker whose white is brighter ("left", ...), empty where all are alike.
     """
 
     marker_id: int

@@ -22,10 +22,10 @@ SAME_CLOCK_LATENCY_MAX_S = 2.0  # stamps this close behind arrival may be of thi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreamTimes:
-    """Every pair that came: exposure and arrival [ns], sequence and connection numbers (n,); `skipped` by ourselves.
+    """Every pair that came: exposure and arrival [ns], sequence and connection numbers (n,); `n_skipped` by ourselves.
 
     `own_clock`: the source stamps with this computer's clock. `wanted_hz`: requested rate; None: any.
-    `stored`: played from files, whose arrival says nothing of a camera.
+    `is_recorded`: played from files, whose arrival says nothing of a camera.
     """
 
     t_exposure_ns: Integers

@@ -133,9 +133,9 @@ class OdometryMap:
 
 @dataclass(frozen=True, slots=True)
 class OdometryCommand:
-    """Switch odometry on (from a fresh start frame) or off. `run`: a number that its poses and its map carry.
+    """Switch odometry on (from a fresh start frame) or off. `odometry_run`: a number that its poses and map carry.
 
-    masks: its map shall say what stood still in the pictures, which costs a second at its end.
+    `still_masks_wanted`: its map shall say what stood still in the pictures, which costs a second at its end.
     """
 
     enabled: bool

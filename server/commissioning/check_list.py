@@ -152,7 +152,7 @@ class StepRequirement(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One line of the list. `after`: steps whose failure makes this one pointless or dangerous."""
+    """One line of the list. `prerequisite_steps`: those whose failure makes this one pointless or dangerous."""
 
     number: int
     name: str

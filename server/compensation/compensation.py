@@ -92,7 +92,7 @@ def mount_of(diagnosed: DiagnosedArm, machine: Machine) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
-    """A diagnosed machine. `sorted`: its effects, compensated and not."""
+    """A diagnosed machine; its effects by use: compensated and not."""
 
     machine: Machine
     diagnosed_arm: DiagnosedArm

@@ -88,7 +88,7 @@ class PairSeen:
     """One pair as it came, with the encoders at its exposure and how the motion stands.
 
     `fault`: why it must not be acted upon (silent camera, old or unfit picture, no encoders for it); empty when it may.
-    `tail`: what became of the last `Correct`; taken and refused are reported once.
+    `tail_status`: what became of the last `Correct`; taken and refused are reported once.
     """
 
     number: int
@@ -151,7 +151,7 @@ class Arm:
 class Move:
     """Play a trajectory of the reference to its end. Reply: None; a stop or refusal fails the job.
 
-    `marks`: stretches that become segments of the recording, as far as they were driven.
+    `segment_marks`: stretches that become segments of the recording, as far as they were driven.
     """
 
     trajectory: JointTrajectory

@@ -43,7 +43,7 @@ class _DisparityFit:
 
 @dataclass(frozen=True, slots=True)
 class _SurfaceQuery:
-    """A raw left pixel of a raw pair whose surface is wanted; `name`: for the reasons."""
+    """A raw left pixel of a raw pair whose surface is wanted; `label`: for the reasons."""
 
     left: Image
     right: Image

@@ -63,8 +63,8 @@ class ObjectPose:
 class PairObservation:
     """What one stereo pair shows. `t_exposure_ns` is the camera's own stamp (mid-exposure of the middle row).
 
-    `searched`: the whole picture was searched, not only where the markers were last; a second marker of the same id is
-    found then.
+    `fully_searched`: the whole picture was searched, not only where the markers were last; a second marker of the same
+    id is found then.
     """
 
     t_exposure_ns: int

@@ -53,9 +53,9 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """One pair. `first`: nothing before it to compare with (start, new connection, new size).
+    """One pair. `is_first`: nothing before it to compare with (start, new connection, new size).
 
-    `resumed`: the first of a new connection, of the size of the pictures before: it may be the last of those again.
+    `is_resumed`: the first of a new connection, of the size of the pictures before: it may be the last of those again.
     """
 
     frame: StereoFrame

@@ -75,7 +75,7 @@ class PlannedIdentification:
 class Drive:
     """What a drive is made of, before it is planned: kept between its jobs, so that the rest of it can be planned.
 
-    `q_home`: where the motions begin and end; `seen`: the object to look at, None without one.
+    `q_home`: where the motions begin and end; `seen_object`: the object to look at, None without one.
     """
 
     q_home: Array
