@@ -80,7 +80,7 @@ class WriterReport:
 class RunWriter:
     """One run's file. Times given are the PC's monotonic clock [ns]; the file carries UTC.
 
-    `patient`: whether a giver waits for a disk that is behind by QUEUE_ENTRIES.
+    `patient`: whether a giver waits for a disk that is behind by QUEUE_ENTRIES_MAX.
     `open_wait_s`: how long the giver waits for the file to be there; after that what is given waits for it.
 
     Raises: RecordingError where the file cannot be made, if that is known within `open_wait_s`; else `error` says so.
@@ -266,7 +266,7 @@ class RunWriter:
     def _run_writer_thread(
         self, begun: Sequence[Attachment], metadata: Sequence[tuple[str, str]], opened: threading.Event
     ) -> None:
-        """Thread: the file's head, entries from the queue, a chunk at least every FLUSH_S, then the file's end.
+        """Thread: the file's head, entries from the queue, a chunk at least every FLUSH_PERIOD_S, then the file's end.
 
         Whatever goes wrong ends the file and never the thread: it keeps emptying the queue, so that no producer waits.
         """

@@ -37,5 +37,5 @@ class Listeners(Generic[P]):
 
     @property
     def recent_failure(self) -> str:
-        """What failed within the last WELL_S; empty when all is well."""
+        """What failed within the last FAILURE_REPORT_DURATION_S; empty when all is well."""
         return self._problem if time.monotonic() - self._failed_s < FAILURE_REPORT_DURATION_S else ""

@@ -32,7 +32,7 @@ class SupervisedTasks:
 
     @property
     def recent_failure(self) -> str:
-        """Which of them failed within the last WELL_S, and how; empty when all is well."""
+        """Which of them failed within the last FAILURE_REPORT_DURATION_S, and how; empty when all is well."""
         since_s = mono_s() - FAILURE_REPORT_DURATION_S
         return "; ".join(text for failed_s, text in self._failed.values() if failed_s > since_s)
 

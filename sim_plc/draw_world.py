@@ -37,7 +37,7 @@ def draw_world(machine: Machine, preset: str, seed: int) -> World:
     """The world of one preset and seed; the same arguments give the same world.
 
     Mount, tool marker, posture and start are drawn again in every attempt.
-    Raises:  PresetError: no such preset, or no usable scene in ATTEMPTS_MAX draws.
+    Raises:  PresetError: no such preset, or no usable scene in SCENE_DRAWS_MAX draws.
     """
     checked_preset(preset)
     plant = draw_plant(machine, preset, seed)

@@ -23,7 +23,7 @@ class PlanShown:
 class SceneView:
     """Joints [rad], the machine's tool and camera, the target if known, the previewed plan if any.
 
-    `number_ooi` changes with the target's pose; `scrub_frac` 0..1 along the plan; `track_base_m` (k, 3): where odometry
+    `scrub_frac` 0..1 along the plan; `track_base_m` (k, 3): where odometry
     saw the camera go; `map_base_m` (p, 3): the points that it went by; `picture_jpeg`: thumbnail for the frustum, None:
     as before.
     """

@@ -102,7 +102,7 @@ def with_levels(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[
 
 
 def prediction_limit(values: list[float]) -> float:
-    """What one more value of a log-normal sample stays below with LIKELY_BELOW; 1 for fewer than two.
+    """What one more value of a log-normal sample stays below with PREDICTION_LIMIT_QUANTILE; 1 for fewer than two.
 
     Source: prediction interval of one future observation, unknown mean and variance (Student's t).
     """

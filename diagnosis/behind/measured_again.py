@@ -81,7 +81,8 @@ def measured_again(rough: PointResidual, base: ParameterSets) -> MeasuredAgain |
 
 
 def _shared_variance_fraction(deviation: Array, instants: NDArray[np.int64]) -> float:
-    """The share of the variance of deviations (m, 3) [m] that all points of one instant have alike, 0 to MOST_SHARED.
+    """The share of the variance of deviations (m, 3) [m] that all points of one instant have alike, 0 to
+    SHARED_VARIANCE_MAX_FRAC.
 
     Why: what an encoder's step hides moves all that lies beyond its joint. Counted point by point such a pose would
          speak as often as it has points.

@@ -118,9 +118,9 @@ def arrival_times(
              datagram received, negative where not logged. cycle_s: the PLC's. nominal_s: delay of the machine file.
              clock_known: whether the two clocks' offset is; without, a steady delay is whatever it may be at the least.
     Model:   the delay that contradicts the fewest rows, the one nearest to the machine file's; with clocks that run
-             apart only where that halves the contradictions. A delay below ALLOWED_S counts as 0. What stays is moved
-             into the interval in which the rows saw the datagram appear, if that is no further away than a cycle and a
-             sending period: beyond, it is a fault of the link.
+             apart only where that halves the contradictions. A delay below STEADY_DELAY_TOLERANCE_S counts as 0. What
+             stays is moved into the interval in which the rows saw the datagram appear, if that is no further away than
+             a cycle and a sending period: beyond, it is a fault of the link.
     """
     known = on_schedule(sent, rows)
     bounds = _delay_bounds(sent, rows)

@@ -153,7 +153,8 @@ def posture_bounds(nominal: Nominal) -> tuple[Array, Array]:
 
 
 def _limit_speed_acceleration(x: Array, speed: float) -> Array:
-    """A course from 0 to 0 within a speed and PER_S / SPEED_SHARE times as much acceleration.
+    """A course from 0 to 0 within a speed and ACCELERATION_SPEED_RATIO_PER_S / SPEED_LIMIT_FRAC times as much
+    acceleration.
 
     Model: what is smooth already is scaled; what has corners is averaged (Hann) over as little as the limits ask for.
     """

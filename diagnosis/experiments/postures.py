@@ -18,7 +18,8 @@ MARKER_DEPTH_MIN_M = 0.25
 
 
 def candidate_postures(nominal: Nominal, centre: Array, rng: np.random.Generator) -> Array:
-    """Joint vectors (m, n) within the ranges and REACH_RAD of a posture: half of them near it, half all over.
+    """Joint vectors (m, n) within the ranges and POSTURE_DISTANCE_MAX_RAD of a posture: half of them near it, half all
+    over.
 
     Of a joint that was recorded outside its range, or has next to none, the nearest place inside.
     """

@@ -123,9 +123,10 @@ def _remove_log_uncertainty(white: Array, columns: list[tuple[Array, float, floa
     """Residuals without what the log's own coarseness can explain, per set and joint.
 
     Why: logs are stamped to a cycle, and models stepped at 0.5 and at 1 ms lie as far apart; between two logged rows
-    the command's course is a guess. At most once the difference of two guesses, and a shift of at most TIMING_S (of
-    the encoders, and in a loop that is run as a whole of the valve in it), are no effects: each column with its least
-    and its most amount. Solved in turn (Gauss-Seidel), the courses first: what both can explain is theirs.
+    the command's course is a guess. At most once the difference of two guesses, and a shift of at most
+    TIMING_UNCERTAINTY_S (of the encoders, and in a loop that is run as a whole of the valve in it), are no effects:
+    each column with its least and its most amount. Solved in turn (Gauss-Seidel), the courses first: what both can
+    explain is theirs.
     """
     products = [[(a * b).sum(axis=1) for b, _, _ in columns] for a, _, _ in columns]
     wanted = [-(column * white).sum(axis=1) for column, _, _ in columns]

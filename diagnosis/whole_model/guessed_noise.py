@@ -61,8 +61,8 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
 
 
 def _centred_residual_runs(cell: Cell, left: Array, channel: int) -> list[Array]:
-    """What is left of one joint (m, 1), stretch by stretch, about its mean over SLOW_ROWS; those too short for a filter
-    are left out.
+    """What is left of one joint (m, 1), stretch by stretch, about its mean over CENTRING_WINDOW_ROWS; those too short
+    for a filter are left out.
 
     Why: a joint that creeps from the middle of a recording on is not noise of its valve, whose filter would follow it.
     """

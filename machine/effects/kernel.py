@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from machine.rotations import Array
 
-# Columns of the joints' parameters (sets, joints, JOINT_COLUMNS).
+# Columns of the joints' parameters (sets, joints, N_JOINT_PARAMETERS).
 STEP, RATE, KP_GAIN, PT1_LAG, U_LIMIT = 0, 1, 2, 3, 4
 HYSTERESIS, LAG, DEADBAND, FLOW, ASYMMETRY, DROOP, LEAK, BREAKAWAY = 5, 6, 7, 8, 9, 10, 11, 12
 BIAS, SCALE, ECC_AMPLITUDE, ECC_ORDER, ECC_PHASE = 13, 14, 15, 16, 17
@@ -21,7 +21,7 @@ KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING = 22, 23, 24  # a second oscillation of the 
 DEADBAND_LOST = 25  # what is taken off every opening, also off a full one
 BREAKAWAY_ONCE = 26  # of a joint that, once moving, sticks again only where its spool changes sides
 FRICTION, OIL_PERIOD, OIL_DAMPING = 27, 28, 29  # how far the oil yields before a joint moves, and its spring
-# Columns of the machine's parameters (sets, MACHINE_COLUMNS).
+# Columns of the machine's parameters (sets, N_MACHINE_PARAMETERS).
 DELAY, LOSS, FLOW_LIMIT, PAYLOAD = 0, 1, 2, 3
 # Columns of the nominal actuators (joints, 5).
 KV, WN, ZETA, KP, TAU = 0, 1, 2, 3, 4
@@ -199,9 +199,9 @@ def _step_link_behind_joint(behind: Array, q: float, p: Array, free: Array, cycl
 
 @njit(cache=True, nogil=True)
 def link_side_course(p: Array, enc: Array, cycle_s: float, side: float = 0.0) -> Array:
-    """Link-side angles (m,) of one joint with parameters p (JOINT_COLUMNS,) behind its encoder's readings (m,), a row a
-    cycle: what `run` does in its last stage, for one joint and set. `side`: of its play, where it stands before the
-    first row: -1 to 1, 0 in the middle.
+    """Link-side angles (m,) of one joint with parameters p (N_JOINT_PARAMETERS,) behind its encoder's readings (m,), a
+    row a cycle: what `run` does in its last stage, for one joint and set. `side`: of its play, where it stands before
+    the first row: -1 to 1, 0 in the middle.
     """
     free, behind, out = np.zeros(N_FREE_MOTION_COEFFICIENTS), np.zeros(N_LINK_STATES), np.zeros(len(enc))
     _free_oscillations(p, cycle_s, free)
@@ -271,7 +271,7 @@ def _flow_gains(p: Array, velocity_gain: float) -> Gains:
 def _simulate_one_joint(
     p: Array, payload: float, nominal: Array, given: Given, kept: NDArray[np.int64], late: Late, out: Traced
 ) -> None:
-    """A joint run by itself, by one set: p (JOINT_COLUMNS,), nominal (5,). In scalars, for speed."""
+    """A joint run by itself, by one set: p (N_JOINT_PARAMETERS,), nominal (5,). In scalars, for speed."""
     (first, last), (cycle_s, substeps, decimate), (sent, latest, ref_in, enc_in, u_in), loads, begin = given
     (load, load_kg), (enc_start, u_start), (whole, part) = loads, begin, late
     ref_out, u_out, enc_out, link_out = out
@@ -338,7 +338,7 @@ def _simulate_one_joint(
 def _simulate_coupled_joints(
     P: Array, G: Array, nominal: Array, given: Given, kept: NDArray[np.int64], late: Late, out: Traced
 ) -> None:
-    """All joints of one set, step by step, since they may share what the pump gives: P (joints, JOINT_COLUMNS)."""
+    """All joints of one set, step by step, since they may share what the pump gives: P (joints, N_JOINT_PARAMETERS)."""
     (first, last), (cycle_s, substeps, decimate), (sent, latest, ref_in, enc_in, u_in), loads, begin = given
     (load, load_kg), (enc_start, u_start), (whole, part) = loads, begin, late
     ref_out, u_out, enc_out, link_out = out

@@ -122,7 +122,8 @@ class ParameterSlot:
 
 @dataclass(frozen=True, slots=True)
 class ParameterSets:
-    """Parameters of many sets: joints (sets, n, JOINT_COLUMNS), machine (sets, MACHINE_COLUMNS). Written in place."""
+    """Parameters of many sets: joints (sets, n, N_JOINT_PARAMETERS), machine (sets, N_MACHINE_PARAMETERS). Written in
+    place."""
 
     joint_parameters: Array
     machine_parameters: Array
@@ -164,7 +165,7 @@ def neutral_sets(n_joints: int, sets: int = 1) -> ParameterSets:
 
 @cache
 def _neutral_parameters() -> tuple[Array, Array]:
-    """A joint's numbers (JOINT_COLUMNS,) and the machine's (MACHINE_COLUMNS,)."""
+    """A joint's numbers (N_JOINT_PARAMETERS,) and the machine's (N_MACHINE_PARAMETERS,)."""
     joint, machine = np.zeros(N_JOINT_PARAMETERS), np.zeros(N_MACHINE_PARAMETERS)
     for effect in EFFECTS:
         for parameter in effect.parameters:

@@ -125,7 +125,7 @@ class LeaseBook:
         return self.held
 
     def offer_to(self, lease_id: str, to: str, now_s: float) -> Lease:
-        """Let `to` acquire it within OFFER_S; until then the holder keeps it. Raises as `lease_of`."""
+        """Let `to` acquire it within HANDOVER_OFFER_TTL_S; until then the holder keeps it. Raises as `lease_of`."""
         held = self.lease_of(lease_id, now_s)
         self.held = replace(held, offered_to=to, offered_until_s=now_s + HANDOVER_OFFER_TTL_S)
         return self.held

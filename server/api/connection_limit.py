@@ -85,7 +85,8 @@ HTTP_HEAD_MAX_BYTES = 64 * 1024  # the parser itself keeps whatever comes
 
 
 class PatientProtocol(HttpToolsProtocol):
-    """uvicorn's protocol that looks every HEADER_S whether one request's head has been awaited all that time.
+    """uvicorn's protocol that looks every HTTP_HEAD_TIMEOUT_S whether one request's head has been awaited all that
+    time.
 
     A kept-alive connection that asks steadily awaits a head at nearly every look, but each time another one.
     """

@@ -28,7 +28,7 @@ class StateCache:
         self._text, self._made_s = "", float("-inf")
 
     def fresh_text(self) -> str:
-        """Not older than FRESH_S."""
+        """Not older than STATE_CACHE_TTL_S."""
         now_s = self._clock()
         if now_s - self._made_s > STATE_CACHE_TTL_S:
             service = self._service

@@ -56,7 +56,7 @@ class LensPrior:
 
     @property
     def sigma(self) -> Array:
-        """Of the lens unknowns (7,), in the order of `LENS_NAMES`."""
+        """Of the lens unknowns (7,), in the order of `LENS_PARAMETER_NAMES`."""
         principal, prints = [self.sigma_principal_px] * 2, [self.sigma_print_frac] * 2
         return np.array([self.sigma_focal_frac, *principal, self.sigma_k1, self.sigma_disparity_px, *prints])
 

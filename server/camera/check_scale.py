@@ -113,7 +113,7 @@ class Tape:
 
 def check_focal(machine: Machine, seen: Sequence[PairObservation], tape: Tape | None = None) -> CheckFinding:
     """Finding `focal`: focal length and prints by perspective, stereo and tape. What none of them shows to
-    FOCAL_CHECKED_FRAC stays OK, called unchecked."""
+    FOCAL_SIGMA_CHECKED_FRAC stays OK, called unchecked."""
     looks = [(*poses, pair) for pair in seen if (poses := _tool_and_ooi_poses(pair)) is not None]
     if not looks:
         remedy = "show tool and OOI to both eyes, one marker tilted by 45 deg"

@@ -83,7 +83,7 @@ def course_trajectory(course: Course, size_frac: float = 1.0) -> JointTrajectory
 def fitted_course(machine: Machine, chain: Chain, course: Course, settings: PlanSettings) -> JointTrajectory | Refusal:
     """The course at its own tempo, as small as the speeds and accelerations of joints and TCP require.
 
-    Returns: its trajectory; or TOO_FAST where less than SIZE_MIN_FRAC of it would be left.
+    Returns: its trajectory; or TOO_FAST where less than COURSE_SIZE_MIN_FRAC of it would be left.
     """
     size_frac, worst = 1.0, ""
     for _ in range(ITERATIONS_MAX):

@@ -68,7 +68,7 @@ def read_audit(db: sqlite3.Connection, before: int, limit: int) -> list[dict[str
 
 
 def forget_old_audit(db: sqlite3.Connection) -> None:
-    """Delete audit lines older than KEPT_S of operating time."""
+    """Delete audit lines older than AUDIT_RETENTION_S of operating time."""
     db.execute(f"DELETE FROM audit WHERE operating_s < {OPERATING_TIME_S_SQL} - ?", (AUDIT_RETENTION_S,))
 
 

@@ -64,7 +64,7 @@ def replay_of(known: StoredAnswer | None, in_progress: bool, body_hash: str) -> 
 
 
 def read_answer(db: sqlite3.Connection, who: str, key: str) -> StoredAnswer | None:
-    """What was answered to that caller's key within KEPT_S."""
+    """What was answered to that caller's key within IDEMPOTENCY_KEY_TTL_S."""
     kept = f"operating_s > {OPERATING_TIME_S_SQL} - ?"
     row = db.execute(
         f"SELECT * FROM idempotency WHERE who = ? AND key = ? AND {kept}", (who, key, IDEMPOTENCY_KEY_TTL_S)

@@ -113,7 +113,7 @@ def wall_plane(
 def square_view(left: Image, camera: StereoCamera, T_cam_plane: Array, mask: Image, smallest_m: float) -> SquareView:
     """The left image on the plane; unknown where the eye or the mask ends.
 
-    Its resolution is that of its middle, or less where the smallest radius [m] still has RADIUS_PX.
+    Its resolution is that of its middle, or less where the smallest radius [m] still has RADIUS_MIN_PX.
     """
     height, width = left.shape
     rim = np.array([[u, v] for u in (0.0, width / 2, width - 1.0) for v in (0.0, height / 2, height - 1.0)])

@@ -201,7 +201,7 @@ def _uncovered_landmark_count(points_object: Array, pair: SearchedPair, T: Array
 
 
 def _moved_alike(expected_px: Array, pixels: Array) -> int:
-    """How many features (n, 2) are shifted alike from where their landmarks should be; 0 below MOVED_MIN."""
+    """How many features (n, 2) are shifted alike from where their landmarks should be; 0 below SHIFTED_FEATURES_MIN."""
     shift = pixels - expected_px
     shift = shift[np.linalg.norm(shift, axis=1) > RIVAL_DISTANCE_MIN_PX]
     if len(shift) < SHIFTED_FEATURES_MIN:

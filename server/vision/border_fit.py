@@ -16,7 +16,8 @@ NO_MATCH = -2.0
 
 
 def printed_pattern(white: NDArray[np.bool_]) -> Array:
-    """White cells (n, n) as the inner samples (k, k) see them, k = (n - 2) PER_CELL: less their mean and their slope.
+    """White cells (n, n) as the inner samples (k, k) see them, k = (n - 2) SAMPLES_PER_CELL: less their mean and their
+    slope.
 
     Less their slope, so that light that falls off across the marker says nothing.
     """

@@ -46,7 +46,8 @@ class BoardPlane:
 def fit_plane(plane: Array, pixels: Array, sigmas_px: Array, camera: StereoCamera) -> BoardPlane | None:
     """Homography by weighted Gauss-Newton from a robust start; None where the points do not determine one.
 
-    Model:   minimum of sum |h(plane) - undistorted pixel|^2 / sigma^2 over the points within `STRAY_PX` (or three
+    Model:   minimum of sum |h(plane) - undistorted pixel|^2 / sigma^2 over the points within `PLANE_OUTLIER_MIN_PX` (or
+    three
              sigma) of a first robust fit.
     Args:    plane (n, 2) [squares], the board's middle at 0. pixels (n, 2) [raw px]. sigmas_px (n,).
     """

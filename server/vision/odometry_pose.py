@@ -45,8 +45,8 @@ class StereoPoints:
 class PoseFit:
     """T_cam_vo, covariance (6, 6) (left perturbation in camera axes, then translation), inliers (n,), rms [sigma].
 
-    `information` (6, 6) and `whiteners` (n, 4, 4) [1/px] are what the fit worked with; `squares` (n,) what it left of
-    each point, whitened and squared; below `limit` a point is an inlier.
+    `information` (6, 6) and `whitening_matrices` (n, 4, 4) [1/px] are what the fit worked with; `squared_residuals`
+    (n,) what it left of each point, whitened and squared; below `inlier_limit` a point is an inlier.
     """
 
     T_cam_vo: Array

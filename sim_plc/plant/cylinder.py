@@ -74,7 +74,7 @@ def lever_table(geometry: TriangleCylinder | FourBarCylinder | None, low: float,
     """Travel from the retracted end and lever over a uniform grid of joint angles.
 
     Args:    geometry: None for a rotary actuator (y = q - low, lever 1). low, high: first and last angle [rad].
-    Returns: y (n,) [m or rad], lever dy/dq (n,) [m/rad or 1], n = TABLE_POINTS.
+    Returns: y (n,) [m or rad], lever dy/dq (n,) [m/rad or 1], n = N_LEVER_TABLE_POINTS.
     """
     q = np.linspace(low, high, N_LEVER_TABLE_POINTS)
     if geometry is None:
