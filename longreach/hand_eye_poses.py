@@ -185,7 +185,8 @@ def poses_of_pictures(folder: Path, board: "cv2.aruco.CharucoBoard", lens: Lens)
 
 
 def _pose_of(points: Array, px: Array, K: Array, distortion: Array) -> tuple[Array, Array]:
-    """T_cam_board (4, 4), and its covariance s^2 (J^T J)^-1 with s from the residuals, at least `SIGMA_MIN_PX`."""
+    """T_cam_board (4, 4), and its covariance s^2 (J^T J)^-1 with s from the residuals, at least
+    `CORNER_SIGMA_MIN_PX`."""
     _, r, t = cv2.solvePnP(points, px, K, distortion, flags=cv2.SOLVEPNP_IPPE)
     r, t = cv2.solvePnPRefineLM(points, px, K, distortion, r, t)
     T = pose(rotation_from_rotvec(np.asarray(r, float).ravel()), np.asarray(t, float).ravel())

@@ -15,7 +15,7 @@ CHECKOUT_ONLY_PACKAGE = "benchmarks"  # a package that is not in the wheel
 
 @dataclass(frozen=True, slots=True)
 class Lazy:
-    """One subcommand. `where` is `module:attribute` of a function or of a `Typer`; `about` is what the list says."""
+    """One subcommand. `import_path` is `module:attribute` of a function or of a `Typer`."""
 
     name: str
     import_path: str

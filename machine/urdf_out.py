@@ -114,7 +114,7 @@ def edited_urdf(
     """A robot's own URDF with the origins of its arm's joints corrected; meshes, masses and all else stay.
 
     Model:  joint i's origin becomes P^-1 before_i' tilt_i d_i shift_i, P the fixed joints since the last moving one
-            and all primes as of `link_poses`; the base's tilt goes into the first one.
+            and all primes as in `structure.link_poses`; the base's tilt goes into the first one.
     Args:   names: the joint vector's; mount: T_tip_cam_left (4, 4), or None.
     Raises: MachineError: no URDF, or the chain passes a joint from child to parent, whose origin is another joint's.
     """

@@ -6,24 +6,26 @@ Public API (import from the modules; nothing here opens a socket, sleeps, reads 
 
     protocol.codes        Mode, PlcState, LinkState, RejectCode, FaultBit, WarnBit, AxisBit, Interp, CommandFlag,
                           HeaderFlag, reject_text(code) -> str
-    protocol.layout       AXES = 8, KNOTS_PER_COMMAND = 6, COMMAND_SIZE = 1304, STATE_SIZE = 568, LAYOUT_ID,
-                          SCHEMA_TEXT, HEADER, COMMAND_BODY, KNOT, COMMAND_TAIL, STATE_BODY (fields with offsets)
+    protocol.layout       N_AXIS_SLOTS = 8, KNOTS_PER_COMMAND = 6, COMMAND_SIZE = 1304, STATE_SIZE = 568, LAYOUT_ID,
+                          SCHEMA_TEXT, HEADER_LAYOUT, COMMAND_BODY_LAYOUT, KNOT_LAYOUT, COMMAND_TAIL_LAYOUT,
+                          STATE_BODY_LAYOUT (fields with offsets)
     protocol.messages     Knot(t_ns, q, qd, qdd), Command(...), PlcStatus(...), State(...): frozen, tuples of 8
-                          floats, SI; axes8(values) fills up with zeros
+                          floats, SI; pad_to_eight_axes(values) fills up with zeros
     protocol.codec        encode_command(Command) -> bytes, decode_command(bytes) -> Command, encode_state, decode_state
     protocol.framing      RawFraming(), EapFraming.for_client(pc_net_id, plc_net_id), EapFraming.for_plc(...):
                           wrap(payload, seq) -> datagram, unwrap(datagram) -> payload
     protocol.limits       AxisLimits, LimitTable, limits_of(machine.joints) -> table, cfg_id(table), axis_mask(table)
     protocol.timeouts     every time limit of the link in one table, each with its reason
-    protocol.sequence     classify_sequence(last, seq) -> Sequenced(kind, lost)
+    protocol.sequence     classify_sequence(last, seq) -> SequenceVerdict(kind, n_lost)
     protocol.plc_states   PlcEvent, next_state(state, event) -> PlcState, TRANSITIONS, mermaid_diagram() -> str
     protocol.gate         gate(command, view, table) -> GateVerdict, check_trajectory(knots, q_ref, table) -> refusals
     protocol.client_state ClockOffset: PLC to PC clock offset by the echo's four stamps
     protocol.playback     Playback: the sliding window over a trajectory
     protocol.client_link  ClientLink: the PC's end; protocol.client_events: its events
     protocol.plc_link     PlcLink, PlcLinkSettings: the PLC's end (receive rules, states; knows nothing of joints)
-    protocol.plc_events   Accepted, Effect, Rejected, StateChanged, SessionOpened, SessionVoid: what PlcLink hands up
-    protocol.errors       ProtocolError > LocalProtocolError (our mistake) | RemoteProtocolError (their bytes; .code)
+    protocol.plc_events   CommandAccepted, PlcAction, CommandRejected, StateChanged, SessionOpened, SessionVoid: what
+    PlcLink hands up protocol.errors       ProtocolError > LocalProtocolError (our mistake) | RemoteProtocolError (their
+    bytes; .code)
 
 How a PLC uses its end (one cycle; t_plc_ns = the PLC's own monotonic clock, starting above 0):
 
@@ -42,10 +44,10 @@ How a PLC uses its end (one cycle; t_plc_ns = the PLC's own monotonic clock, sta
     limits, knot continuity, ring space; for mode ARM local enable, lag and faults; for RESET whether the cause is gone.
     NONE accepts. It must not change anything: a command may only be used when it comes back as an event.
 
-    Accepted(command, effect): effect is KEEPALIVE, ARM, LOAD (put the knots into the ring), STOP, QUICK_STOP, RESET or
-    DISARM. StateChanged comes before the Accepted that caused it: the first LOAD with the start flag follows
-    StateChanged(HOLD, RUN, START). Without the flag LOAD prefills the ring in HOLD. LOAD is never handed up for a
-    trajectory that has ended or was stopped. A LOAD whose traj_id is new replaces the ring. Knots below knot_playing
+    CommandAccepted(command, action): action is KEEPALIVE, ARM, LOAD (put the knots into the ring), STOP, QUICK_STOP,
+    RESET or DISARM. StateChanged comes before the CommandAccepted that caused it: the first LOAD with the start flag
+    follows StateChanged(HOLD, RUN, START). Without the flag LOAD prefills the ring in HOLD. LOAD is never handed up for
+    a trajectory that has ended or was stopped. A LOAD whose traj_id is new replaces the ring. Knots below knot_playing
     come again (the window is a round trip behind): ignore them.
 
 What the PLC logic reports in PlcStatus about playback (the client paces on it):

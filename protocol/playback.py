@@ -47,7 +47,8 @@ class Playback:
         return len(self.knots) - 1
 
     def with_tail(self, first: int, knots: tuple[Knot, ...]) -> "Playback":
-        """The same trajectory with everything from `first` on replaced; `splice` stays None if that changes nothing."""
+        """The same trajectory with everything from `first` on replaced; `splice_knot_index` stays None if that changes
+        nothing."""
         new = (*self.knots[:first], *knots)
         return replace(self, knots=new, splice_knot_index=_first_difference(self.knots, new))
 

@@ -52,7 +52,7 @@ class StateChanged:
 
 @dataclass(frozen=True, slots=True)
 class SessionOpened:
-    """A valid HELLO opened a session; states go to `source` from now on."""
+    """A valid HELLO opened a session; states go to `sender` from now on."""
 
     session: int
     sender: Hashable

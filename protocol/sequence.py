@@ -18,7 +18,7 @@ class SequenceKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SequenceVerdict:
-    """The verdict; `lost` counts the numbers skipped (GAP only)."""
+    """The verdict; `n_lost` counts the numbers skipped (GAP only)."""
 
     kind: SequenceKind
     n_lost: int = 0

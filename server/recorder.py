@@ -56,7 +56,8 @@ def _give_up_on_error(
 
 
 class Recorder:
-    """Takes everything all the time, writes it while a run is on. A failure never stops a job: see `problem`."""
+    """Takes everything all the time, writes it while a run is on. A failure never stops a job: see
+    `why_not_recording`."""
 
     def __init__(self, folder: Path, machine: Machine, *, images: bool = True) -> None:
         self._folder = folder
@@ -267,7 +268,8 @@ class Recorder:
 
     @_give_up_on_error
     def stop(self) -> Path | None:
-        """Close the run's file and return it; None when no run was on, or its disk is late (see `problem`)."""
+        """Close the run's file and return it; None when no run was on, or its disk is late (see
+        `why_not_recording`)."""
         writer, self._writer = self._writer, None
         if writer is None:
             return None

@@ -29,7 +29,7 @@ class Exact:
 
 @dataclass(frozen=True, slots=True)
 class Normal:
-    """Zero mean, standard deviation `sd`."""
+    """Zero mean, `standard_deviation`."""
 
     standard_deviation: float
 

@@ -26,7 +26,7 @@ PROJECTED_COLUMN_MIN_FRAC = 1e-3
 class Frames:
     """Corners by frame: t_s (m,) on the PLC's clock as best known, pixels (m, 2 eyes, markers, 4, 2), NaN unseen.
 
-    `groups` (N,): frame and axis of each number that was seen, by `groups_of`.
+    `frame_axis_group` (N,): frame and axis of each number that was seen.
     """
 
     t_s: Array

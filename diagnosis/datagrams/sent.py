@@ -63,9 +63,9 @@ REPORTED_DRIFT_RATE_MIN = 5e-6  # so is a drift of the clocks
 class SentReference:
     """The reference as sent, on the PLC's clock: t_s (k,), q (k, n); begins before the stretch does.
 
-    `within_s` (2, k): between which times it came, by the log rows; None: unknown. `lost` (k,): datagrams that
-    never arrived; None where the log cannot show it. `judged` (k,): those that it judges; None: all. `unsure_s`: by how
-    much those that no log row shows may have come at other times, a deviation.
+    `within_s` (2, k): between which times it came, by the log rows; None: unknown. `datagram_lost` (k,): datagrams that
+    never arrived; None where the log cannot show it. `loss_observable` (k,): those that it can show; None: all.
+    `unsure_s`: by how much those that no log row shows may have come at other times, a deviation.
     """
 
     t_s: Array

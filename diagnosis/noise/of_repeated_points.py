@@ -20,8 +20,8 @@ DRIFT_FALSE_ALARM_RATE = 1e-3  # how often repeats' means of a tracker without d
 
 @dataclass(frozen=True, slots=True)
 class RepeatedPoints:
-    """Standard deviations (3,) [m]: `own`, of one sample, drift and all, from `squares` differences; `drift_m`, of a
-    repeat's mean beyond what scatter explains, 0 where that can be chance.
+    """Standard deviations (3,) [m]: `point_sigma_m`, of one sample, drift and all, from `sigma_dof` differences;
+    `drift_m`, of a repeat's mean beyond what scatter explains, 0 where that can be chance.
     """
 
     point_sigma_m: Array

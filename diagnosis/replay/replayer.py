@@ -63,7 +63,7 @@ class ReceivedReferences:
 
 @dataclass(frozen=True, slots=True)
 class _ControllerCommands:
-    """What a controller would do of its `References` at every PLC cycle (cycles, n); None where each cycle is logged,
+    """What a controller would do of its references at every PLC cycle (cycles, n); None where each cycle is logged,
     or nothing is known.
     """
 

@@ -49,7 +49,8 @@ class ReplayedTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class CellCurves:
-    """The plots of one cell. `replayed` is None where the cell holds no trajectories (points, marker corners)."""
+    """The plots of one cell. `replayed_trajectory` is None where the cell holds no trajectories (points, marker
+    corners)."""
 
     cell_label: str
     named_effects: str

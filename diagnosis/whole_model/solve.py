@@ -167,7 +167,7 @@ def _fit_by_graduated_noise(cell: Cell, terms: tuple[EffectTerm, ...], own: Memb
 
 @dataclass(frozen=True, slots=True)
 class _InflatedResidual:
-    """Residuals by a noise that is larger by `times` (N,)."""
+    """Residuals by a noise that is larger by `noise_ratio` (N,)."""
 
     whitened: Callable[[ParameterSets], Array]
     noise_ratio: Array

@@ -17,10 +17,10 @@ SHOWN_LINKS_MAX = 12
 
 @dataclass(frozen=True, slots=True)
 class UrdfJoint:
-    """One joint of the chain. `rising`: the chain passes it from child to parent. `lower`, `upper`: its own limits
-    [rad or m], -inf and inf where there are none. `mass` [kg] and `com` (3,) [m, child's frame] of its child, None
-    where the child has no inertial. `mimics`: the joint whose reading moves this one, too. `velocity_max` [rad/s or
-    m/s]: inf where there is none.
+    """One joint of the chain. `child_to_parent`: the chain passes it so. `lower_limit`, `upper_limit`: its own
+    [rad or m], -inf and inf where there are none. `child_mass_kg` and `child_com_m` (3,) [child's frame] of its child,
+    None where the child has no inertial. `mimicked_joint`: the one whose reading moves this one, too. `velocity_max`
+    [rad/s or m/s]: inf where there is none.
     """
 
     name: str

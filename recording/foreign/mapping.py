@@ -50,7 +50,7 @@ class ColumnMapping(_Section):
 
 
 class Actuator(_Section):
-    """How the joints are driven, for the nominal machine: see `machine_file`."""
+    """How the joints are driven, for the nominal machine: see `machine_file.drive_model`."""
 
     kind: CommandKind | None = None
     velocity_max: Positive | None = None

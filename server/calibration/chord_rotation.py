@@ -32,7 +32,7 @@ _EPSILON = np.array(
 class ChordWeighting:
     """The information matrix P of one axis of a track's positions, without forming it.
 
-    `own` (n,): W's diagonal [1/m^2]; `factor` (2, n): banded Cholesky factor of T; `spread` (n,): T^-1's
+    `weight_diagonal` (n,): W's [1/m^2]; `cholesky_factor` (2, n): of T, banded; `smoothed_variance` (n,): T^-1's
     diagonal [m^2], the variance of the smoothed position; `log_det`: log of the product of P's eigenvalues but the zero
     one, up to a constant that depends on the arc lengths only.
     """

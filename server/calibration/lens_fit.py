@@ -59,7 +59,7 @@ class LensFit:
 
     @property
     def values(self) -> Array:
-        """The numbers that `names` names."""
+        """The numbers that `covariance_names` names."""
         return np.concatenate(
             [self.lens_parameters.ravel(), *([] if self.rig_parameters is None else [self.rig_parameters])]
         )

@@ -241,7 +241,7 @@ def _refused_fit(status: CalibrationStatus, reason: str, n: int) -> LineFit:
 
 @dataclass(frozen=True, slots=True)
 class TimedLineFit:
-    """The line fit at the best clock offset: look time + `time_offset_s` = encoder time; 0 when not `observable`.
+    """The line fit at the best clock offset: look time + `time_offset_s` = encoder time; 0 unless `offset_observable`.
 
     Not observable with an OK fit: no offset makes a difference. With a POOR_FIT: the best one lies beyond the search.
     """

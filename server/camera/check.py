@@ -98,7 +98,7 @@ def _wrong_size(gathered: CheckSample, machine: Machine) -> CheckFinding | None:
 
 @dataclass(slots=True)
 class CheckSampler:
-    """Takes pairs as they come. Of the pairs themselves only `keep` are copied: at least `every_ns` apart."""
+    """Takes pairs as they come. Of the pairs themselves only `pairs_max` are copied: at least `every_ns` apart."""
 
     pairs_max: int
     duration_s: float

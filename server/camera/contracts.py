@@ -37,7 +37,7 @@ class VisionSettings:
 class StereoFrame:
     """One raw stereo pair. Grey (h, w) uint8 views of one buffer; `t_exposure_ns` on the camera's clock.
 
-    `connection` counts the connections of the source: a new one may have a new clock.
+    `connection_number` counts the connections of the source: a new one may have a new clock.
     """
 
     left: Image

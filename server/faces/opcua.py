@@ -40,7 +40,7 @@ class OperationalMode(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class OpcUaValue:
-    """One variable. `fresh` False: the PLC has not reported it for too long. `unit` is UNECE's code, or empty."""
+    """One variable. `is_fresh` False: the PLC has not reported it for too long. The unit's code is UNECE's."""
 
     browse_path: tuple[str, ...]
     value: Value

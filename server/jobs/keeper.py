@@ -38,7 +38,7 @@ SERVER_CALLER = Caller("server", "engineer", "")
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One request to start a job. `answer` makes the answer that a retry with the same key is given."""
+    """One request to start a job. `make_answer` makes the answer that a retry with the same key is given."""
 
     caller: Caller = SERVER_CALLER
     request_id: str = ""

@@ -73,7 +73,7 @@ class StartMove:
 
 @dataclass(frozen=True, slots=True)
 class NextPair:
-    """Wait for a pair newer than number `after`, at most `silence_max_s` since the last one. Reply: PairSeen.
+    """Wait for a pair newer than number `after_number`, at most `silence_max_s` since the last one. Reply: PairSeen.
 
     `time_offset_s`: add to the camera's time to get the encoders'.
     """
@@ -104,7 +104,8 @@ class PairSeen:
 
 @dataclass(frozen=True, slots=True)
 class Correct:
-    """Replace the running trajectory from knot `first` on. Reply: None immediately; later pairs report the result."""
+    """Replace the running trajectory from knot `first_knot` on. Reply: None immediately; later pairs report the
+    result."""
 
     trajectory: JointTrajectory
     first_knot: int

@@ -115,7 +115,7 @@ class StopRequest:
 
 @dataclass(frozen=True, slots=True)
 class CorrectRequest:
-    """Replace the running trajectory from knot `first` on; gate-checked. Answered by one TailReport."""
+    """Replace the running trajectory from knot `first_knot` on; gate-checked. Answered by one TailReport."""
 
     traj_id: int
     first_knot: int

@@ -21,7 +21,7 @@ GOAL_JUMP_MAX_SIGMAS = 5.0
 
 @dataclass(slots=True)
 class SeenGoal:
-    """Goals T_base_tcp of the last looks around a first one; forgets all but the newest `KEPT`."""
+    """Goals T_base_tcp of the last looks around a first one; forgets all but the newest `GOAL_BUFFER_SIZE`."""
 
     T_first: Array
     _seen: deque[tuple[Array, float]] = field(default_factory=lambda: deque(maxlen=GOAL_BUFFER_SIZE))

@@ -145,7 +145,7 @@ class BundleState(NamedTuple):
 
 
 class BundleLayout(NamedTuple):
-    """What does not change during an adjustment, but for `alive` (observations whose point is in front of the eye).
+    """What does not change during an adjustment, but for `in_front` (observations whose point is in front of the eye).
 
     column (k,): a frame's block in the reduced system, -1 = fixed. first (m + 1,): a point's observations are first[p]
     to first[p + 1]. scale (n, 4): focal / sigma, 0 = not seen.

@@ -120,7 +120,7 @@ def board_corners(image: Image, board: Board, found: Mapping[int, Array], camera
     """Inner chess corners of one board in one eye.
 
     Model:   homography from the markers found, then also from the corners found; where its own covariance says that a
-             place is known, two edges are fitted (`fit_saddle`). A corner is dropped where the fit is rough, where
+             place is known, two edges are fitted (`charuco_saddle`). A corner is dropped where the fit is rough, where
              black and white are swapped, or where it lies off the plane of the others.
     Args:    image: raw grey (h, w). found: corners (4, 2) [raw px] of decoded markers by id, also those whose sides
              are not clean. camera: this eye.

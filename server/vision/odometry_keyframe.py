@@ -63,7 +63,7 @@ class SeenHere:
 
 @dataclass(slots=True)
 class Keyframe:
-    """A kept pair and its n map points; `place` moves them when pose or velocity become better known.
+    """A kept pair and its n map points; its pose moves them when pose or velocity become better known.
 
     places_left_px, places_right_px (n, 2): raw pixels. points_row (n, 3) [m]: in the camera's axes at the moment its
     row was exposed. support_row (n, 2, 3): the points one raw pixel to the right and below, at the same depth.

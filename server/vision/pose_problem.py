@@ -46,7 +46,8 @@ class PointSighting:
 
 @dataclass(frozen=True, slots=True)
 class SeenGroup:
-    """Points of one sighting in one eye: rows `first` to `end` of the problem's arrays, which of them (n,) it sees."""
+    """Points of one sighting in one eye: rows `first_row` to `end_row` of the problem's arrays, which of them (n,) it
+    sees."""
 
     sighting_index: int
     eye_index: int

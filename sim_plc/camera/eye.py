@@ -19,8 +19,8 @@ _FOLD_RADIUS = 1.8  # beyond this |ray| the lens polynomial is no longer trusted
 class EyeRays:
     """Precomputed rays of one eye: (x/z, y/z) at sparse nodes and at the pixels' corners.
 
-    `nodes` (rows, cols, 2): node (i, j) sits at pixel (u, v) = ((j - 1) step_px, (i - 1) step_px).
-    `corners` (height + 1, width + 1, 2) float32: corner (i, j) sits at pixel (j - 0.5, i - 0.5).
+    `node_rays` (rows, cols, 2): node (i, j) sits at pixel (u, v) = ((j - 1) step_px, (i - 1) step_px).
+    `pixel_corner_rays` (height + 1, width + 1, 2) float32: corner (i, j) sits at pixel (j - 0.5, i - 0.5).
     """
 
     camera: StereoCamera

@@ -27,7 +27,7 @@ _BY_OVERRIDE = (Motion.HOLD, Motion.SERVO)
 
 @dataclass(slots=True)
 class PlcCounters:
-    """Counted since the start; `starved` refers to the present trajectory."""
+    """Counted since the start; `trajectory_starved` refers to the present trajectory."""
 
     n_cycles: int = 0
     n_underruns: int = 0

@@ -31,7 +31,7 @@ LOOK_PAIRS = 40
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One motion from rest to rest. `then`: a look follows it, or nothing."""
+    """One motion from rest to rest. `follow_up`: a look follows it, or nothing."""
 
     trajectory: JointTrajectory
     purpose: str
