@@ -1,4 +1,5 @@
-"""Language lint: words that the field does not use, loop variables without a name, long lines and sentences in docs.
+"""Language lint: words that the field does not use, loop variables without a name, long lines and sentences in docs,
+docstrings that describe a name which is gone.
 
 Run by `make check`. A finding reads `file:line: found -> better`. `[tool.language.allowed]` in pyproject.toml, if
 there, holds the number of findings that each directory may still have; it may only fall. `--count` prints the numbers
@@ -7,6 +8,7 @@ still read.
 """
 
 import argparse
+import ast
 import re
 import subprocess
 import sys
@@ -27,6 +29,8 @@ OLD_NAME = re.compile(r"(?:#|//) old name")
 # A mark, and what closes after it: a bracket, a quotation mark, the two stars of bold text.
 SENTENCE_END = r"(?<=[.!?:;])\s+|(?<=[.!?][)*\"])\s+|(?<=[.!?]\*\*)\s+"
 SUBJECT_MAX = 72  # characters of a commit subject, git's convention
+
+DESCRIBED_NAMES = re.compile(r"((?:`\w+`(?:, | and )?)+):")
 
 _NOT_IN_A_NAME = r"(?<![A-Za-z]){}(?![A-Za-z])"  # an underscore ends a word, so that identifiers are read as well
 WORDS = [
@@ -115,11 +119,31 @@ def _too_long(paragraph: str) -> Iterator[str]:
             yield f"sentence of {words} words ('{sentence[:40]}...') -> at most {SENTENCE_MAX}"
 
 
+def names_gone_in(text: str) -> Iterator[tuple[int, str]]:
+    """Line number and message of every "`name`:" in a docstring of a module that does not have the name."""
+    lines, docstrings = text.splitlines(), []
+    for node in ast.walk(ast.parse(text)):
+        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        if docstring := ast.get_docstring(node):
+            first, last = node.body[0].lineno, node.body[0].end_lineno or 0
+            docstrings.append((first, docstring))
+            lines[first - 1 : last] = [""] * (last - first + 1)
+    known = set(re.findall(r"\w+", "\n".join(lines)))
+    for number, docstring in docstrings:
+        for group in DESCRIBED_NAMES.findall(docstring):
+            for name in re.findall(r"\w+", group):
+                if name not in known:
+                    yield number, f"`{name}` is described -> a name of this module"
+
+
 def findings_in(path: str, text: str) -> list[Finding]:
     """Everything to improve in one file, in the order of the checks."""
     found = [] if path in GENERATED else list(words_in(text))
     if path.endswith(".md") and path not in GENERATED:
         found += [*long_lines_in(text), *long_sentences_in(text)]
+    if path.endswith(".py"):
+        found += names_gone_in(text)
     return [Finding(path, number, message) for number, message in found]
 
 
