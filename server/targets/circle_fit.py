@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from machine.camera import project, projection_jacobian
 from machine.description import StereoCamera
@@ -240,7 +240,8 @@ def _log10_nfa(aligned: BoolArray, camera: StereoCamera) -> float:
     """
     n, k = len(aligned), int(aligned.sum())
     tests = 2.5 * np.log10(float(camera.width_px * camera.height_px))
-    return float(tests + binom.logsf(k - 1, n, CHANCE_ALIGNMENT_PROBABILITY) / np.log(10.0))
+    by_chance = float(bdtrc(k - 1, n, CHANCE_ALIGNMENT_PROBABILITY)) if k else 1.0
+    return float(tests + np.log10(max(by_chance, np.finfo(float).tiny)))
 
 
 def _correlation_factor(series: list[Array]) -> float:
