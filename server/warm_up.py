@@ -27,7 +27,7 @@ from server.motion.settings import DEFAULT_PLAN_SETTINGS
 
 async def warmed_up(machine: Machine, chain: Chain) -> None:
     """`warm_up` outside the event loop. Cancelled, it returns immediately: nothing can interrupt a compiler, so its
-    thread is left behind, and `leave` ends the process with it.
+    thread is left behind, and `exit_process` ends the process with it.
     """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[None] = loop.create_future()

@@ -147,7 +147,7 @@ class KeyRing:
         return self._problem
 
     def refresh(self, now_s: float) -> None:
-        """Look at the file again, at most every LOOK_S, and read it when it has changed.
+        """Look at the file again, at most every KEY_FILE_CHECK_PERIOD_S, and read it when it has changed.
 
         A file that went away or cannot be read leaves no key: a revocation that could not be read is one.
         """

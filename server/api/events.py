@@ -96,7 +96,7 @@ class EventLog:
 
 READERS_MAX = 200
 STATE_WATCH_PERIOD_S = 0.2
-STATE_EVENT_INTERVAL_TICKS = 5  # of WATCH_S: a state a second
+STATE_EVENT_INTERVAL_TICKS = 5  # of STATE_WATCH_PERIOD_S: a state a second
 SSE: dict[int | str, dict[str, Any]] = {200: EVENT_STREAM, 503: {"model": Problem, "description": "too many readers"}}
 
 

@@ -124,7 +124,7 @@ class AuditView(View):
 
 
 class TimeView(View):
-    """The server's clocks at one instant: estimate an offset as (t_unix - (sent + received) / 2)."""
+    """The server's clocks at one instant: estimate an offset as (t_unix_ns - (sent + received) / 2)."""
 
     t_unix_ns: int
     t_mono_ns: int

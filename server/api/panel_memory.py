@@ -42,7 +42,7 @@ LOSS_WINDOW_S = 10  # seconds, one entry each
 
 @dataclass(slots=True)
 class PanelMemory:
-    """Mutable on purpose; one for all viewers. `scene` is filled by the process that runs the 3D view."""
+    """Mutable on purpose; one for all viewers. `scene_state` is filled by the process that runs the 3D view."""
 
     job_service: JobService
     alarm_book: AlarmBook = field(default_factory=AlarmBook)

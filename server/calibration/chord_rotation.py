@@ -22,7 +22,7 @@ _JITTER_FLOOR_M2 = 1e-6**2
 _SHAKING_M = 0.01  # rms extent of a path: where it has less it is shaking, and a strain of 2 % below the jitter
 _N_MOTION = 5  # rotation vector, log scale, clock offset; nine entries of the strain follow
 _OFFSET = 4
-#: e_b x q = EPSILON[a, b, c] q_c, component a.
+#: e_b x q = _EPSILON[a, b, c] q_c, component a.
 _EPSILON = np.array(
     [[[0, 0, 0], [0, 0, 1], [0, -1, 0]], [[0, 0, -1], [0, 0, 0], [1, 0, 0]], [[0, 1, 0], [-1, 0, 0], [0, 0, 0]]]
 )
@@ -214,7 +214,7 @@ _FREE_ROUNDS = 8  # in which samples may come and go
 @dataclass(frozen=True, slots=True)
 class ChordRotation:
     """v_base ~ scale R_base_vo v_vo at camera time + offset; `covariance` (5, 5) of rotation vector [rad, left, base
-    axes], log scale and offset [s]; `kept` (n,): samples that are no outliers; noise: `drift` [m^2/m], `jitter` [m^2].
+    axes], log scale and offset [s]; `inliers` (n,); `drift_variance` [m^2/m], `jitter_variance` [m^2].
     """
 
     R_base_vo: Array

@@ -14,7 +14,7 @@ from server.calibration.rotation_fit import fit_rotation
 
 @dataclass(frozen=True, slots=True)
 class ChordPairs:
-    """Index pairs into a track: chord k runs from sample `first[k]` to sample `last[k]`."""
+    """Index pairs into a track: chord k runs from sample `start_indices[k]` to sample `end_indices[k]`."""
 
     start_indices: NDArray[np.int64]
     end_indices: NDArray[np.int64]

@@ -16,7 +16,7 @@ from server.calibration.lens_evidence import LensEvidence
 
 @dataclass(frozen=True, slots=True)
 class JointTrack:
-    """Encoders: times (m,) [s, PLC clock mapped to the PC], `qs` (m, n) [rad], `sides` (m, n) of their play or None."""
+    """Encoders: times (m,) [s, PLC clock mapped to the PC], `qs` (m, n) [rad], `backlash_sides` (m, n) or None."""
 
     t_s: Array
     qs: Array
@@ -43,7 +43,7 @@ class OdometryRun:
 class LookAt:
     """One look at rest: joints (n,) [rad], marker poses in the camera and their covariances (6, 6), camera axes.
 
-    side (n,): where each joint rests in its play, or None.
+    `backlash_sides` (n,): where each joint rests in its play, or None.
     """
 
     q: Array

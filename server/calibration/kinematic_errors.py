@@ -71,7 +71,7 @@ _STEPS = {
 class ErrorModel:
     """The nominal chain with p parameters that may be off.
 
-    kinds, joints (p,): what each parameter is. mean, sigma (p,): prior. steps (p,): for numerical derivatives.
+    parameter_kinds, parameter_joints, prior_mean, prior_sigma (p,). derivative_steps (p,): for numerical derivatives.
     """
 
     dh_a_m: Array

@@ -23,7 +23,7 @@ _FLAT_M = 0.01  # distances that differ by less than this around the circle have
 class LineReference:
     """Where the line equation puts the tool.
 
-    `T_base_tcp_ref` (4, 4), `direction_base` p_u (3,), `distance_min_m`, `nearest` (index of the minimum) are None,
+    `T_base_tcp_ref` (4, 4), `direction_base` p_u (3,), `distance_min_m`, `nearest_index` are None,
     NaN or -1 unless status is OK. `residuals_m` (n,): measured distance minus the distance to the found reference; it
     shows a wrong direction that the method itself cannot see.
     """

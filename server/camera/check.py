@@ -44,8 +44,8 @@ def check_camera(
     """All lines, in the order of the way of the light: stream, pictures, rig, markers.
 
     Args:    machine: its camera is what the pictures are said to be. observe: the marker pose source. on_step: called
-             after each pair and each part, `steps(gathered)` times. tape: a taped distance between tool and OOI. masks:
-             of the settings, left and right eye.
+             after each pair and each part, `progress_steps(gathered)` times. tape: a taped distance between tool and
+             OOI. masks: of the settings, left and right eye.
     """
     findings = check_stream(gathered.stream_times)
     wrong = _wrong_size(gathered, machine)
@@ -98,7 +98,8 @@ def _wrong_size(gathered: CheckSample, machine: Machine) -> CheckFinding | None:
 
 @dataclass(slots=True)
 class CheckSampler:
-    """Takes pairs as they come. Of the pairs themselves only `pairs_max` are copied: at least `every_ns` apart."""
+    """Takes pairs as they come. Of the pairs themselves only `pairs_max` are copied, at least
+    `duration_s` / `pairs_max` apart."""
 
     pairs_max: int
     duration_s: float

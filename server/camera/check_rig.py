@@ -108,8 +108,9 @@ class RigFit:
     """The right eye against the left by the rows of both, beyond what the calibration says.
 
     `pitch_rad`, `roll_rad`: rotation about x and z that takes points of the calibrated right eye's frame to the true
-    one's. `focal_ratio`: right to left. `sigma`: of these three. `row_px`, `spread_px`: median row difference right
-    minus left before the fit, and robust spread after it. `lens`: k1 by which the lens model is off, with its sigma.
+    one's. `focal_ratio`: right to left. `pitch_roll_focal_sigma`: of these three. `row_px`, `spread_px`: median row
+    difference right minus left before the fit, and robust spread after it. `k1_error` +- `lens_sigma`: by which the
+    lens model's k1 is off.
     A yaw is fitted, so that nothing else is blamed, but not reported: remains of a real lens look like 0.5 deg of it.
     The scale of known markers shows a real one.
     """

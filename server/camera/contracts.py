@@ -80,8 +80,8 @@ class FrameReport:
     """One processed pair.
 
     `t_exposure_mapped_ns`: the exposure on the PC's monotonic clock, late by the camera's smallest latency.
-    `warnings` forbid the use of this pair in a look; `skipped` counts since the start of the process; `odometry_run` is
-    the number under which the odometry was switched on, 0 before the first.
+    `warnings` forbid the use of this pair in a look; `n_skipped` counts since the start of the process; `odometry_run`
+    is the number under which the odometry was switched on, 0 before the first.
     """
 
     observation: PairObservation
@@ -122,8 +122,8 @@ class SignOfLife:
 class OdometryMap:
     """Where the points lie that an odometry run was fitted to, thinned: (n, 3) in its own vo frame [m].
 
-    still: masks (h, w) of the left and the right eye, 255 over what stood still in the run's pictures; None: not asked
-    for, or the camera did not move.
+    `still_masks` (h, w): of the left and the right eye, 255 over what stood still in the run's pictures; None: not
+    requested, or the camera did not move.
     """
 
     points_vo: Array
@@ -157,7 +157,10 @@ class QuitCommand:
 
 @dataclass(frozen=True, slots=True)
 class MeasureTargetCommand:
-    """Measure the surface at a raw left pixel of the pair with that sequence number. request: echoed in the answer."""
+    """Measure the surface at a raw left pixel of the pair with that sequence number.
+
+    `request_id`: echoed in the answer.
+    """
 
     request_id: int
     pair_sequence: int
@@ -169,7 +172,7 @@ class MeasureTargetCommand:
 class FindMarksCommand:
     """Find boreholes and rings of these diameters [m] in the pair with that sequence number.
 
-    request: echoed in the answer; the marks' targets are numbered from it on.
+    `request_id`: echoed in the answer; the marks' targets are numbered from it on.
     """
 
     request_id: int
@@ -186,7 +189,7 @@ class UseTargetCommand:
 
 @dataclass(frozen=True, slots=True)
 class TeachViewCommand:
-    """Measure the landmarks of an object in the pair with that sequence number. request: echoed in the answer."""
+    """Measure the landmarks of an object in the pair with that sequence number. `request_id`: echoed in the answer."""
 
     request_id: int
     pair_sequence: int

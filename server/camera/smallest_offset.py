@@ -4,7 +4,7 @@ DRIFT_MAX_PPM = 100.0  # of the camera against this computer; quartz clocks keep
 
 
 class SmallestOffset:
-    """What was read `age` ago may be off by the drift since, and is made later by as much.
+    """What was read earlier may be off by the drift since, and is made later by as much.
 
     So it is forgotten as fast as clocks drift and no faster: a line that gets slow does so faster, and stays apart.
     """

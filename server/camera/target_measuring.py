@@ -62,7 +62,7 @@ class TargetMeasurementWorker:
         )
 
     def execute_command(self, command: TargetCommand) -> None:
-        """Serve a target from the next pair on, or begin to measure one; `finished` gives the answer."""
+        """Serve a target from the next pair on, or begin to measure one; `take_finished` gives the answer."""
         if isinstance(command, UseTargetCommand):
             return self._source.use_target(command.target)
         kept = tuple(self._kept)

@@ -17,7 +17,7 @@ IDENTIFICATION_PART_NAMES = (*(part.name for part in PARTS), LOOKS_PART_NAME)
 
 @dataclass(slots=True)
 class Session:
-    """One identification: several jobs where it was paused. `left`: parts still to be driven, of those possible."""
+    """One identification: several jobs where it was paused. `remaining_parts`: of those possible."""
 
     drive: Drive
     planned_identification: PlannedIdentification | None = None

@@ -31,7 +31,7 @@ class StartWatching:
 
 @dataclass(frozen=True, slots=True)
 class StopWatching:
-    """Reply: (Sighted, EncoderTrack) since StartWatching."""
+    """Reply: (SeenPairs, EncoderTrack) since StartWatching."""
 
 
 @dataclass(frozen=True, slots=True)

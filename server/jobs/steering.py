@@ -43,7 +43,7 @@ class Steering:
         self._arrived = asyncio.Event()
 
     async def start(self, trajectory: JointTrajectory) -> None:
-        """Hand the trajectory to the link; its refusal is reported by `end` or shows as an ended motion."""
+        """Hand the trajectory to the link; its refusal is reported by `wait_for_end` or shows as an ended motion."""
         self._subscribe_to_vision_reports()
         self._tail = None
         await self._let_go_on(FIRST_PAIR_TIMEOUT_S)

@@ -23,7 +23,7 @@ TCP_SPEED_FRAC = 0.9  # of the speed limit: the reference is what is planned, th
 
 @dataclass(frozen=True, slots=True)
 class TailStart:
-    """Where a new tail begins: knot `first` is its first one; the motion at the knot before it, at `t_s`."""
+    """Where a new tail begins: knot `first_knot` is its first one; the motion at the knot before it, at `t_s`."""
 
     first_knot: int
     t_s: float

@@ -43,7 +43,7 @@ class SegmentMark:
 
 @dataclass(frozen=True, slots=True)
 class MotionPart:
-    """A part of the drive in which the joints move. `seconds`: as long as it is in a drive of six minutes."""
+    """A part of the drive in which the joints move. `duration_s`: as long as it is in a drive of six minutes."""
 
     name: str
     kind: Kind
@@ -64,7 +64,7 @@ class Course:
 def course_trajectory(course: Course, size_frac: float = 1.0) -> JointTrajectory:
     """The course around its first knot, `size_frac` as large; knots every 50 ms.
 
-    Model:   q(t) = q_0 + size (s(t) - q_0), s the clamped cubic spline. The PLC's quintic between knots with the
+    Model:   q(t) = q_0 + size_frac (s(t) - q_0), s the clamped cubic spline. The PLC's quintic between knots with the
              spline's own rates is the spline itself wherever no knot of the spline lies between.
     """
     times = course.knot_s * np.arange(len(course.q))

@@ -48,7 +48,8 @@ class SeenObject:
 class Postures:
     """Chosen postures (k, n) [rad], in the order to visit them.
 
-    `known`: (name, joint or None, standard deviation after over before) of every number that the looks bear upon.
+    `parameter_sigma_ratios`: (name, joint or None, standard deviation after over before) of every number that
+    the looks bear upon.
     """
 
     q: Array

@@ -19,7 +19,8 @@ from server.motion.settings import PlanSettings
 
 @dataclass(frozen=True, slots=True)
 class JointPath:
-    """Samples q (m, joints) [rad] at s (m,), the TCP poses there, and the interpolating quintic spline through them."""
+    """Samples `qs` (m, joints) [rad] at `path_parameter` (m,), the TCP poses there, and the interpolating
+    quintic spline through them."""
 
     path_parameter: Array
     qs: Array

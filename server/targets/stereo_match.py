@@ -86,7 +86,7 @@ def fine_disparities(
     """Sub-pixel disparities of raw left places (n, 2), from guesses (n,).
 
     Model:   patches warped by d(left)/d(right) = (1 - b, -c; 0, 1)^-1, with (b, c) the slopes (n, 2) of the disparity
-             along columns and rows, and by the lens at both places; then `align`.
+             along columns and rows, and by the lens at both places; then `align_reference_patches`.
     """
     rays = undistort_to_rays(camera, left_px)
     focal = np.array([camera.fx_px, camera.fy_px])

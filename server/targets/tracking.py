@@ -56,7 +56,7 @@ class SeenMarks:
 class MarksPose:
     """T_cam_target, its covariance, which of the seen landmarks agree (n,), residual rms [px].
 
-    variance: of the residuals over what noise and landmarks explain; 1 unless they refute it.
+    `variance_factor`: of the residuals over what noise and landmarks explain; 1 unless they refute it.
     """
 
     T_cam_target: Array

@@ -154,8 +154,8 @@ class Adjusted(NamedTuple):
 
 
 def adjust_in_rounds(layout: BundleLayout, state: BundleState, work: BundleWork, settings: BundleSettings) -> Adjusted:
-    """Adjust `state` in place; with `trim`, eyes that disagree leave `layout` and the rest is adjusted again with the
-    noise that there is."""
+    """Adjust `state` in place; with `trim_outliers`, eyes that disagree leave `layout` and the rest is adjusted again
+    with the noise that there is."""
     trial = BundleState(*(array.copy() for array in state))
     seen, iterations_max = seen_counts(layout), settings.iterations_max
     drop_behind(layout, state)

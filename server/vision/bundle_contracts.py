@@ -23,12 +23,13 @@ POINT_PRIOR_INFORMATION = 1e-6
 class BundleWork(NamedTuple):
     """Arrays that are written again in every iteration.
 
-    weight (n, 6): sum over an observation's rows of w b b^T, b = d residual / d point (xx, yy, zz, xy, yz, zx);
-    pull (n, 3): sum of w b r. arm (n, 3): point minus eye. squares (n, 2): residual^2 of either eye.
-    chart (m, 3, 3): d point / d (direction, relative inverse depth). lower (m, 3, 3): Cholesky factor of the point's
-    block in the chart. damped (m, 3): what was added to its diagonal. anchor (m,): the frame the chart is taken in.
-    reduced (c, c), right (c,), diagonal (c,): the camera system. rows (longest track, 3, 6),
-    columns (longest track,): one point's.
+    observation_information (n, 6): sum over its rows of w b b^T, b = d residual / d point (xx, yy, zz, xy, yz, zx);
+    observation_gradient (n, 3): sum of w b r. eye_to_point (n, 3). squared_residuals (n, 2): of either eye.
+    point_chart (m, 3, 3): d point / d (direction, relative inverse depth). point_cholesky (m, 3, 3): factor of the
+    point's block in the chart. point_damping (m, 3): what was added to its diagonal. anchor_frames (m,): the frame the
+    chart is taken in. reduced_matrix (c, c), reduced_rhs (c,), reduced_diagonal (c,): the camera system.
+    point_frame_blocks (longest track, 3, 6), point_frame_columns (longest track,): one point's.
+    point_step (m, 3): in the chart.
     """
 
     observation_information: Array
@@ -72,13 +73,13 @@ class BundleProblem:
     """k frames (left eyes) see m points in n observations; both eyes of a pair are one observation.
 
     Ts_vo_cam (k, 4, 4): start. points_vo (m, 3) [m]: start.
-    frames, points (n,): which frame sees which point.
-    uv (n, 4): undistorted rays x/z, y/z: left u, v, right u, v. NaN = that eye does not see it (both columns of it).
+    frame_indices, point_indices (n,): which frame sees which point.
+    rays (n, 4): undistorted, x/z, y/z: left u, v, right u, v. NaN = that eye does not see it (both columns of it).
         (n, 3): left u, v, right u of a rectified pair, whose row is one measurement of the left eye's sigma; right u
         may be NaN.
     sigma_px (n, 2): of a coordinate, left and right eye.
     focal_px: (fx, fy). baseline_m: the right eye is a pure translation along x.
-    fixed (k,): frames whose pose is known (the gauge); their covariance is zero.
+    fixed_frames (k,): whose pose is known (the gauge); their covariance is zero.
     """
 
     Ts_vo_cam: Array
@@ -97,7 +98,7 @@ class BundleSettings:
     """Loss, when to stop, and from when on a result is believed."""
 
     loss: BundleLoss = BundleLoss.HUBER
-    loss_scale: float = 2.0  # in sigmas; with `trim` times the noise, where residuals are larger than their sigma
+    loss_scale: float = 2.0  # in sigmas; with `trim_outliers` times the noise, where residuals exceed their sigma
     inlier_sigma: float = 4.0  # an eye's residual beyond this (times the noise, where that is above 1) is an outlier
     # Leave outliers out and adjust again: a loss lets each of them pull a little (not with NONE)
     trim_outliers: bool = True
@@ -116,7 +117,7 @@ class BundleResult:
     Ts_vo_cam (k, 4, 4), points_vo (m, 3) [m].
     covariances (k, 6, 6): rotation vector [rad] by left perturbation in vo axes, then position [m], as `OdometryPose`;
         of a fixed frame zero. joint_covariance (6 k, 6 k): the same with all that frames have in common.
-    cost_before, cost_after: sum of rho(r^2 / sigma^2) / 2 at the given loss scale; after: without what was trimmed.
+    cost_before, cost_after: sum of rho(r^2 / sigma^2) / 2 at the given loss_scale; cost_after without what was trimmed.
     rms_sigma: over the inliers' coordinates.
     variance_factor: by which the covariances were multiplied (loss, residuals larger than their sigma).
     inliers (n,): every eye that sees the point agrees with it.
@@ -147,8 +148,8 @@ class BundleState(NamedTuple):
 class BundleLayout(NamedTuple):
     """What does not change during an adjustment, but for `in_front` (observations whose point is in front of the eye).
 
-    column (k,): a frame's block in the reduced system, -1 = fixed. first (m + 1,): a point's observations are first[p]
-    to first[p + 1]. scale (n, 4): focal / sigma, 0 = not seen.
+    frame_columns (k,): a frame's block in the reduced system, -1 = fixed. first_observation (m + 1,): a point's
+    observations are first_observation[p] to first_observation[p + 1]. focal_over_sigma (n, 4): 0 = not seen.
     """
 
     frame_indices: Indices

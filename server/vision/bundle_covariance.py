@@ -149,7 +149,7 @@ def _invert_factored(lower: Array, inverse: Array) -> None:
 
 
 def seen_counts(layout: BundleLayout) -> Indices:
-    """Coordinates (n, 2) that either eye measured of each living observation; a rectified pair is one eye of 3 or 2."""
+    """Coordinates (n, 2) that either eye measured of each one `in_front`; a rectified pair is one eye of 3 or 2."""
     counts = (layout.focal_over_sigma > 0.0).reshape(-1, 2, 2).sum(axis=2)
     if layout.shared_row:
         counts = np.column_stack([counts.sum(axis=1), np.zeros(len(counts), dtype=np.int64)])
@@ -171,7 +171,7 @@ def noise_of(layout: BundleLayout, squares: Array) -> float:
 
 
 def fit_of(layout: BundleLayout, work: BundleWork, limit_sigma: float) -> BundleFit:
-    """Inliers and variance factor from the squares in `work`.
+    """Inliers and variance factor from the squared residuals in `work`.
 
     Model:   covariance of an M-estimate = E psi^2 / (E psi')^2 (J^T J)^-1 (Huber 1981, 7.6): the loss's own factor on
              Gaussian residuals, or the one measured on these residuals where that is larger (sigmas too small, outliers

@@ -45,7 +45,7 @@ def apply_step(layout: BundleLayout, state: BundleState, work: BundleWork, step:
 def _move_point(state: BundleState, work: BundleWork, p: int, trial: BundleState) -> None:
     eye, M, d = state.position[work.anchor_frames[p]], work.point_chart[p], work.point_step[p]
     shrink = 1.0 / (1.0 + max(d[2], INVERSE_DEPTH_STEP_MIN))
-    for j in range(3):  # the chart's third column is minus the arm
+    for j in range(3):  # the chart's third column is minus `eye_to_point`
         trial.points[p, j] = eye[j] + (M[j, 0] * d[0] + M[j, 1] * d[1] - M[j, 2]) * shrink
 
 
@@ -99,7 +99,7 @@ def residuals(rays: Array, scale: Array, i: int, ul: float, ur: float, v: float)
 
 @njit(cache=True, nogil=True)
 def observations_cost(layout: BundleLayout, state: BundleState) -> tuple[float, int]:
-    """Cost of all living observations, and how many of them have their point behind the eye."""
+    """Cost of all observations `in_front`, and how many of them have their point behind the eye."""
     rotation, position, points = state.rotation, state.position, state.points
     frame, first, alive, rays, scale = (
         layout.frame_indices,
@@ -139,7 +139,7 @@ def drop_behind(layout: BundleLayout, state: BundleState) -> None:
 
 @njit(cache=True, nogil=True)
 def linearise(layout: BundleLayout, state: BundleState, work: BundleWork) -> None:
-    """Write S, g, arm and squares of every living observation; zeros for the others."""
+    """Write S, g, `eye_to_point` and `squared_residuals` of every observation `in_front`; zeros for the others."""
     rotation, position, points = state.rotation, state.position, state.points
     frame, first, alive, rays, scale = (
         layout.frame_indices,

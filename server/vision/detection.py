@@ -49,8 +49,8 @@ class _TrackedMarker:
 class MarkerFollower:
     """The markers of one eye whose sides were clean in the last pair.
 
-    `follow` answers only when the sides are clean again *and* every printed cell reads as this id does, upright as
-    before; anything else is left to the search.
+    `follow_marker` answers only when the sides are clean again *and* every printed cell reads as this id does, upright
+    as before; anything else is left to the search.
     """
 
     def __init__(self, camera: StereoCamera, dictionary: "cv2.aruco.Dictionary") -> None:

@@ -68,9 +68,9 @@ class Keyframe:
     places_left_px, places_right_px (n, 2): raw pixels. points_row (n, 3) [m]: in the camera's axes at the moment its
     row was exposed. support_row (n, 2, 3): the points one raw pixel to the right and below, at the same depth.
     covariances_row (n, 3, 3) [m^2]. The same in vo, at mid-exposure of the middle row: points_vo, support_vo,
-    covariances_vo. mixing: by a keyframe's serial (n, 3, 3): how far each point goes where that keyframe goes; they sum
-    to the identity. votes (n,): above 0 for a point that went with the world, below for one that went with the camera.
-    seen_here: older points found again in this pair. twist_gain (6, 6): what the velocity's error
+    covariances_vo. keyframe_influence: by a keyframe's serial (n, 3, 3): how far each point goes where that keyframe
+    goes; they sum to the identity. motion_votes (n,): above 0 for a point that went with the world, below for one that
+    went with the camera. seen_here: older points found again in this pair. twist_gain (6, 6): what the velocity's error
     did to this pose.
     """
 

@@ -139,7 +139,7 @@ def covariance_in_vo(T_cam_vo: Array, covariance: Array) -> Array:
 
 
 def with_scale_error(covariance: Array, position_vo: Array, sigma_scale_frac: float) -> Array:
-    """Covariance (6, 6) with the rig's unknown scale: sigma_scale times the way from the start, along that way."""
+    """Covariance (6, 6) with the rig's unknown scale: sigma_scale_frac times the way from the start, along that way."""
     grown = covariance.copy()
     grown[3:, 3:] += sigma_scale_frac**2 * np.outer(position_vo, position_vo)
     return grown

@@ -34,9 +34,9 @@ class LocatedPose:
     """A pose, the points that it was fitted to (as shifted for the shutter), the velocity that was assumed, and what is
     left of each point if it moved with the camera instead.
 
-    rival: the fit of another motion that may be the world's as well; the covariance holds both. doubt: why the pose may
-    be quite another one, or "". places (3, 3) [m^2]: covariance in vo of the places that look alike. jumped: to
-    one of them, without motion.
+    rival_fit: of another motion that may be the world's as well; the covariance holds both. doubt_reason: why the pose
+    may be quite another one, or "". lookalike_covariance_m2 (3, 3): in vo, of the places that look alike.
+    jumped_to_lookalike: without motion.
     """
 
     observed_points: ObservedPoints
@@ -52,9 +52,9 @@ class LocatedPose:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What distinguishes motions, of n points: raw left pixels (n, 2); squared whitened residuals (n,) as if they had
-    moved with the camera since they were kept; earlier votes (n,): above 0 it went with the world, below with the
-    camera; places (n, 3) in vo; noise: as `PoseProblem`.
+    """What distinguishes motions, of n points: left_px (n, 2), raw; rest_squares (n,): squared whitened residuals as if
+    they had moved with the camera since they were kept; motion_votes (n,), earlier: above 0 it went with the world,
+    below with the camera; points_vo (n, 3); noise_factor: as `PoseProblem`.
 
     count_good, coverage_good: from so many points, in so many cells of the picture, a motion could be the world's.
     """
@@ -168,7 +168,7 @@ def part_motions(problem: PoseProblem, fit: PoseFit, scene: Scene, needed: int) 
 
 @dataclass(frozen=True, slots=True)
 class _MotionHypothesis:
-    """One motion and the points that only it explains. still: it moved them
+    """One motion and the points that only it explains. is_still: it moved them
     in the picture by less than the noise."""
 
     fit: PoseFit

@@ -26,8 +26,8 @@ VIEW_HALF_WIDTH_FRAC = 0.7  # half of the image and some more
 @dataclass(frozen=True, slots=True)
 class ObservedPoints:
     """Map points found in a pair: keyframe and number in it (n,), raw pixels (n, 2) (right NaN where not shown), and
-    the same for the fit. points_row (n, 3): in the axes of the camera that kept them. votes (n,): of earlier pairs,
-    above 0 for a point that went with the world, below for one that went with the camera."""
+    the same for the fit. points_row (n, 3): in the axes of the camera that kept them. motion_votes (n,): of earlier
+    pairs, above 0 for a point that went with the world, below for one that went with the camera."""
 
     keyframe_indices: NDArray[np.int64]
     indices: NDArray[np.int64]

@@ -28,8 +28,8 @@ DEPTH_MIN_M = 0.05
 @dataclass(frozen=True, slots=True)
 class StereoPoints:
     """Known points (n, 3) [m] in vo with their covariances (n, 3, 3), their undistorted rays (n, 2) in each eye (NaN in
-    the right one = not seen), and the standard deviation of one measured coordinate [px]. noise (n, 2, 2, 2): what the
-    lens makes of it in each eye, as covariances for a sigma of 1; None = the identity."""
+    the right one = not seen), and the standard deviation of one measured coordinate [px].
+    unit_noise_covariances (n, 2, 2, 2): what the lens makes of a sigma of 1 in each eye; None = the identity."""
 
     points_vo: Array
     covariances_vo: Array
@@ -292,7 +292,7 @@ def stacked_rays(seen: StereoPoints) -> Array:
 class PoseProblem:
     """Points and observations near a start pose, ready for as many fits as are wanted.
 
-    rays (n, 4); shape: focal length [px], baseline [m]; noise: how many times noisier than assumed the images are.
+    rays (n, 4); focal_and_baseline: [px], [m]; noise_factor: how many times noisier than assumed the images are.
     """
 
     points: Array

@@ -20,8 +20,8 @@ N_SHARED_ERRORS = 12  # errors of a keyframe: its pose (6, left perturbation in 
 
 @dataclass(frozen=True, slots=True)
 class Sensitivity:
-    """Gains on the perturbation (6,) of T_vo_cam: of each keyframe's shared errors (k, 6, 12), numbers (k,); of the
-    present velocity's error (6, 6); of the readout's (6,) [per s].
+    """Gains on the perturbation (6,) of T_vo_cam: of_keyframes (k, 6, 12): of the shared errors of each keyframe in
+    keyframe_indices (k,); of_twist (6, 6): of the present velocity's error; of_readout (6,) [per s].
 
     What the pair says of the readout itself: `readout_information` [1/s^2], and its best change `readout_step_s`.
     """
@@ -172,7 +172,7 @@ def fit_sensitivity(
 
     Model:   gain = -(J^T C^-1 J)^-1 J^T C^-1 J_shared (a consider, or Schmidt, analysis). The readout's own step is
              that of a Gauss-Newton step for pose and readout together.
-    Args:    points_vo: as fitted (n, 3). keyframes: all, as `observed.keyframes` numbers them.
+    Args:    points_vo: as fitted (n, 3). keyframes: all, as `observed.keyframe_indices` numbers them.
     """
     on = fit.inliers
     hosts, indices, seen = observed.keyframe_indices[on], observed.indices[on], observed.stereo_points

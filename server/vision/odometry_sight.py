@@ -76,7 +76,7 @@ def _track_points_klt(
 @dataclass(frozen=True, slots=True)
 class StereoMatches:
     """Raw pixels (n, 2) of the same points in both eyes; `texture_grey`: how much the grey varies about a typical one
-    (standard deviation over its patch), infinite where there are no images. unique: no other disparity is as good."""
+    (standard deviation over its patch), infinite where there are no images. `disparity_unique`: no other is as good."""
 
     left_px: Array
     right_px: Array

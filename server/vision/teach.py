@@ -59,7 +59,7 @@ class LayoutFrame:
 
     "present": where the present layout fits the new one best. "reference": the reference marker keeps its present pose
     (identity where it has none). "middle": the mean of the markers' centres, z square to their plane, x along the
-    reference marker's x axis. `present`: T_on_marker and side [m] by id.
+    reference marker's x axis. `present_markers`: T_on_marker and side [m] by id.
     """
 
     name: FrameName

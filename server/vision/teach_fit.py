@@ -21,8 +21,8 @@ UNKNOWNS_PER_MARKER = 7  # rotation vector, translation, side
 class Corners:
     """Every corner in every view and eye, one row each: n rows.
 
-    seen_px (n, 2): undistorted, relative to the principal point. unit (n, 3): corner of a marker of side 1.
-    right (n,): 1 in the right eye, 0 in the left. sighting (n,): which marker in which view.
+    seen_px (n, 2): undistorted, relative to the principal point. unit_corners (n, 3): of a marker of side 1.
+    in_right_eye (n,): 1 in the right eye, 0 in the left. sighting_indices (n,): which marker in which view.
     """
 
     view_indices: Indices

@@ -32,7 +32,7 @@ class SeenViews:
     views: tuple[TeachView, ...]
 
     def markers_in_view(self, view: int) -> list[int]:
-        """Places (in `ids`) of the markers in one view, by either eye."""
+        """Places (in `marker_ids`) of the markers in one view, by either eye."""
         one = self.views[view]
         return [
             k
@@ -94,7 +94,7 @@ def first_sides(seen: SeenViews, printed_m: Mapping[int, float], camera: StereoC
 
 
 def groups_seen_together(seen: SeenViews) -> list[list[int]]:
-    """Markers (places in `ids`) that hang together through views that show two of them, largest group first."""
+    """Markers (places in `marker_ids`) that hang together through views that show two of them, largest group first."""
     group = list(range(len(seen.marker_ids)))
     for view in range(len(seen.views)):
         shown = seen.markers_in_view(view)

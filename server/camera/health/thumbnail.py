@@ -130,8 +130,8 @@ def eyes_alike(fine: Thumb, other: Thumb, energy_min: float, cells_min: int, qua
 class EyeCells:
     """One eye of one pair at a glance, compared with the pair before. Grey levels 0 to 255.
 
-    `cells` (9, 16, 9): mean, standard deviation, share of white, mean absolute and mean clipped change since the pair
-    before, energy of the fine pattern now and before, their product, share of unchanged places.
+    `cell_statistics` (9, 16, 9): mean, standard deviation, share of white, mean absolute and mean clipped change since
+    the pair before, energy of the fine pattern now and before, their product, share of unchanged places.
     """
 
     grey_thumbnail: Thumb

@@ -28,7 +28,7 @@ class MultipartPart:
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """`length`: None where the camera does not say it; `t_ns` is then when the body began: the header may wait."""
+    """`body_length`: None where the camera does not say it; `t_ns` is then when the body began: the header may wait."""
 
     delimiter: bytes
     body_length: int | None
