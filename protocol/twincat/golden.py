@@ -74,14 +74,14 @@ class GoldenMessage:
     name: str
     purpose: str
     message: Command | State
-    key: bytes = b""
+    auth_key: bytes = b""
 
     @property
     def payload(self) -> bytes:
         """Its bytes."""
         if isinstance(self.message, Command):
-            return encode_command(self.message, self.key)
-        return encode_state(self.message, self.key)
+            return encode_command(self.message, self.auth_key)
+        return encode_state(self.message, self.auth_key)
 
 
 def golden_messages(parameters: PlcParameters) -> tuple[GoldenMessage, ...]:

@@ -31,7 +31,7 @@ def golden_json(parameters: PlcParameters) -> str:
         {
             "name": golden.name,
             "purpose": golden.purpose,
-            "key_hex": golden.key.hex(),
+            "key_hex": golden.auth_key.hex(),
             "payload_hex": golden.payload.hex(),
             "eap_datagram_hex": framed_datagram(golden, parameters, eap=True).hex(),
             "fields": wire_fields(golden.payload),

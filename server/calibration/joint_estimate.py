@@ -378,7 +378,7 @@ def _fit_residuals(problem: _Problem, state: JointState) -> FitResiduals:
         weights=problem.weights,
         mount_chi2=float(np.sum((mount / problem.prior_sigma[problem.mount]) ** 2)),
         mount_rad=float(np.linalg.norm(mount)),
-        seeing_chi2=float(seeing @ seeing),
+        camera_parameter_chi2=float(seeing @ seeing),
     )
 
 

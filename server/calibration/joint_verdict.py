@@ -30,7 +30,8 @@ class FitResiduals:
     run_spread: of each run's positions as they are, over the largest variance that a scatter is believed to have: above
     1 it is not scatter but a drift or a step, which whitening by neighbours would hide.
     weights: of each run's samples. mount_chi2 (3 freedoms), mount_rad: camera's rotation against its prior.
-    seeing_chi2: odometry's scale, clock and lens against theirs: a fit that bends these to explain the rest is refused.
+    camera_parameter_chi2: odometry's scale, clock and lens against theirs: a fit that bends these to explain the rest
+    is refused.
     """
 
     look_chi2: Sequence[float]
@@ -40,13 +41,13 @@ class FitResiduals:
     weights: Sequence[Array]
     mount_chi2: float
     mount_rad: float
-    seeing_chi2: float
+    camera_parameter_chi2: float
 
     @property
     def worst_mean_square(self) -> float:
         """The worst of all mean squares, about 1 or less where everything agrees."""
         freedoms = max(1, LOOK_FREEDOMS * len(self.look_chi2) - OOI_FREEDOMS)
-        looks, seeing = sum(self.look_chi2) / freedoms, self.seeing_chi2 / CAMERA_PARAMETERS_DOF
+        looks, seeing = sum(self.look_chi2) / freedoms, self.camera_parameter_chi2 / CAMERA_PARAMETERS_DOF
         return float(max(looks, seeing, *self.run_position, *self.run_turn, *self.run_spread, 0.0))
 
 
@@ -109,11 +110,12 @@ def _mount_misfit_reason(fitted: FitResiduals) -> str:
 
 def _camera_misfit_reason(fitted: FitResiduals) -> str:
     limit = float(chdtri(CAMERA_PARAMETERS_DOF, 1.0 - PRIOR_CHI2_CONFIDENCE))
-    if fitted.seeing_chi2 <= limit:
+    if fitted.camera_parameter_chi2 <= limit:
         return ""
     return (
         "looks and path agree only with a camera that differs from the camera file: lens, odometry scale and clock are "
-        f"off by chi2 {fitted.seeing_chi2:.0f} (limit {limit:.0f}); calibrate the camera again, and check its clock"
+        f"off by chi2 {fitted.camera_parameter_chi2:.0f} (limit {limit:.0f}); calibrate the camera again, and check "
+        "its clock"
     )
 
 

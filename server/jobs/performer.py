@@ -93,7 +93,7 @@ class Performer:
             case StartWatching():
                 return await self._start_watching(request)
             case StopWatching():
-                return self._stop_watching()
+                return self._take_watched_pairs()
             case StartMove() | NextPair() | Correct() | EndMove() | StopMove():
                 return await self._steer(request)
             case UseTarget():
@@ -268,7 +268,7 @@ class Performer:
         if self._watched is not None and report.fit_for_look and report.pose_source == self._watching_by:
             self._watched.append((report.t_exposure_mapped_ns * 1e-9, report.observation))
 
-    def _stop_watching(self) -> object:
+    def _take_watched_pairs(self) -> object:
         watched, self._watched = self._watched or (), None
         samples = self._cell.link.samples_since(self._watching_from_ns - int(0.5e9))
         return sighted_of(watched), self._encoder_track(samples)

@@ -121,7 +121,7 @@ class LineEquationLook:
 
 
 @dataclass(frozen=True, slots=True)
-class LineResult:
+class LineEquationResult:
     """The end of a line-equation job: its looks in order and what the fit said of itself."""
 
     variant: str

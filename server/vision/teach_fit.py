@@ -22,14 +22,14 @@ class Corners:
     """Every corner in every view and eye, one row each: n rows.
 
     seen_px (n, 2): undistorted, relative to the principal point. unit_corners (n, 3): of a marker of side 1.
-    in_right_eye (n,): 1 in the right eye, 0 in the left. sighting_indices (n,): which marker in which view.
+    is_right_eye (n,): 1 in the right eye, 0 in the left. sighting_indices (n,): which marker in which view.
     """
 
     view_indices: Indices
     marker_indices: Indices
     sighting_indices: Indices
     unit_corners: Array
-    in_right_eye: Array
+    is_right_eye: Array
     seen_px: Array
     focal_px: Array
     baseline_m: float
@@ -43,7 +43,7 @@ class Corners:
             marker_indices=self.marker_indices[keep],
             sighting_indices=self.sighting_indices[keep],
             unit_corners=self.unit_corners[keep],
-            in_right_eye=self.in_right_eye[keep],
+            is_right_eye=self.is_right_eye[keep],
             seen_px=self.seen_px[keep],
         )
 
@@ -92,7 +92,7 @@ def residuals_px(state: LayoutState, corners: Corners) -> Array:
     """Predicted minus seen (n, 2) [px]; infinite where a corner lies behind the glass."""
     p = _in_camera(state, corners)[0]
     z = np.where(p[:, 2] >= DEPTH_MIN_M, p[:, 2], np.nan)
-    eye_x = corners.in_right_eye * corners.baseline_m * (1.0 + state.baseline_frac)
+    eye_x = corners.is_right_eye * corners.baseline_m * (1.0 + state.baseline_frac)
     rays = np.column_stack([(p[:, 0] - eye_x) / z, p[:, 1] / z])
     found = rays * corners.focal_px - corners.seen_px
     return np.where(np.isfinite(found), found, np.inf)
@@ -155,7 +155,7 @@ def _robust_cost(
 def _residual_jacobians(state: LayoutState, corners: Corners) -> tuple[Array, Array, Array]:
     """d residual / d view (n, 2, 6), / d marker (n, 2, 7), / d baseline (n, 2)."""
     p, arm, on_marker = _in_camera(state, corners)
-    eye_x = corners.in_right_eye * corners.baseline_m * (1.0 + state.baseline_frac)
+    eye_x = corners.is_right_eye * corners.baseline_m * (1.0 + state.baseline_frac)
     inverse = 1.0 / p[:, 2]
     P = np.zeros((len(p), 2, 3))
     P[:, 0, 0], P[:, 1, 1] = corners.focal_px[0] * inverse, corners.focal_px[1] * inverse
@@ -167,7 +167,7 @@ def _residual_jacobians(state: LayoutState, corners: Corners) -> tuple[Array, Ar
     J_view = np.concatenate([_cross_rows(P, arm), P], axis=2)
     along_side = np.einsum("nij,njk,nk->ni", on_ref, R_marker, corners.unit_corners)
     J_marker = np.concatenate([_cross_rows(on_ref, on_marker), on_ref, along_side[:, :, None]], axis=2)
-    J_baseline = -P[:, :, 0] * (corners.in_right_eye * corners.baseline_m)[:, None]
+    J_baseline = -P[:, :, 0] * (corners.is_right_eye * corners.baseline_m)[:, None]
     return J_view, J_marker, J_baseline
 
 

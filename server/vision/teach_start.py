@@ -60,7 +60,7 @@ def corners_of(seen: SeenViews, camera: StereoCamera) -> Corners:
         marker_indices=markers,
         sighting_indices=views * len(seen.marker_ids) + markers,
         unit_corners=np.tile(UNIT_CORNERS, (len(view), 1)),
-        in_right_eye=np.repeat(np.array(right, dtype=float), 4),
+        is_right_eye=np.repeat(np.array(right, dtype=float), 4),
         seen_px=rays * focal,
         focal_px=focal,
         baseline_m=camera.baseline_m,

@@ -68,10 +68,10 @@ def refuse_unsafe_reference(ctx: PlanContext, trajectory: JointTrajectory) -> No
     _, hit = wall_refusal(tcp_poses(ctx.chain, motion.q), ctx.machine.T_tcp_tool, ctx.wall, nearer_m)
     if hit is not None:
         raise _refusal_error(hit)
-    _check_motion_gate(ctx, trajectory)
+    _require_gate_accepts(ctx, trajectory)
 
 
-def _check_motion_gate(ctx: PlanContext, trajectory: JointTrajectory) -> None:
+def _require_gate_accepts(ctx: PlanContext, trajectory: JointTrajectory) -> None:
     knots = knots_of(trajectory, ctx.chain.n)
     refused = check_trajectory(knots_from(knots), pad_to_eight_axes(knots[0][1]), limits_of(ctx.machine.joints))
     if refused:

@@ -19,7 +19,7 @@ from server.jobs.plans.driving import drive_and_correct
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.orienting import orient
 from server.jobs.plans.planning import onto_reference, plan_settings, plan_to
-from server.jobs.records import LineEquationLook, LineResult
+from server.jobs.records import LineEquationLook, LineEquationResult
 from server.jobs.requests import (
     Arm,
     MachineReading,
@@ -47,7 +47,7 @@ class WatchedCircle:
     seen_pairs: SeenPairs
 
 
-def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Request, object, LineResult]:
+def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Request, object, LineEquationResult]:
     """Orient, circle, one move to the reference of the variant, look; for the servo variant further steps.
 
     Raises: JobFailedError with the method's own reason when it gives no reference.
@@ -63,7 +63,7 @@ def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Request, objec
             yield from _servo_along_line(ctx, direction, moved, looks)
         except JobFailedError as error:  # the first move stands; the servo's end is reported
             note = f"{note}; servo: {error}"
-    return LineResult(variant, note, tuple(_line_look(name, taken) for name, taken in looks))
+    return LineEquationResult(variant, note, tuple(_line_look(name, taken) for name, taken in looks))
 
 
 def _line_look(name: str, taken: LookTaken) -> LineEquationLook:

@@ -67,7 +67,7 @@ def test_what_is_left_over_widens_the_covariance():
         ({"run_turn": [float("nan")]}, "turns nan"),
         ({"weights": [np.full(60, 0.1)]}, "outliers"),
         ({"mount_chi2": 70.0, "mount_rad": np.deg2rad(25.0)}, "25 deg from the machine file"),
-        ({"seeing_chi2": 41.0}, "off by chi2 41 .limit 34.; calibrate the camera again"),
+        ({"camera_parameter_chi2": 41.0}, "off by chi2 41 .limit 34.; calibrate the camera again"),
     ],
 )
 def test_one_bad_observation_is_not_hidden_by_many_good_ones(changed, word):
@@ -79,7 +79,7 @@ def test_one_bad_observation_is_not_hidden_by_many_good_ones(changed, word):
         "weights": [np.ones(60)] * 2,
         "mount_chi2": 2.0,
         "mount_rad": 0.03,
-        "seeing_chi2": 6.0,
+        "camera_parameter_chi2": 6.0,
     }
     assert fit_verdict(FitResiduals(**good))[0] is CalibrationStatus.OK
     status, reason = fit_verdict(FitResiduals(**{**good, **changed}))

@@ -41,12 +41,12 @@ def test_every_payload_decodes_to_its_message(golden):
     assert zlib.crc32(payload[:-4]) == struct.unpack("<I", payload[-4:])[0]
     if isinstance(golden.message, Command):
         assert len(payload) == COMMAND_SIZE
-        decoded = decode_command(payload, golden.key)
+        decoded = decode_command(payload, golden.auth_key)
         assert (decoded.seq, decoded.mode, decoded.knots) == (
             golden.message.seq, golden.message.mode, golden.message.knots)  # fmt: skip
     else:
         assert len(payload) == STATE_SIZE
-        assert decode_state(payload, golden.key) == golden.message
+        assert decode_state(payload, golden.auth_key) == golden.message
 
 
 def test_all_kinds_of_messages_are_there():
