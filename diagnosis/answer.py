@@ -358,7 +358,7 @@ def _open_pairs(found: Budget) -> list[list[Pair]]:
 
 
 def _first_apart(first: Fit, other: Fit) -> Key | None:
-    """The first effect that only `one` has."""
+    """The first effect that only `first` has."""
     return next(
         (
             effect.effect_and_joint

@@ -52,7 +52,9 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Localisation:
-    """All places, largest share first within regime "all"; `floor_known`: from repeats. `merged`: (stages, why)."""
+    """All places, largest share first within regime "all"; `floor_known`: from repeats. `merged_stage_reasons`:
+    (stages, why).
+    """
 
     gap_places: tuple[Place, ...]
     merged_stage_reasons: tuple[tuple[tuple[str, ...], str], ...]

@@ -19,7 +19,7 @@ UNKNOWN: Closed = (None, None, None)
 
 @dataclass(frozen=True, slots=True)
 class BlockSquares:
-    """Whitened squares by block (blocks,): without effects, with them, of the noise; `rows` in all blocks."""
+    """Whitened squares by block (blocks,): without effects, with them, of the noise; `row_count`: in all blocks."""
 
     before: Array
     after: Array

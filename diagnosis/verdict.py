@@ -50,7 +50,7 @@ class EffectLine:
 @dataclass(frozen=True, slots=True)
 class BudgetColumn:
     """Where the tool stands, how it gets there, or what the camera sees: RMS miss of the nominal model, of the model
-    with the confirmed effects, and the noise [mm]. `measured`: whether the miss was measured, or the model says it.
+    with the confirmed effects, and the noise [mm]. `is_measured`: else the model says it.
     """
 
     name: str
@@ -63,7 +63,7 @@ class BudgetColumn:
 @dataclass(frozen=True, slots=True)
 class StageLine:
     """One stage, or one joint of it, judged by itself. `before_mm`, `after_mm`: its miss at the tool beyond what noise
-    and a healthy machine leave. `why`: what would measure it, or what the remainder follows.
+    and a healthy machine leave. `verdict_reason`: what would measure it, or what the remainder follows.
     """
 
     stage: str

@@ -139,7 +139,7 @@ def diagnosis(machine: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What one process compiles; stages of the same turn run in parallel."""
+    """What one process compiles; those of the same `parallel_group` run in parallel."""
 
     name: str
     parallel_group: int

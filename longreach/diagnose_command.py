@@ -97,7 +97,7 @@ def console_progress(screen: Console, now_s: Callable[[], float] = time.monotoni
 
 
 def _rate_limited_printer(screen: Console) -> Say:
-    """For a log, or for the server that follows: at most one line in EVERY_S, and none at the start."""
+    """For a log, or for the server that follows: at most one line in PROGRESS_LINE_PERIOD_S, and none at the start."""
     last_s = PROGRESS_LINE_PERIOD_S
 
     def say(words: str, _share: float, elapsed_s: float) -> None:

@@ -76,7 +76,7 @@ def axis_mask(table: LimitTable) -> int:
 
 
 def cfg_id(table: LimitTable) -> int:
-    """CRC-32 of the table packed as layout.LIMITS, unused axes 0: a PLC computes it from its own constants."""
+    """CRC-32 of the table packed as LIMIT_TABLE_LAYOUT, unused axes 0: a PLC computes it from its own constants."""
     columns = zip(*((a.q_min, a.q_max, a.qd_max, a.qdd_max) for a in table.axes), strict=True)
     numbers = [float(x) for column in columns for x in (*column, *(0.0,) * (N_AXIS_SLOTS - len(table.axes)))]
     head = (len(table.axes), 0, table.spacing_min_ns, table.spacing_max_ns, table.start_tolerance_rad)

@@ -12,7 +12,7 @@ _KNOT = {field.name: field.offset for field in KNOT_LAYOUT.fields}
 
 @dataclass(frozen=True, slots=True)
 class Objection:
-    """One reason against a command; `offset` 0 means that no single field is to blame."""
+    """One reason against a command; `field_offset` 0 means that no single field is to blame."""
 
     code: RejectCode
     field_offset: int = 0

@@ -195,7 +195,7 @@ class RunWriter:
         """Write what waits, the final run.toml and the index. The file is complete afterwards.
 
         A disk may take longer than `wait_s`: the report says so then, the file is written to its end all the same, and
-        `ended` and `error` state when and how.
+        `has_ended` and `error` state when and how.
         """
         if not self._closing.is_set():
             self._final_run = run

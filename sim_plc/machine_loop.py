@@ -23,7 +23,7 @@ def plc_framing(kind: Literal["raw", "eap"], pc_net_id: str, plc_net_id: str) ->
 
 
 class MachineLoop:
-    """The simulated machine at rest at time `t_start_ns` of the PLC's clock; `cycle` moves it on by one PLC cycle."""
+    """The simulated machine at rest at time `t_start_ns` of the PLC's clock; `run_cycle` moves it on by one cycle."""
 
     def __init__(
         self,

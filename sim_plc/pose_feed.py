@@ -1,7 +1,8 @@
 """A shared-memory ring of true tool poses: written in every cycle by the PLC process, read by the camera process.
 
-One writer, any number of readers, no lock. Entry number n lives in slot n % SLOTS under a guard: 2n + 1 while it is
-being written, 2n + 2 when it is whole. A guard that differs before and after a copy indicates a torn or newer entry.
+One writer, any number of readers, no lock. Entry number n lives in slot n % N_RING_SLOTS under a guard: 2n + 1 while
+it is being written, 2n + 2 when it is whole. A guard that differs before and after a copy indicates a torn or newer
+entry.
 """
 
 import struct

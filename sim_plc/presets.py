@@ -55,7 +55,7 @@ Spread = Exact | Normal | Uniform
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One number: its name, unit, what each preset draws, and where it comes from. `paper` None: as realistic."""
+    """One number: its name, unit, what each preset draws, and its source. `paper_spread` None: as realistic."""
 
     name: str
     unit: str

@@ -9,7 +9,7 @@ from machine.rotations import Array
 class PlanShown:
     """The previewed plan: joints along it (m, n) [rad], the tool's way (m, 3) [m, base], and what it will leave.
 
-    `ellipsoid_radii_m` (3,): two sigma of the predicted error along the axes of `T_base_goal`'s target.
+    `ellipsoid_radii_m` (3,): two sigma of the predicted error along the axes of `T_base_ellipsoid`.
     """
 
     name: str

@@ -47,9 +47,9 @@ class LookNoise:
 class OdometryNoise:
     """Errors of the odometry's path, per axis: standard deviations.
 
-    Model:   p = (1 + scale) p_true + walk + bend + jitter; walk: sd `drift_m_sqrt_m` per root metre of path; bend: sd
-             `bend_m`, correlated over `bend_length_m` of path; jitter: each pose by itself. Rotation: walk and jitter.
-             `rate_hz`: poses a second.
+    Model:   p = (1 + scale_frac) p_true + walk + bend + jitter; walk: sd `drift_m_sqrt_m` per root metre of path;
+             bend: sd `bend_m`, correlated over `bend_length_m` of path; jitter: each pose by itself. Rotation: walk and
+             jitter. `rate_hz`: poses a second.
     """
 
     scale_frac: float

@@ -32,9 +32,9 @@ ENCODER_PARAMETER_COLUMNS = (kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE)
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The encoders' course through one stretch: t_s (m,), enc (m, n). `step_s`: between its rows, for play and
-    oscillation; None where rows are too rare to follow them: neither is modelled then. `coarse_rad`: steps of the
-    encoders that are seen behind them, 0 of finer ones.
+    """The encoders' course through one stretch: t_s (m,), `encoder_angles` (m, n). `step_s`: between its rows, for
+    play and oscillation; None where rows are too rare to follow them: neither is modelled then. `coarse_rad`: steps of
+    the encoders that are seen behind them, 0 of finer ones.
     """
 
     t_s: Array

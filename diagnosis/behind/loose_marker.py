@@ -19,7 +19,7 @@ MARKERS_MIN = 3  # two alone turn and grow as a camera that moves shows them
 
 @dataclass(frozen=True, slots=True)
 class LooseMarker:
-    """Which marker (its number), how far it goes by itself, and the noise of each corner, standard deviations [px]."""
+    """Which marker, how far it goes by itself, and the noise of each corner, standard deviations [px]."""
 
     marker_index: int
     moved_px: float

@@ -21,8 +21,8 @@ SHARED_VARIANCE_MAX_FRAC = 0.9  # of a pose's variance, by all its points: some 
 @dataclass(frozen=True, slots=True)
 class MeasuredAgain:
     """Standard deviations (3,) [m] of a point, of which `common_m` is a shift that all points of one pose share;
-    `squares`: how many independent ones it was found from, `points`: how many counted point by point; `loose`: which
-    point moved by itself, in words.
+    `sigma_dof`: how many independent squares it was found from, `pointwise_dof`: how many counted point by point;
+    `loose_target_text`: which point moved by itself, in words.
     """
 
     sigma_m: Array

@@ -28,10 +28,10 @@ TENTHS, ALIKE_LEAST = 10, 1.8  # of independent instants one recording in a thou
 
 @dataclass(frozen=True, slots=True)
 class PointScatter:
-    """Standard deviations [m] of each point's own (3,), radial, tangential and up, and of a shift that the points of
-    one instant share. `is_measured`: from `sigma_dof` independent squares, not guessed. `loose_target_text`: which
-    point of poses at rest moved by itself, in words. `correlated_instants`: for how many instants one speaks, since a
-    tracker drifts.
+    """Standard deviations [m]: `point_sigma_m` of each point's own (3,), radial, tangential and up, `common_m` of a
+    shift that the points of one instant share. `is_measured`: from `sigma_dof` independent squares, not guessed.
+    `loose_target_text`: which point of poses at rest moved by itself, in words. `correlated_instants`: for how many
+    instants one speaks, since a tracker drifts.
     """
 
     point_sigma_m: Array

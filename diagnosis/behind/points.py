@@ -21,8 +21,8 @@ POINT_ROWS_MIN = 6  # of points, for a cell of them
 
 @dataclass(frozen=True, slots=True)
 class PointData:
-    """Measured points with the encoders' angles: q (m, n), point index (m,), xyz (m, 3), when (m,) [s, or pose index]
-    on the PLC's clock.
+    """Measured points with the encoders' angles: q (m, n), `point_index` (m,), xyz (m, 3), `time_or_pose_index` (m,)
+    [s on the PLC's clock, or pose index].
     """
 
     q: Array

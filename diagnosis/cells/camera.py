@@ -210,7 +210,7 @@ def _residual_at_nominal_place(
 
 
 def _posture_groups(q: Array) -> NDArray[np.int64]:
-    """Numbers of at most POSTURES groups of frames whose joints stand alike, from angles (m, n).
+    """Numbers of at most POSTURE_CLUSTERS_MAX groups of frames whose joints stand alike, from angles (m, n).
 
     Why: what a model is wrong by in one posture it is wrong by whenever the arm comes back, so that the frames of one
     posture do not speak for themselves, however far apart in time.

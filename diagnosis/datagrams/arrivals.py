@@ -43,10 +43,10 @@ class Arrivals:
     """Datagrams as they were sent, (k,) each, and as the rows show them.
 
     `t_s`: when it was sent, on the PLC's clock, moved by how far its arrival was off the link's steady delay.
-    `earliest_s`, `latest_s`: between which two rows it came, infinite where none show it. `lost`: it never came;
-    `judged`: a row shows whether it did. None where no numbers were logged. `jitter_s`: how far they lie off a steady
-    delay, RMS, and the clocks' drift `rate`. `unsure_s`: how far arrivals that no row shows may lie off `t_s`, a
-    standard deviation.
+    `earliest_s`, `latest_s`: between which two rows it came, infinite where none show it.
+    `datagram_lost`: it never came; `loss_observable`: a row shows whether it did. None where no numbers were logged.
+    `jitter_s`: how far they lie off a steady delay, RMS. `unsure_s`: how far arrivals that no row shows may lie off
+    `t_s`, a standard deviation.
     """
 
     t_s: Array
@@ -61,7 +61,7 @@ class Arrivals:
 
 @dataclass(frozen=True, slots=True)
 class _DelayBounds:
-    """Rows that show a datagram: when (m,), which (m,), and between which delays that lies: low < delay <= high."""
+    """Rows (m,) that show a datagram: when, which, and `delay_low_s` < its delay <= `delay_high_s`."""
 
     t_s: Array
     datagram_index: NDArray[np.int64]
@@ -93,7 +93,7 @@ class _DelayBounds:
 
 @dataclass(frozen=True, slots=True)
 class _DelayInterval:
-    """Delays [s] that contradict the fewest rows, `misses` of them [share], at a `rate` of the clocks."""
+    """Delays [s] that contradict the fewest rows, at `clock_drift_rate`."""
 
     least_s: float
     most_s: float

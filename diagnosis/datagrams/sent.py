@@ -79,7 +79,7 @@ class SentReference:
 
 @dataclass(frozen=True, slots=True)
 class SentClock:
-    """How sent times become the PLC's: t_plc = t_pc - offset. `known`: given, not estimated from the data."""
+    """How sent times become the PLC's: t_plc = t_pc - offset. `offset_given`: not estimated from the data."""
 
     offset_s: float
     offset_given: bool

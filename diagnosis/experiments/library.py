@@ -27,7 +27,7 @@ LOOK_CYCLE_DURATION_S = 12.0  # to drive to a posture, come to rest and look
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A reference over time: q (m, n) [rad] every SAMPLE_S; begins and ends at rest in the posture it starts from."""
+    """A reference over time: q (m, n) [rad] every SAMPLE_PERIOD_S; begins and ends at rest in its first posture."""
 
     name: str
     segment_kind: SegmentKind

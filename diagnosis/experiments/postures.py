@@ -82,7 +82,7 @@ def _relative_gravity_torques(nominal: Nominal, sets: ParameterSets, qs: Array) 
 
 
 def _farthest_point_rows(features: Array) -> NDArray[np.int64]:
-    """COUNT rows, each as far as possible from those before it (Gonzalez 1985)."""
+    """POSTURES_PER_CHOICE rows, each as far as possible from those before it (Gonzalez 1985)."""
     chosen = [int(np.argmax(np.linalg.norm(features - features.mean(axis=0), axis=1)))]
     away = np.linalg.norm(features - features[chosen[0]], axis=1)
     while len(chosen) < POSTURES_PER_CHOICE:

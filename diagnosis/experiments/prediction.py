@@ -45,7 +45,7 @@ class Hypothesis:
 
 
 def hypothesis_at_fit(found: Fit, spread: float) -> Hypothesis:
-    """A fit as a hypothesis: |hold (theta - theta_fit)|^2 is what it costs on the recording to move away."""
+    """A fit as a hypothesis: |R (theta - theta_fit)|^2 is what it costs on the recording to move away."""
     if found.k == 0:
         return Hypothesis(found, np.zeros((0, 0)))
     R = np.linalg.qr(found.J / np.sqrt(spread), mode="r")

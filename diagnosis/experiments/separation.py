@@ -21,9 +21,10 @@ def separation_nats(
 ) -> float:
     """Expected log-likelihood ratio of `truth` against the other hypothesis at its best size.
 
-    Model:  T_ij / 2 = min over theta_j of sum rho(W (f_i - f_j(theta_j))) + 1/2 |hold (theta_j - fitted)|^2, over the
-            cell's spread; rho is the fit's own soft-L1 (Atkinson & Fedorov 1975, with the recording as prior).
-    Args:   holds: the rows are of the experiment alone, so that the recording counts by `other.hold`.
+    Model:  T_ij / 2 = min over theta_j of sum rho(W (f_i - f_j(theta_j))) + 1/2 |R (theta_j - fitted)|^2, R the
+            `sqrt_information`, over the cell's spread; rho is the fit's own soft-L1 (Atkinson & Fedorov 1975, with the
+            recording as prior).
+    Args:   holds: the rows are of the experiment alone, so that the recording counts by `other.sqrt_information`.
     """
     own = rows(truth)[0]
     cell = replace(cell, whitened=_residual_against_truth(rows, own))

@@ -88,7 +88,7 @@ class Fleet:
 
 
 def summary_of(results: Sequence[dict[str, Any]]) -> Fleet:
-    """Of the dictionaries that `diagnosed` gives."""
+    """Of the dictionaries that `diagnose_case` gives."""
     good = [result for result in results if result["status"] == "diagnosed"]
     good.sort(key=lambda result: (machine_of(result), result["started_utc"], result["recording"]))
     found = tuple(item for result in good for item in _confirmed_effect_sizes(result))

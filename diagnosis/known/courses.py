@@ -32,8 +32,8 @@ SMOOTHING_WINDOW_S = 0.045
 class Course:
     """Signals of one joint through a stretch, a row a log row (m,), and the time between two rows [s].
 
-    `q`: the stage's own modelled output; `drive`: what it answers to; `load`: gravity's part; `others`: (m, k) the
-    commands of the other joints; `t_s`: from the stretch's start; `since_s`: from the recording's.
+    `modelled_output`: the stage's own; `input_signal`: what it answers to; `other_joint_commands`: (m, k); `t_s`: from
+    the stretch's start; `since_s`: from the recording's.
     """
 
     dt_s: float

@@ -99,7 +99,7 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
 
 @dataclass(frozen=True, slots=True)
 class OtherMotion:
-    """What a joint's form says beyond what was taken off (`said`), of a joint that moves otherwise than modelled.
+    """What a joint's form says beyond `subtracted_prediction`, of a joint that moves otherwise than modelled.
 
     Why: a joint that sticks moves in jumps where its command is smooth. Taken from the model without a fault, a form
     then speaks of a motion that never was: three quarters of what stiction of 0.2 left was that.
@@ -183,9 +183,9 @@ def _evaluate_form(families: dict[str, Array], form: Form, where: str) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _StackedRecordings:
-    """Recordings' columns of one size (N, k), residuals (N,) and normal equations; `family` (k,): which each is of.
+    """Recordings' columns of one size (N, k), residuals (N,) and normal equations.
 
-    `prior` (k, k): a row's worth of it.
+    `column_family` (k,): which each is of. `prior_precision` (k, k): a row's worth of it.
     """
 
     design_and_residual: tuple[tuple[Array, Array], ...]

@@ -56,7 +56,7 @@ def _effect_sensitivity(cell: Cell, candidate: Candidate) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _RecordingEquations:
-    """One recording's normal equations of all names: J'J (k, k) and -J'r (k,)."""
+    """One recording's normal equations of all names: `normal_matrix` J'J (k, k), `normal_rhs` -J'r (k,)."""
 
     normal_matrix: Array
     normal_rhs: Array

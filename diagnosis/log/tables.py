@@ -58,7 +58,9 @@ class SentTable:
 
 @dataclass(frozen=True, slots=True)
 class MarkerTable:
-    """Marker corners: t_s (m,) on the camera's clock, eye (m,) 0 left 1 right, ids (m,), corners (m, 4, 2) [px]."""
+    """Marker corners: t_s (m,) on the camera's clock, eye (m,) 0 left 1 right, marker_ids (m,), corners_px
+    (m, 4, 2).
+    """
 
     t_s: Array
     eye: NDArray[np.int64]
@@ -68,7 +70,7 @@ class MarkerTable:
 
 @dataclass(frozen=True, slots=True)
 class OdometryTable:
-    """Odometry: t_s (m,) on the camera's clock, position (m, 3) [m], quat_wxyz (m, 4)."""
+    """Odometry: t_s (m,) on the camera's clock, position_m (m, 3), quat_wxyz (m, 4)."""
 
     t_s: Array
     position_m: Array
@@ -77,7 +79,9 @@ class OdometryTable:
 
 @dataclass(frozen=True, slots=True)
 class PointTable:
-    """Measured points: t_s (m,) on the PLC's clock (static: pose index), names (m,), xyz (m, 3), q (m, n) or None."""
+    """Measured points: t_s (m,) on the PLC's clock (static: pose index), point_names (m,), xyz (m, 3),
+    q (m, n) or None.
+    """
 
     t_s: Array
     point_names: tuple[str, ...]
@@ -93,7 +97,7 @@ class PointTable:
 
 @dataclass(frozen=True, slots=True)
 class Tables:
-    """All tables of a recording; None where it has no such rows. `n`: joints, 0 where no table says."""
+    """All tables of a recording; None where it has no such rows. `joint_count`: 0 where no table says."""
 
     run_info: RunInfo
     joint_count: int

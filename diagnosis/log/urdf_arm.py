@@ -22,7 +22,7 @@ MISSING_MASS_CONSEQUENCE = "gravity's torque is not known; a bend is reported as
 
 @dataclass(frozen=True, slots=True)
 class UrdfArm:
-    """The arm, its joints' names, their limits (n, 2) [rad or m], findings, and what of the load is not known."""
+    """The arm, its joints' names, `joint_limits` (n, 2) [rad or m], findings, and what of the load is not known."""
 
     arm: Arm
     joint_names: tuple[str, ...]

@@ -25,7 +25,10 @@ SMALLEST_CHANGE_RATIO_MIN = 0.6  # the least change over what one in ten stays b
 
 @dataclass(frozen=True, slots=True)
 class Whitener:
-    """r_k = (d_k - sum_i a_i d_(k-i)) / sigma, per channel. a: (p, n), row i for lag i + 1; sigma: (n,)."""
+    """r_k = (d_k - sum_i a_i d_(k-i)) / sigma, per channel.
+
+    `ar_coefficients`: a (p, n), row i for lag i + 1; `innovation_sigma`: sigma (n,).
+    """
 
     ar_coefficients: Array
     innovation_sigma: Array
@@ -57,7 +60,7 @@ class Whitener:
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """Noise of one signal: rms of its deviation (n,), rms of its increments (n,), the whitener.
+    """Noise of one signal: `deviation_rms` (n,), `increment_rms` (n,), the whitener.
 
     `is_measured`: from repeats; else a bound from the signal's fastest part, to be said in the report.
     """

@@ -9,7 +9,7 @@ from machine.rotations import Array
 
 @dataclass(frozen=True, slots=True)
 class DayNoise:
-    """Directions (N, k), orthonormal, in which residuals lie further than white noise, and what is taken off (k,)."""
+    """Directions (N, k), orthonormal, in which residuals lie further than white noise, and `removed_frac` (k,)."""
 
     noise_directions: Array
     removed_frac: Array

@@ -17,8 +17,8 @@ TANGENTIAL_AXIS = 1  # of radial, tangential, up
 
 @dataclass(frozen=True, slots=True)
 class PointNoise:
-    """Standard deviations `own` (3,) [m], `oscillation_rad` and, of the shift, `common_m`; of each point `reach_m` (m,)
-    and its instant's number.
+    """Standard deviations `point_sigma_m` (3,), `oscillation_rad` and, of the shift, `common_m`; of each point
+    `reach_m` (m,) and its instant's number.
     """
 
     point_sigma_m: Array

@@ -39,7 +39,7 @@ Stage = str
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """What could be read. `usable`: at least one stage can be judged; else `findings` say why not.
+    """What could be read; where no stage can be judged, `findings` say why not.
 
     `machine_toml`: the recording's own machine file, whatever file it is judged by.
     """

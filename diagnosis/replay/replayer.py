@@ -52,8 +52,8 @@ class PreparedStretch:
 class ReceivedReferences:
     """The received reference at every PLC cycle (cycles, n), and what else it may have been between logged rows.
 
-    `others`: one that stood still from row to row; where what was sent is known, one a cycle later, and one a cycle
-    earlier. `jumped`: one whose jumps come as late as they may; None where nothing is in doubt.
+    `alternatives`: one that stood still from row to row; where what was sent is known, one a cycle later, and one a
+    cycle earlier. `late_jump_variant`: one whose jumps come as late as they may; None where nothing is in doubt.
     """
 
     best_estimate: Array

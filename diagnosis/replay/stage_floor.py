@@ -138,7 +138,7 @@ def _is_remainder_zero(record: Remainder | None) -> bool:
 def _not_below(floor: Floor, least: Array) -> Floor:
     """Sigma raised to what is believed; where there is no noise, the increments are taken as white.
 
-    Returns: the floor with `rms` turned into the share of sigma that the repeats themselves show (n,).
+    Returns: the floor with `deviation_rms` turned into the share of sigma that the repeats themselves show (n,).
     """
     sigma = floor.whitener.innovation_sigma
     a = np.where(sigma < WHITENING_SIGMA_MIN_FRAC * least, 0.0, floor.whitener.ar_coefficients)

@@ -29,9 +29,9 @@ class Stretch:
     """One unbroken piece of one segment, evenly sampled on the PLC's clock.
 
     `t_s`: (m,), a step of `dt_s`; `t_segment_s`: of the segment's start, so that repeats can be laid over each other.
-    Signals (m, n); None where not recorded. `sent`: see `SentReference`; None where the link cannot be judged.
-    `enc_step`: (n,) resolution of the encoders as they were logged, 0 where they show none. `ref_logged`: False where
-    `ref` is what was sent.
+    Signals (m, n); None where not recorded. `sent_reference`: None where the link cannot be judged. `enc_step`:
+    (n,) resolution of the encoders as they were logged, 0 where they show none. `ref_logged`: False where `ref` is what
+    was sent.
     """
 
     name: str

@@ -22,9 +22,9 @@ STAGE_OUTPUT_UNITS = {"link": "rad", "controller": "of full command", "actuator"
 
 @dataclass(frozen=True, slots=True)
 class CellResiduals:
-    """White held-out residuals of one cell, in noise floors: t_s, before, after (N,) each, in the order of time.
+    """White held-out residuals of one cell, in noise floors, (N,) each, in the order of time.
 
-    `series`: (N,) which of several measured side by side each belongs to: an axis of a point, a joint's stretch.
+    `series_index`: which of several measured side by side each belongs to: an axis of a point, a joint's stretch.
     """
 
     t_s: Array
@@ -35,7 +35,7 @@ class CellResiduals:
 
 @dataclass(frozen=True, slots=True)
 class ReplayedTrajectory:
-    """One held-out trajectory of one joint: t_s, measured, nominal, explained (m,) each, in `unit`."""
+    """One held-out trajectory of one joint: t_s and outputs (m,) each, in `unit`."""
 
     segment_kind: str
     joint: int
@@ -80,7 +80,7 @@ def _cell_curves(held_out: HeldOut, sliding: tuple[bool, ...]) -> CellCurves:
 def _replayed_trajectory(held_out: HeldOut, sliding: tuple[bool, ...]) -> ReplayedTrajectory | None:
     """The stretch and joint on which the effect matters most, replayed by numbers fitted without that stretch's kind.
 
-    Without a named effect: where the gap is largest; nominal and explained are then the same.
+    Without a named effect: where the gap is largest; `nominal_output` and `output_with_effects` are then the same.
     """
     replay = held_out.cell.whitened
     if not isinstance(replay, Replay) or not replay.stretch_replays:

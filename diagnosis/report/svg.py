@@ -19,7 +19,7 @@ DOTS_CSS_CLASS = "dots"
 
 @dataclass(frozen=True, slots=True)
 class CurveLine:
-    """One line (m,) over x (m,). `css`: class that gives it its colour and dashes; with DOTS: points."""
+    """One line (m,) over x (m,). `css_class`: gives it its colour and dashes; with DOTS_CSS_CLASS: points."""
 
     label: str
     css_class: str

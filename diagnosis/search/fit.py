@@ -26,7 +26,7 @@ Hypothesis = tuple[Candidate, ...]
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Where a hypothesis fits best. `theta` (k,), residual (N,), J (N, k), `cost` [nats]."""
+    """Where a hypothesis fits best. `theta` (k,), residual (N,), J (N, k)."""
 
     hypothesis: Hypothesis
     theta: Array

@@ -16,8 +16,8 @@ TRIAL_DAMPINGS = (0.1, 1.0, 10.0, 100.0)  # of a step that leads astray, over ea
 class HeldOut:
     """One part predicted by a fit to its other kinds of motion.
 
-    `before`, `after`: residual (N,) without effects, and with those fitted without that row's fold; `folds` (m,):
-    numbers of the folds, ascending; `thetas` (m, k): the numbers without each of them.
+    `residual_with_effects` (N,): of effects fitted without that row's fold; `fold_numbers` (m,): ascending;
+    `thetas_without_fold` (m, k): the numbers without each of them.
     """
 
     cell: Cell

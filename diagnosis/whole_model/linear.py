@@ -67,10 +67,10 @@ class EffectTerm:
 
 @dataclass(frozen=True, slots=True)
 class LinearModel:
-    """Residual (N,) and columns J (N, k) about the terms as they stand; x (k,): their numbers in those columns.
+    """Residual (N,) and columns J (N, k) about the terms as they stand.
 
-    `term_first_column`: (terms + 1,). `robust_weight`: (N,) of each row in a least-squares step. `log_odds`: (terms,),
-    prior, of a term being there.
+    `parameter_offsets`: (k,), their numbers in those columns. `term_first_column`: (terms + 1,). `robust_weight`: (N,)
+    of each row in a least-squares step. `log_odds`: (terms,), prior, of a term being there.
     """
 
     effect_terms: tuple[EffectTerm, ...]

@@ -28,7 +28,7 @@ RIDGE_PENALTY = 2.5**-2.0
 
 
 def evidence_features(evidence: Evidence) -> Array:
-    """The figures (FEATURES,) of one effect's evidence.
+    """The figures (len(EVIDENCE_FEATURE_NAMES),) of one effect's evidence.
 
     Why a size over its deviation is at most the root of twice the gain: the deviation of a shape or a threshold may be
     far too small (Hauck, Donner 1977); the likelihood ratio is not misled by it.
@@ -65,7 +65,7 @@ def probability(evidence: Evidence) -> float:
 
 
 def probability_of(figures: Array) -> float:
-    """The same from the figures (FEATURES,) of its evidence."""
+    """The same from the figures (len(EVIDENCE_FEATURE_NAMES),) of its evidence."""
     table = trained_calibration()
     weights = [
         float(table["weights"].get(name, 0.0)) for name in EVIDENCE_FEATURE_NAMES

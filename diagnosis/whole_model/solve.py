@@ -51,10 +51,10 @@ class Fitted:
 class WholeFit:
     """The best set of one part with its rivals.
 
-    `trust`: (N,) how far each row speaks for itself, since what the model leaves is correlated. `rivals`: by present
-    term, the best set found without it, refitted, with columns of its own terms only; None where the linear model
-    leaves no doubt. `twins`: terms whose column another one has, too: (kept, left out). `settled`: whether no rival and
-    no further choice was better.
+    `correlation_weight`: (N,) how far each row speaks for itself, since what the model leaves is correlated.
+    `rival_fit_by_term`: by present term, the best set found without it, refitted, with columns of its own terms only;
+    None where the linear model leaves no doubt. `collinear_term_pairs`: terms whose column another one has, too: (kept,
+    left out). `converged`: whether no rival and no further choice was better.
     """
 
     cell: Cell

@@ -21,8 +21,9 @@ Members = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class LinearProblem:
-    """H = J'J (k, k), c = J'y (k,), `slab` (k,); term t owns columns first[t] to first[t + 1].
+    """`normal_matrix` J'J (k, k), `normal_rhs` J'y (k,), `prior_sigma` (k,): the slabs.
 
+    `term_first_column`: (terms + 1,), a term owns the columns up to the next one's first.
     `nonnegative`: (k,), columns whose number cannot be negative. `log_odds`: (terms,), prior, of a term being there.
     """
 

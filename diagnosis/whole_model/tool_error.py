@@ -39,8 +39,9 @@ CAMERA_STAGES = ("camera", "time")
 
 @dataclass(frozen=True, slots=True)
 class ToolError:
-    """One column of the budget. `by_effect`: (effects, m, 3) [m], in the order of `terms`; `measured`: the nominal
-    model's miss (m, 3) as it was measured, `left`: with the effects that are kept; None where only the model says it.
+    """One column of the budget. `by_effect`: (effects, m, 3) [m], in the order of `effect_terms`; `measured_error_m`:
+    the nominal model's miss (m, 3), `remaining_error_m`: with the effects that are kept; None where only the model
+    says it.
     """
 
     budget_column: str

@@ -90,10 +90,11 @@ def actuators_of(machine: Machine) -> Actuators:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What a run is driven by. Rows of `ref`, `enc`, `u`, `latest` are PLC cycles; loads are per logged row.
+    """What a run is driven by. Rows of `ref`, `enc`, `u`, `latest_sent_indices` are PLC cycles; loads per logged row.
 
     `load`: gravity torque over the joint's reference torque, along the motion; `load_kg`: its change per kg at the tcp.
-    `kept`: for each reference the last one that is known to have arrived; empty where losses are not known one by one.
+    `last_arrived_indices`: for each reference the last one that is known to have arrived; empty where losses are not
+    known one by one.
     """
 
     first_stage: DynamicStage

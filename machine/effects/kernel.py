@@ -99,7 +99,7 @@ def _first_order_lag_share(dt: float, tau: float) -> float:
 
 @njit(cache=True)
 def _free_oscillations(p: Array, dt: float, out: Array) -> None:
-    """Free motion (FREE,) of a joint's first and second oscillation; zeros for an absent one."""
+    """Free motion (N_FREE_MOTION_COEFFICIENTS,) of a joint's first and second oscillation; zeros for an absent one."""
     _free_oscillation(2.0 * np.pi * p[FLEX_HZ], p[FLEX_DAMPING], dt, out[:4])
     if p[KNOWN_GAIN] != 0.0:
         _free_oscillation(2.0 * np.pi * p[KNOWN_HZ], p[KNOWN_DAMPING], dt, out[4:])
@@ -200,8 +200,8 @@ def _step_link_behind_joint(behind: Array, q: float, p: Array, free: Array, cycl
 @njit(cache=True, nogil=True)
 def link_side_course(p: Array, enc: Array, cycle_s: float, side: float = 0.0) -> Array:
     """Link-side angles (m,) of one joint with parameters p (N_JOINT_PARAMETERS,) behind its encoder's readings (m,), a
-    row a cycle: what `run` does in its last stage, for one joint and set. `side`: of its play, where it stands before
-    the first row: -1 to 1, 0 in the middle.
+    row a cycle: what `run_stages` does in its last stage, for one joint and set. `side`: of its play, where it stands
+    before the first row: -1 to 1, 0 in the middle.
     """
     free, behind, out = np.zeros(N_FREE_MOTION_COEFFICIENTS), np.zeros(N_LINK_STATES), np.zeros(len(enc))
     _free_oscillations(p, cycle_s, free)

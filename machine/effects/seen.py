@@ -79,7 +79,7 @@ def true_camera(sets: ParameterSets, camera: StereoCamera, which: int = 0) -> St
 
 @dataclass(frozen=True, slots=True)
 class Corners:
-    """Corners of each marker in each sample: left and right (m, markers, 4, 2) [px]; NaN behind an eye."""
+    """Corners of each marker in each sample, (m, markers, 4, 2) by eye; NaN behind it."""
 
     left_px: Array
     right_px: Array

@@ -26,7 +26,7 @@ TF = "tf2_msgs/msg/TFMessage"
 
 @dataclass(slots=True)
 class Series:
-    """Rows of equal width of one topic: `t` recorded at, `stamp` of the header (0 without), `numbers` row by row."""
+    """Rows of equal width of one topic. `t_header_s`: 0 without a header; `row_values`: row by row."""
 
     column_names: tuple[str, ...]
     n_columns: int
@@ -42,13 +42,13 @@ class Series:
 
     @property
     def values(self) -> Array:
-        """(m, width)."""
+        """(m, n_columns)."""
         return np.frombuffer(self.row_values, dtype=float).reshape(-1, self.n_columns).copy()
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """One trajectory command: recorded at, stamp, joints, times since its start (m,) [s], positions and velocities
+    """One trajectory command: `t_s` recorded at, `stamp_s`, joints, `since_s` its start (m,), positions and velocities
     (m, n); no velocities: None.
     """
 

@@ -11,7 +11,7 @@ from sim_plc.camera.texture import Grey
 
 @dataclass(frozen=True, slots=True)
 class HoseInEye:
-    """Centre line in the picture from the tool on: pixels (n, 2), radii (n,) [px], rows of the skin (n,)."""
+    """`centre_line_px` (n, 2) in the picture from the tool on, `radius_px` (n,), `skin_row` (n,)."""
 
     centre_line_px: Array
     radius_px: Array

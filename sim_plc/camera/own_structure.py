@@ -23,7 +23,7 @@ from sim_plc.camera.texture import Grey
 
 @dataclass(frozen=True, slots=True)
 class FixedPatch:
-    """Boards as one eye always sees them: picture = ink + see_through * what lies behind."""
+    """Boards as one eye always sees them: picture = own_grey + see_through * what lies behind."""
 
     roi_px: tuple[int, int, int, int]  # u0, v0, u1, v1
     own_grey: NDArray[np.float32]

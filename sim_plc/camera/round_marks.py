@@ -89,7 +89,7 @@ def _on_relief(relief: Relief, x: float, y: float, radius_m: float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class DrawnMark:
-    """A mark with what is drawn of it once: noise (angles, depths) and the radius of its rim by angle [m]."""
+    """A mark with what is drawn of it once: `texture_noise` (angles, depths) and `rim_m`, its radius by angle."""
 
     mark: RoundMark
     texture_noise: Field

@@ -18,7 +18,7 @@ _FIRST_STEPS = 5  # at the start of a row, where no neighbour gives a first gues
 
 @dataclass(frozen=True, slots=True)
 class Relief:
-    """Height of the rock over the mean plane, periodic, bilinear; `heights` (grid + 1, grid + 1) [m], rows along y."""
+    """Height of the rock over the mean plane, periodic, bilinear; `heights_m` (grid + 1, grid + 1), rows along y."""
 
     heights_m: Array
     mean_z_m: float

@@ -23,14 +23,14 @@ INTEGRATION_STEP_S = 1e-3 / SUBSTEPS
 STOP_STIFFNESS_NM_RAD = 2e6  # end stops [A]: a 10 kN m push goes 0.3 deg in
 STOP_DAMPING_NM_S_RAD = 2e4
 
-# Columns of `Parameters.joint`, one row per motor joint
+# Columns of `Parameters.joint_parameters`, one row per motor joint
 (
     OMEGA, ZETA, RATE, DEAD_BAND, HYSTERESIS, FLOW_GAIN,
     AREA_A, AREA_B, DEAD_A, DEAD_B, STROKE, LEAKAGE,
     COULOMB, STATIC, VISCOUS, STRIBECK, BRISTLE_K, BRISTLE_D,
     STOP_LOW, STOP_HIGH, HALF_PLAY, TABLE_Q0, TABLE_STEP, GAIN,
 ) = range(24)  # fmt: skip
-# Entries of `Parameters.oil`
+# Entries of `Parameters.oil_parameters`
 BULK, LAMINAR, P_SET, P_TANK, RIPPLE, RIPPLE_OMEGA, RIPPLE_PHASE, FLOW_MAX, DROOP, ACCUMULATOR = range(10)
 # Columns of `State.joint_states`
 SPOOL, SPOOL_RATE, HELD_COMMAND, P_A, P_B, BRISTLE, OUTPUT = range(7)
@@ -105,7 +105,7 @@ class State(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _actuator_step(j: int, q: float, qd: float, u: float, p_supply: float, par: Parameters, state: State) -> float:
-    """Step valve, chambers and friction of joint j: torque into state.tau, returns its flow out of the supply."""
+    """Step valve, chambers and friction of joint j: torque into state.torque_nm, returns its flow out of the supply."""
     c, s = par.joint_parameters[j], state.joint_states[j]
     s[HELD_COMMAND] = play_operator(s[HELD_COMMAND], u, c[HYSTERESIS])
     s[SPOOL], s[SPOOL_RATE] = spool_step(

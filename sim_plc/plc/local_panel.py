@@ -8,9 +8,9 @@ EnableMode = Literal["auto", "panel"]
 
 @dataclass(slots=True)
 class LocalPanel:
-    """`auto`: the enable is given again by itself after every disarming (for unattended machines).
+    """`enable_mode` "auto": the enable is given again by itself after every disarming (for unattended machines).
 
-    `panel`: a person must give it, and after the last disarming: an enable left on does not arm the machine again.
+    "panel": a person must give it, and after the last disarming: an enable left on does not arm the machine again.
     """
 
     enable_mode: EnableMode = "auto"

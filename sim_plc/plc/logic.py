@@ -29,7 +29,7 @@ class PlcNotStartedError(RuntimeError):
 
 
 class PlcLogic:
-    """One PLC program. Call `cycle` once per PLC cycle with the PLC's own clock, `receive` for datagrams before it."""
+    """One PLC program. Call `run_cycle` once per cycle with the PLC's own clock, `receive` for datagrams before it."""
 
     def __init__(
         self,

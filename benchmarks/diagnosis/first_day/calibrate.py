@@ -56,7 +56,7 @@ def calibrated(scores: Scores) -> dict[str, Any]:
 
 
 def _table(scores: Scores) -> tuple[Array, Array, Array]:
-    """Figures (n, FEATURES), whether right (n,), and the number of the case (n,)."""
+    """Figures (n, len(EVIDENCE_FEATURE_NAMES)), whether right (n,), and the number of the case (n,)."""
     rows = [(effect.figures, float(effect.right), k) for k, score in enumerate(scores) for effect in score.reported]
     X = np.array([figures for figures, _, _ in rows]).reshape(-1, len(EVIDENCE_FEATURE_NAMES))
     return X, np.array([right for _, right, _ in rows]), np.array([k for _, _, k in rows], dtype=float)

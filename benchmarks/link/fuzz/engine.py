@@ -25,7 +25,7 @@ def fuzz_chunk(
 ) -> tuple[FuzzCounts, list[bytes]]:
     """n datagrams into one end: what was seen, and the inputs that were new.
 
-    `kept` and `signatures`: what earlier chunks have found; `seed` names the chunk's own random stream.
+    `kept`, `signatures`: what earlier chunks have found; `seed` names the chunk's own random stream.
     """
     rng = Random(seed)
     corpus = Corpus(rng, tuple(kept), signatures)

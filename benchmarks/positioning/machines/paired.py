@@ -10,7 +10,7 @@ Z_95 = 1.959964
 
 @dataclass(frozen=True, slots=True)
 class PairedChange:
-    """Share of `without` less share of `default`, its 95 % interval, and on how many machines only one succeeded."""
+    """Share of `other` less share of `default`, its 95 % interval, and on how many machines only one succeeded."""
 
     value: float
     low: float
