@@ -12,18 +12,6 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from longreach.hand_eye_poses import (
-    HandEyeError,
-    Mount,
-    PoseTable,
-    matching_label_rows,
-    mount_sigmas,
-    poses_of_pictures,
-    read_lens,
-    read_poses,
-    write_mount,
-)
-from longreach.target_sources import board_of
 from machine.effects.arm_urdf import arm_from_urdf
 from machine.effects.layout import neutral_sets
 from machine.effects.structure import tcp_poses
@@ -37,6 +25,18 @@ from recording.foreign.ros_collect import JOINT_STATE_TYPE
 from recording.foreign.urdf_ends import chain_for
 from server.calibration.hand_eye import HandEyeEstimate, HandPoses, estimate_hand_eye, solve_ax_yb
 from server.calibration.hand_eye_fit import inverse_poses, rotation_vectors
+from server.camera.target_pictures import charuco_board
+from server.commissioning.hand_eye_poses import (
+    HandEyeError,
+    Mount,
+    PoseTable,
+    matching_label_rows,
+    mount_sigmas,
+    poses_of_pictures,
+    read_lens,
+    read_poses,
+    write_mount,
+)
 
 SIMILAR_POSES_SHOWN_MAX = 8
 HAND_POSE_GAP_MAX_S = 0.2
@@ -202,7 +202,7 @@ def hand_eye(
         assert images is not None  # one of both is given
         if lens is None:
             raise typer.BadParameter("--images needs --lens, the camera's camera_info or OpenCV YAML")
-        board = board_of(squares, square_mm, marker_mm, dictionary, legacy_pattern)
+        board = charuco_board(squares, square_mm, marker_mm, dictionary, legacy_pattern)
         found_poses = poses_of_pictures(images, board, read_lens(lens))
         seen, covariances = found_poses.pose_table, found_poses.pose_covariances
         for name, why in found_poses.skipped_pictures:

@@ -14,19 +14,19 @@ from rich.markup import escape
 from rich.progress import track
 from rich.table import Column, Table
 
-from longreach.target_sources import (
-    IMAGE_FILE_SUFFIXES,
-    TargetError,
-    board_of,
-    corners_of,
-    grey_picture,
-    read_pair,
-    stored_pairs,
-)
 from machine.rotations import Array, rotation_from_rotvec
 from recording.files import write_durably
 from server.calibration.lens_fit import BoardView, Coverage, LensFit, LensFitError, coverage_of, fit_lens
 from server.camera.rectification_zed import SECTION_SUFFIX_BY_SIZE
+from server.camera.target_pictures import (
+    IMAGE_FILE_SUFFIXES,
+    TargetError,
+    charuco_board,
+    charuco_corners,
+    grey_picture,
+    read_pair,
+    stored_pairs,
+)
 
 # A calibrated lens or rig in the formats of others: ROS camera_info, OpenCV, Kalibr, and ZED's conf.
 
@@ -175,7 +175,7 @@ def calibrate(
     """Calibrate lens and stereo rig: intrinsics with sigmas, coverage, what to photograph next. Exit code 1: failed."""
     screen = Console()
     views, size = board_views(
-        _picture_pairs(folder, mono), mono, board_of(squares, square_mm, marker_mm, dictionary, legacy_pattern)
+        _picture_pairs(folder, mono), mono, charuco_board(squares, square_mm, marker_mm, dictionary, legacy_pattern)
     )
     try:
         fit = fit_lens(views, size)
@@ -222,7 +222,7 @@ def board_views(
     for left, right in track(files, "looking for the board", console=Console(stderr=True), transient=True):
         images = (grey_picture(left),) if mono else read_pair(left, right)
         sizes |= {(image.shape[1], image.shape[0]) for image in images}
-        eyes = [corners_of(detector, points, image) for image in images]
+        eyes = [charuco_corners(detector, points, image) for image in images]
         views.append(BoardView(left.stem, tuple(eyes)))
     if len(sizes) != 1:
         raise TargetError(f"pictures of several sizes {sorted(sizes)}; give those of one setting of the camera")

@@ -11,16 +11,16 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.status import Status
 
-from longreach.target_page import PAPER_SIZES_MM, Page, board_page, marker_page, pdf_of, png_of, svg_of
 from longreach.target_report import layout_json, layout_table, layout_toml, sides_table, verdict_text
-from longreach.target_sources import MarkerSearch, TargetError, live_views, stored_pairs, stored_views
 from machine.boards import board_marker_ids
 from machine.description import Machine, StereoCamera
 from machine.marker_sections import dictionary_size
 from recording.files import write_durably
+from server.camera.target_pictures import MarkerSearch, TargetError, live_views, stored_pairs, stored_views
 from server.settings import read_machine, read_settings
 from server.vision.errors import VisionError
 from server.vision.marker_search import dictionary_by_name
+from server.vision.target_page import PAPER_SIZES_MM, Page, board_page, marker_page, pdf_of, png_of, svg_of
 from server.vision.teach import FrameName, LayoutFrame, TeachTask, teach_layout
 from server.vision.teach_contracts import TaughtLayout, TeachSettings, TeachStatus, TeachView
 from server.vision.teach_views import OfferedView

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from longreach.cli import app
-from longreach.hand_eye_poses import poses_of_pictures, read_lens
-from longreach.target_sources import board_of
+from server.camera.target_pictures import charuco_board
+from server.commissioning.hand_eye_poses import poses_of_pictures, read_lens
 from server.errors import ServerError
 
 SHARED = next(
@@ -185,7 +185,7 @@ FOUR = {"distortion_coefficients": {"rows": 1, "cols": 4, "data": [-0.01, 0.02, 
     ],
 )
 def test_a_lens_that_is_not_of_these_pictures_is_refused(tmp_path: Path, more: dict[str, object], why: str) -> None:
-    file, board = tmp_path / "lens.yaml", board_of("11x8", 30.0, 22.0, "DICT_5X5_100", False)
+    file, board = tmp_path / "lens.yaml", charuco_board("11x8", 30.0, 22.0, "DICT_5X5_100", False)
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((480, 640), np.uint8))
     file.write_text(yaml.safe_dump(LENS | more), encoding="utf-8")
     with pytest.raises(ServerError, match=why):

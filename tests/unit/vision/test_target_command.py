@@ -16,7 +16,13 @@ from vision_scenes import ROOT, deviation, machine
 from vision_teaching import ways
 
 from longreach.target_command import app
-from longreach.target_page import (
+from machine.boards import board_markers
+from machine.description import Board, Marker, parse_machine_toml
+from machine.rotations import rotation_from_rotvec
+from server.camera.contracts import StereoFrame
+from server.camera.target_pictures import MarkerSearch, TargetError, live_views, read_pair, stored_pairs
+from server.vision.marker_search import dictionary_by_name, find_markers
+from server.vision.target_page import (
     PAPER_SIZES_MM,
     POINTS_PER_MM,
     board_page,
@@ -26,12 +32,6 @@ from longreach.target_page import (
     raster_of,
     svg_of,
 )
-from longreach.target_sources import MarkerSearch, TargetError, live_views, read_pair, stored_pairs
-from machine.boards import board_markers
-from machine.description import Board, Marker, parse_machine_toml
-from machine.rotations import rotation_from_rotvec
-from server.camera.contracts import StereoFrame
-from server.vision.marker_search import dictionary_by_name, find_markers
 from server.vision.teach_contracts import TeachSettings
 from server.vision.teach_views import OfferedView
 
@@ -298,7 +298,7 @@ def test_a_camera_that_sends_nothing_is_told_of_after_half_a_minute_not_at_the_e
             clock.append(clock[-1] + timeout_s)
 
     clock = [0.0]
-    monkeypatch.setattr("longreach.target_sources.time.monotonic", lambda: clock[-1])
+    monkeypatch.setattr("server.camera.target_pictures.time.monotonic", lambda: clock[-1])
     search = MarkerSearch(machine().camera, dictionary_by_name("DICT_4X4_50"), (1, 2, 3))
     with pytest.raises(TargetError, match="no image within 30 s; no connection to http://camera"):
         live_views(Silent(), search, TeachSettings(), 4, 600.0, lambda *_: None)

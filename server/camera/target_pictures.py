@@ -8,10 +8,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import typer
 
 from machine.description import StereoCamera
-from server.calibration.contracts import Array
+from machine.rotations import Array
 from server.camera.contracts import StereoSource
 from server.camera.errors import CameraError
 from server.camera.sources.folder import natural_order, paired_names, read_grey
@@ -175,20 +174,19 @@ def live_views(
     return keeper.views
 
 
-# Pictures of a ChArUco board: the board in the command line's words, and its corners in a picture.
-
-
-def board_of(squares: str, square_mm: float, marker_mm: float, name: str, legacy: bool) -> "cv2.aruco.CharucoBoard":
-    """The board described by the command line. Raises: typer.BadParameter: not a board."""
+def charuco_board(
+    squares: str, square_mm: float, marker_mm: float, name: str, legacy: bool
+) -> "cv2.aruco.CharucoBoard":
+    """The board described by the command line. Raises: TargetError: not a board."""
     across, _, down = squares.partition("x")
     if not (across.isdigit() and down.isdigit() and int(across) >= 3 and int(down) >= 3):
-        raise typer.BadParameter(f"--squares {squares!r} is not ACROSSxDOWN, such as 11x8, of 3 and more")
+        raise TargetError(f"--squares {squares!r} is not ACROSSxDOWN, such as 11x8, of 3 and more")
     if not marker_mm < square_mm:
-        raise typer.BadParameter(f"--marker-mm {marker_mm:g} must be below --square-mm {square_mm:g}")
+        raise TargetError(f"--marker-mm {marker_mm:g} must be below --square-mm {square_mm:g}")
     try:
         known = dictionary_by_name(name)
     except VisionError as error:
-        raise typer.BadParameter(str(error)) from error
+        raise TargetError(str(error)) from error
     board = cv2.aruco.CharucoBoard((int(across), int(down)), 1e-3 * square_mm, 1e-3 * marker_mm, known)
     board.setLegacyPattern(legacy)
     return board
@@ -197,7 +195,7 @@ def board_of(squares: str, square_mm: float, marker_mm: float, name: str, legacy
 Seen = tuple[Array, Array]
 
 
-def corners_of(detector: "cv2.aruco.CharucoDetector", points: Array, image: Image) -> Seen | None:
+def charuco_corners(detector: "cv2.aruco.CharucoDetector", points: Array, image: Image) -> Seen | None:
     """Points (n, 3) [m] and corners (n, 2) [px]."""
     px, ids, _, _ = detector.detectBoard(image)
     if ids is None or len(ids) < 4:

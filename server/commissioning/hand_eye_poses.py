@@ -10,7 +10,6 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from longreach.target_sources import IMAGE_FILE_SUFFIXES, corners_of, grey_picture
 from machine.poses import pose
 from machine.rotations import Array, quat_wxyz_from_rotation, rotation_from_quat_wxyz, rotation_from_rotvec, skew
 from machine.urdf_shapes import origin_element
@@ -18,6 +17,7 @@ from recording.files import read_text, write_durably
 from server.camera.rectification_formats import parse_eye
 from server.camera.rectification_rig import EyeCalibration, check_eye
 from server.camera.rectification_yaml import parse_yaml
+from server.camera.target_pictures import IMAGE_FILE_SUFFIXES, charuco_corners, grey_picture
 from server.errors import ServerError
 
 ORTHONORMALITY_ERROR_MAX = 1e-2
@@ -170,7 +170,7 @@ def poses_of_pictures(folder: Path, board: "cv2.aruco.CharucoBoard", lens: Lens)
     for file in files:
         picture = grey_picture(file)
         lens.check_picture_size(file, (picture.shape[1], picture.shape[0]))
-        seen = corners_of(detector, points, picture)
+        seen = charuco_corners(detector, points, picture)
         if seen is None or len(seen[0]) < CORNERS_MIN:
             count = 0 if seen is None else len(seen[0])
             skipped.append((file.stem, f"{count} corners of the board, {CORNERS_MIN} are needed"))
