@@ -4,14 +4,15 @@ import json
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from longreach.machine_command import write_new
-from longreach.setting_fields import bounds_text, models_of, type_text
 from server.settings import ServerSettings
 
 app = typer.Typer(no_args_is_help=True)
@@ -64,3 +65,41 @@ def _toml_value(value: Any) -> str:
     if isinstance(value, BaseModel):
         return "{}"
     return json.dumps(list(value) if isinstance(value, tuple | frozenset) else value, ensure_ascii=False, default=str)
+
+
+_BOUNDS = {"ge": "at least", "gt": "more than", "le": "at most", "lt": "less than", "pattern": "like"}
+
+
+def models_of(annotation: Any) -> list[type[BaseModel]]:
+    """The section models in a type."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in models_of(part)]
+
+
+def type_text(annotation: Any) -> str:
+    """A type in the words of a settings file."""
+    if annotation in _WORDS:
+        return _WORDS[annotation]
+    arguments = [part for part in get_args(annotation) if part not in (NoneType, Ellipsis)]
+    if get_origin(annotation) is Literal:
+        return " or ".join(f"`{part}`" for part in arguments)
+    if get_origin(annotation) in (list, tuple):
+        return f"list of {type_text(arguments[0])}"
+    if hasattr(annotation, "__metadata__"):
+        return type_text(arguments[0])
+    return " or ".join(dict.fromkeys(type_text(part) for part in arguments))
+
+
+_WORDS: dict[Any, str] = {str: "text", int: "whole number", float: "number", bool: "true or false"}
+
+
+def bounds_text(field: FieldInfo) -> str:
+    """A field's bounds in words; empty without."""
+    parts = [
+        f"{word} {getattr(bound, name)}"
+        for bound in field.metadata
+        for name, word in _BOUNDS.items()
+        if getattr(bound, name, None) is not None
+    ]
+    return ", ".join(parts)

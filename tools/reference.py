@@ -3,16 +3,18 @@
 import ast
 import inspect
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import typer
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
 
 import server.api
 from longreach.lazy_commands import LazyCommand, loaded_command
-from longreach.setting_fields import code, settings, table
+from longreach.settings_command import bounds_text, models_of, type_text
 from protocol.codes import FaultBit, RejectCode, reject_text
 from server.access.roles import ANYBODY, Role, roles_needed
 from server.api.panel_alarm_catalogue import CATALOGUE
@@ -35,6 +37,21 @@ def document() -> dict[str, Any]:
     """The OpenAPI document of a server with default settings; nothing is started."""
     with tempfile.TemporaryDirectory() as folder:
         return build_app(ServerSettings(recording=RecordingSettings(folder=folder))).openapi()
+
+
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table; cells on one line, bars escaped."""
+    lines = [_markdown_row(headings), _markdown_row(["---"] * len(headings)), *(_markdown_row(cells) for cells in rows)]
+    return "\n".join(lines)
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(" ".join(cell.split()).replace("|", "\\|") for cell in cells) + " |"
+
+
+def code(text: str) -> str:
+    """As code; empty stays empty."""
+    return f"`{text}`" if text else ""
 
 
 def endpoint_table() -> str:
@@ -103,6 +120,40 @@ def alarms() -> str:
     return table(("code", "level", "what", "what to do"), rows)
 
 
+def settings_tables() -> str:
+    """One table for each section; the camera's depend on its kind."""
+    parts = [table(_SETTING_HEADINGS, list(_plain_field_rows(ServerSettings)))]
+    for name, field in ServerSettings.model_fields.items():
+        models = models_of(field.annotation)
+        for model in models:
+            kind = f', kind = "{_kind_name(model)}"' if len(models) > 1 else ""
+            rows = table(_SETTING_HEADINGS, list(_plain_field_rows(model)))
+            parts.append(f"### [{name}]{kind}\n\n{_first_line(model)}\n\n{rows}")
+    return "\n\n".join(parts)
+
+
+_SETTING_HEADINGS = ("field", "type", "default", "bounds")
+
+
+def _kind_name(model: type[BaseModel]) -> str:
+    return str(get_args(model.model_fields["kind"].annotation)[0])
+
+
+def _first_line(model: type[BaseModel]) -> str:
+    return " ".join((model.__doc__ or "").split("\n\n")[0].split())
+
+
+def _plain_field_rows(model: type[BaseModel]) -> Iterator[tuple[str, str, str, str]]:
+    for name, field in model.model_fields.items():
+        if not models_of(field.annotation) and name != "kind":
+            default = "required" if field.default is PydanticUndefined else _value_text(field.default)
+            yield code(name), type_text(field.annotation), default, bounds_text(field)
+
+
+def _value_text(value: Any) -> str:
+    return "" if value is None else code(str(value).lower() if isinstance(value, bool) else str(value))
+
+
 def reject_code_table() -> str:
     """Every reject code of the protocol."""
     rows = [(str(reject.value), code(reject.name), reject_text(reject).partition(": ")[2]) for reject in RejectCode]
@@ -160,7 +211,7 @@ def reference() -> str:
     parts = (
         ("REST endpoints", endpoint_table()),
         ("REST error codes", error_codes()),
-        ("Settings file", settings()),
+        ("Settings file", settings_tables()),
         ("Alarms", alarms()),
         ("Reject codes of the PLC link", reject_code_table()),
         ("Fault bits of the PLC", fault_bits()),

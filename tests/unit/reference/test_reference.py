@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from longreach.setting_fields import table, type_text
+from longreach.settings_command import type_text
 from protocol.codes import FaultBit, RejectCode
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.settings import ServerSettings
-from tools.reference import document, reference
+from tools.reference import document, reference, table
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference.md"
 
