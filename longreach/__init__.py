@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from diagnosis.budget import Budget
-    from longreach.diagnosing import diagnose
+    from diagnosis.diagnose import diagnose
     from longreach.fleet_client import JobClient
     from machine.chain import Chain, chain_of
     from machine.description import Machine
@@ -32,7 +32,7 @@ _PLACES = {
     "ArucoPoseSource": "server.vision.aruco_source", "Budget": "diagnosis.budget", "Chain": "machine.chain",
     "ClientLink": "protocol.client_link", "JobClient": "longreach.fleet_client", "Machine": "machine.description",
     "PlcLink": "protocol.plc_link", "PlcLinkSettings": "protocol.plc_link", "Recording": "recording.content",
-    "chain_of": "machine.chain", "diagnose": "longreach.diagnosing", "inverse_nearest": "machine.inverse",
+    "chain_of": "machine.chain", "diagnose": "diagnosis.diagnose", "inverse_nearest": "machine.inverse",
     "read_machine": "server.settings", "read_recording": "recording.opening:read_run",
     "tcp_jacobian": "machine.kinematics", "tcp_pose": "machine.kinematics",
 }

@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from diagnosis.answer import answer_json
 from diagnosis.budget import Budget, budget_of
 from diagnosis.errors import DiagnosisError
+from diagnosis.machine_out import MachineOutError, machine_text, require_room, write_machine
 from diagnosis.reading.read import Read
 from diagnosis.reading.together import read_together
 from diagnosis.report.budget import budget_lines
@@ -24,10 +25,9 @@ from diagnosis.report.page import report_page
 from diagnosis.report.text import report_lines
 from longreach.fit_baseline import BaselineError, make_baseline
 from longreach.foreign_log import MappingFile, Urdf, Yes, as_recordings
-from longreach.machine_out import MachineOutError, machine_text, require_room, write_machine
-from longreach.shipped_machine import file_of_machine
 from machine.effects.registry import NAMES
 from recording.files import write_durably
+from recording.opening import file_of_machine
 
 # Progress of a diagnosis with the remaining time: a bar on a terminal, a line every few seconds elsewhere.
 

@@ -18,9 +18,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from diagnosis.fleet.page import fleet_page
 from diagnosis.fleet.run import diagnose_all, recordings_below
 from diagnosis.fleet.summary import summary_of
-from longreach.shipped_machine import file_of_machine, text_of_machine
 from machine.errors import MachineFileError
 from recording.files import write_durably
+from recording.opening import file_of_machine, text_of_machine
 from recording.spawn import SINGLE_THREAD_ENVIRONMENT
 from server.version import __version__
 

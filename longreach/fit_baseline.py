@@ -8,8 +8,8 @@ from rich.markup import escape
 from diagnosis.baseline.baseline import Baseline, fit_baseline
 from diagnosis.errors import DiagnosisError
 from diagnosis.known.days import BASELINE_RECORDINGS_TARGET, FITTED_RECORDINGS_MAX, JUDGING_RECORDINGS_TARGET
+from diagnosis.machine_out import MachineOutError, machine_text
 from diagnosis.reading.read import Read, read_for_diagnosis
-from longreach.machine_out import MachineOutError, machine_text
 from machine.effects.entries import entries_to_toml
 from machine.effects.registry import effect_of
 from machine.errors import MachineFileError

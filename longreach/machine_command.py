@@ -11,12 +11,12 @@ from rich.markup import escape
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.nominal import Nominal, nominal_of
 from diagnosis.log.urdf_files import UrdfFiles
-from longreach.shipped_machine import file_of_machine, text_of_machine
 from machine.description import parse_machine_toml
 from machine.effects.urdf_xml import urdf_chain
 from machine.errors import MachineError, MachineFileError
 from machine.urdf_out import JointLimits, arm_urdf, edited_urdf, machine_urdf, split_entries
 from recording.files import write_durably
+from recording.opening import file_of_machine, text_of_machine
 
 app = typer.Typer(no_args_is_help=True)
 MachineFile = Annotated[

@@ -2,7 +2,6 @@
 
 import math
 import tomllib
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,6 +10,7 @@ from pydantic import Field, ValidationError
 from machine.description import Machine, parse_machine_toml
 from machine.field_units import unit_of
 from recording.files import read_text
+from recording.opening import shipped_machine
 from server.calibration.calibration_life import CalibrationExpiry
 from server.errors import SettingsError
 from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings, Strict
@@ -198,11 +198,6 @@ def first_problem(error: ValidationError) -> str:
     field = ".".join(str(part) for part in first["loc"])
     unit = unit_of(field)
     return f"{field} = {without_password(repr(first['input']))}: {first['msg']}{f' [{unit}]' if unit else ''}"
-
-
-def shipped_machine(name: str) -> Path:
-    """Where a machine of that name would be shipped."""
-    return Path(str(files("machine"))) / "machines" / f"{name}.toml"
 
 
 def read_machine_text(name_or_path: str) -> str:

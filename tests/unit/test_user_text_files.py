@@ -11,10 +11,10 @@ import pytest
 from diagnosis.errors import DiagnosisError
 from longreach.commission_operator import read_answers
 from longreach.fleet_client import read_key as read_api_key
-from longreach.shipped_machine import text_of_machine
 from machine.errors import MachineError
 from recording.errors import RecordingError
 from recording.folder import read_folder
+from recording.opening import text_of_machine
 from server.access.keys import read_keys
 from server.camera.errors import CameraError
 from server.camera.rectification_reading import read_calibration

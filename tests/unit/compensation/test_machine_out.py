@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from diagnosis.budget import Budget
+from diagnosis.machine_out import MachineOutError, machine_with_effects, require_room
 from diagnosis.search.candidates import candidates_of_effects
 from diagnosis.search.fit import Fit, entries_of
-from longreach.machine_out import MachineOutError, machine_with_effects, require_room
 from machine.description import parse_machine_toml
 from server.settings import read_machine_text
 

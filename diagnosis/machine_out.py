@@ -1,17 +1,16 @@
-"""`longreach diagnose --machine-out`: the machine file with the diagnosed effects, for the simulator and the server."""
+"""The machine file with the diagnosed effects, for the simulator and the server."""
 
 from pathlib import Path
 
 from diagnosis.budget import Budget
 from diagnosis.errors import DiagnosisError
 from diagnosis.search.candidates import in_words
-from longreach.shipped_machine import text_of_machine
 from machine.effects.entries import entries_to_toml
 from machine.errors import MachineFileError
 from machine.file_tables import with_room_for_effects, with_tables
 from recording.errors import RecordingError
 from recording.files import write_durably
-from recording.opening import read_run
+from recording.opening import read_run, text_of_machine
 
 
 class MachineOutError(Exception):
