@@ -132,7 +132,7 @@ def _fitted_bandwidth_hz(
         position, velocity = 2.0 * math.pi * math.exp(log_hz), 2.0 * math.pi * VELOCITY_LOOP_RATIO * math.exp(log_hz)
         gain = position * velocity**2
         b, a = bilinear([gain], [1.0, 2.0 * damping_ratio * velocity, velocity**2, gain], 1.0 / step_s)
-        return float(np.sum((lfilter(b, a, reference - reference[0]) + reference[0] - encoder) ** 2))
+        return float(np.var(lfilter(b, a, reference - reference[0]) - encoder))  # less the mean: a zero is not a loop's
 
     lower, upper, best = math.log(range_hz[0]), math.log(range_hz[1]), 0.0
     for _ in range(5):  # each grid spans two steps of the one before: 0.1 % at the end
