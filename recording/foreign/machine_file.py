@@ -1,5 +1,6 @@
 """machine.toml of an arm that comes with a log of another system: its joints, a nominal drive, its points."""
 
+import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -16,7 +17,8 @@ DEFAULT_BANDWIDTH_HZ = 5.0  # of the position loop: industrial arms lie between 
 DEFAULT_DAMPING_RATIO = 1.0
 FITTED_COMMAND_MIN_FRAC = 0.25  # share of the full command: dead bands end below
 VELOCITY_LOOP_RATIO = 5.0  # of the velocity loop's bandwidth to the position loop's, as loops in one another are tuned
-FITTED_BANDWIDTH_RANGE_HZ = (0.5, 50.0)
+FITTED_BANDWIDTH_MIN_HZ = 0.5
+FITTED_LOOP_RATIO_RANGE = (2.0, 20.0)  # a velocity loop below twice the position loop makes it oscillate
 FITTED_PERIOD_MIN_STEPS = 10.0  # a loop faster than this many rows of the log cannot be seen in it
 MODEL_CYCLE_MAX_S = 4e-3  # the model's cycle is a whole part of the log's, at most this
 
@@ -91,16 +93,15 @@ def with_fitted_gains(drive: DriveModel, t_s: Array, q: Array | None, u: Array) 
 def with_fitted_position_loops(drive: DriveModel, t_s: Array, q: Array | None, q_ref: Array | None) -> DriveModel:
     """The drive with the bandwidth of each joint's position loop that this recording shows: a robot log states none.
 
-    Model: least output error of the closed loop from the reference to the encoder, velocity loop `VELOCITY_LOOP_RATIO`
-           times as fast; a joint whose reference stands still keeps the assumed bandwidth.
+    Model: least output error of the closed loop from the reference to the encoder; a joint whose reference stands still
+           keeps the assumed bandwidths.
     Args:  t_s: (m,) [s], q, q_ref: (m, n) [rad or m].
     """
     if q is None or q_ref is None or len(t_s) < 3:
         return drive
     step_s = float(np.median(np.diff(t_s)))
     grid_s = np.arange(t_s[0], t_s[-1], step_s)
-    lowest, highest = FITTED_BANDWIDTH_RANGE_HZ
-    highest = max(lowest, min(highest, 1.0 / (FITTED_PERIOD_MIN_STEPS * step_s)))
+    highest_hz = 1.0 / (FITTED_PERIOD_MIN_STEPS * step_s)
     kp, velocity_hz, found_hz = list(drive.kp_frac_per_rad), list(drive.velocity_loop_hz), []
     for k, velocity_max in enumerate(drive.velocity_max):
         good = np.isfinite(q[:, k]) & np.isfinite(q_ref[:, k])
@@ -108,10 +109,9 @@ def with_fitted_position_loops(drive: DriveModel, t_s: Array, q: Array | None, q
             continue
         reference = np.interp(grid_s, t_s[good], q_ref[good, k])
         encoder = np.interp(grid_s, t_s[good], q[good, k])
-        bandwidth_hz = _fitted_bandwidth_hz(reference, encoder, step_s, drive.damping_ratio, (lowest, highest))
-        kp[k] = 2.0 * math.pi * bandwidth_hz / velocity_max
-        velocity_hz[k] = VELOCITY_LOOP_RATIO * bandwidth_hz
-        found_hz.append(f"{bandwidth_hz:.3g}")
+        position_hz, velocity_hz[k] = _fitted_loops_hz(reference, encoder, step_s, drive.damping_ratio, highest_hz)
+        kp[k] = 2.0 * math.pi * position_hz / velocity_max
+        found_hz.append(f"{position_hz:.3g}")
     if not found_hz:
         return drive
     note = f"position loops of {', '.join(found_hz)} Hz are fitted to this recording, which hides an error of the gain"
@@ -123,24 +123,28 @@ def with_fitted_position_loops(drive: DriveModel, t_s: Array, q: Array | None, q
     )
 
 
-def _fitted_bandwidth_hz(
-    reference: Array, encoder: Array, step_s: float, damping_ratio: float, range_hz: tuple[float, float]
-) -> float:
+def _fitted_loops_hz(
+    reference: Array, encoder: Array, step_s: float, damping_ratio: float, highest_hz: float
+) -> tuple[float, float]:
+    """Bandwidths of the position loop and of the velocity loop in it."""
     from scipy.signal import bilinear, lfilter
 
-    def miss(log_hz: float) -> float:
-        position, velocity = 2.0 * math.pi * math.exp(log_hz), 2.0 * math.pi * VELOCITY_LOOP_RATIO * math.exp(log_hz)
+    def miss(log_hz: float, log_ratio: float) -> float:
+        position = 2.0 * math.pi * math.exp(log_hz)
+        velocity = position * math.exp(log_ratio)
         gain = position * velocity**2
         b, a = bilinear([gain], [1.0, 2.0 * damping_ratio * velocity, velocity**2, gain], 1.0 / step_s)
         return float(np.var(lfilter(b, a, reference - reference[0]) - encoder))  # less the mean: a zero is not a loop's
 
-    lower, upper, best = math.log(range_hz[0]), math.log(range_hz[1]), 0.0
-    for _ in range(5):  # each grid spans two steps of the one before: 0.1 % at the end
-        grid = np.linspace(lower, upper, 15)
-        best = float(grid[np.argmin([miss(log_hz) for log_hz in grid])])
-        step = float(grid[1] - grid[0])
-        lower, upper = max(best - step, lower), min(best + step, upper)
-    return math.exp(best)
+    lower = np.log([FITTED_BANDWIDTH_MIN_HZ, FITTED_LOOP_RATIO_RANGE[0]])
+    upper = np.log([max(highest_hz, FITTED_BANDWIDTH_MIN_HZ), FITTED_LOOP_RATIO_RANGE[1]])
+    best = lower
+    for _ in range(6):  # each grid spans two steps of the one before: 0.1 % at the end
+        grids = np.linspace(lower, upper, 11)
+        best = np.array(min(itertools.product(*grids.T), key=lambda pair: miss(*pair)))
+        step = grids[1] - grids[0]
+        lower, upper = np.maximum(best - step, lower), np.minimum(best + step, upper)
+    return math.exp(best[0]), math.exp(best[0] + best[1])
 
 
 def model_and_log_cycle_s(log_step_s: float) -> tuple[float, float]:
