@@ -25,6 +25,7 @@ from machine.effects.layout import (
     ParameterSets,
 )
 from machine.errors import MachineError
+from machine.lens import fold_radius
 from machine.markers import marker_corners
 from machine.rotations import Array, rotation_from_rotvec
 from machine.targets import Marker
@@ -79,7 +80,7 @@ def true_camera(sets: ParameterSets, camera: StereoCamera, which: int = 0) -> St
 
 @dataclass(frozen=True, slots=True)
 class Corners:
-    """Corners of each marker in each sample, (m, markers, 4, 2) by eye; NaN behind it."""
+    """Corners of each marker in each sample, (m, markers, 4, 2) by eye; NaN behind it, and beyond its lens."""
 
     left_px: Array
     right_px: Array
@@ -145,7 +146,8 @@ def _rolling_shutter_pixels(
 def _both_eyes(sets: ParameterSets, lens: StereoCamera, poses: Array, points: Array, which: int) -> tuple[Array, Array]:
     turn = sets.machine_parameters[which, STEREO]
     R_left_right = rotation_from_rotvec(turn) if np.any(turn) else np.eye(3)  # p_right = R^T p
-    numbers = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, *lens.distortion])
+    fold2 = fold_radius(lens.distortion) ** 2
+    numbers = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, *lens.distortion, fold2])
     shape = (len(poses), *points.shape[:2], 2)
     left, right = np.empty(shape), np.empty(shape)
     _project_both_eyes(np.ascontiguousarray(poses), points, lens.baseline_m, R_left_right, numbers, left, right)
@@ -176,13 +178,19 @@ def _project_both_eyes(
 
 @njit(cache=True)
 def _project_point(at: Array, lens: Array, out: Array) -> None:
-    """`machine.camera.project` of one point (3,); lens: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    """`machine.camera.project` of one point (3,); lens: fx, fy, cx, cy, k1, k2, p1, p2, k3, square of its fold radius.
+
+    NaN behind the eye, and where the lens model folds back into the picture.
+    """
     if at[2] <= DEPTH_MIN_M:
         out[0] = out[1] = np.nan
         return
     x, y = at[0] / at[2], at[1] / at[2]
     k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
     r2 = x * x + y * y
+    if r2 >= lens[9]:
+        out[0] = out[1] = np.nan
+        return
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     out[0] = (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) * lens[0] + lens[2]
     out[1] = (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) * lens[1] + lens[3]

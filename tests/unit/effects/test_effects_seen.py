@@ -38,6 +38,14 @@ POSES = np.array([object_pose(d, t) for d, t in zip(np.linspace(0.6, 1.6, 9), np
 LATER = np.array([pose(np.eye(3), np.array([2e-4, 3e-4, 0.0])) @ T for T in POSES])
 
 
+def test_what_the_lens_model_folds_back_into_the_picture_is_not_seen() -> None:
+    far_off = pose(POSES[0][:3, :3], np.array([-3.0, -0.5, 1.29]))  # 67 deg off the axis
+    assert 0.0 < project_stereo(MACHINE.camera, far_off[None, :3, 3])[0][0, 0] < MACHINE.camera.width_px
+    seen = seen_corners(NONE, MACHINE.camera, MARKERS, np.array([far_off, POSES[0]]))
+    assert np.isnan(seen.left_px[0]).all()
+    assert np.isfinite(seen.left_px[1]).all()
+
+
 def packed(name: str, **parameters: object) -> ParameterSets:
     effect = effect_named(name)
     assert effect is not None
