@@ -10,7 +10,8 @@ from machine.errors import MachineFileError
 from machine.file_tables import with_room_for_effects, with_tables
 from recording.errors import RecordingError
 from recording.files import write_durably
-from recording.opening import read_run, text_of_machine
+from recording.machine_files import text_of_machine
+from recording.opening import read_run
 
 
 class MachineOutError(Exception):

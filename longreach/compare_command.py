@@ -16,7 +16,7 @@ from diagnosis.report.html import html_document, html_section, html_table
 from diagnosis.report.svg import CurveLine, chart
 from machine.errors import MachineError, MachineFileError
 from recording.files import write_durably
-from recording.opening import file_of_machine, text_of_machine
+from recording.machine_files import file_of_machine, text_of_machine
 
 CURVE_CSS_CLASSES = ("before", "after", "measured", "floor")
 BY = {"camera": "by the camera, all effects together", "encoders": "how the tool follows what was sent"}

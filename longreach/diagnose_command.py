@@ -27,7 +27,7 @@ from longreach.fit_baseline import BaselineError, make_baseline
 from longreach.foreign_log import MappingFile, Urdf, Yes, as_recordings
 from machine.effects.registry import NAMES
 from recording.files import write_durably
-from recording.opening import file_of_machine
+from recording.machine_files import file_of_machine
 
 # Progress of a diagnosis with the remaining time: a bar on a terminal, a line every few seconds elsewhere.
 

@@ -20,7 +20,7 @@ from diagnosis.fleet.run import diagnose_all, recordings_below
 from diagnosis.fleet.summary import summary_of
 from machine.errors import MachineFileError
 from recording.files import write_durably
-from recording.opening import file_of_machine, text_of_machine
+from recording.machine_files import file_of_machine, text_of_machine
 from recording.spawn import SINGLE_THREAD_ENVIRONMENT
 from server.version import __version__
 

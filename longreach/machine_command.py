@@ -16,7 +16,7 @@ from machine.effects.urdf_xml import urdf_chain
 from machine.errors import MachineError, MachineFileError
 from machine.urdf_out import JointLimits, arm_urdf, edited_urdf, machine_urdf, split_entries
 from recording.files import write_durably
-from recording.opening import file_of_machine, text_of_machine
+from recording.machine_files import file_of_machine, text_of_machine
 
 app = typer.Typer(no_args_is_help=True)
 MachineFile = Annotated[

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 from machine.description import Machine, parse_machine_toml
 from machine.field_units import unit_of
 from recording.files import read_text
-from recording.opening import shipped_machine
+from recording.machine_files import shipped_machine
 from server.calibration.calibration_life import CalibrationExpiry
 from server.errors import SettingsError
 from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings, Strict

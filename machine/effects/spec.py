@@ -29,9 +29,8 @@ class Parameter:
     `plausible_min`..`plausible_max`: a fit that ends there means "larger than assumed". `poor_machine_max`: how far
     beyond it a poor machine's size may lie; `plausible_max` is then what good ones have, and the ruler of steps and
     scans. `light_arm_max`: what arms far lighter than a crane may have, and machine files hold; a fit's bounds go with
-    the arm's weight (see
-    `ParameterSlot.size_scale`). `open_frac`, `open_size`: by how much a size depends on what the effect's definition
-    leaves open, in proportion and at least.
+    the arm's weight (see `ParameterSlot.size_scale`). `open_frac`, `open_size`: by how much a size depends on what the
+    effect's definition leaves open, in proportion and at least.
     """
 
     name: str

@@ -20,7 +20,7 @@ class UrdfJoint:
     """One joint of the chain. `child_to_parent`: the chain passes it so. `lower_limit`, `upper_limit`: its own
     [rad or m], -inf and inf where there are none. `child_mass_kg` and `child_com_m` (3,) [child's frame] of its child,
     None where the child has no inertial. `mimicked_joint`: the one whose reading moves this one, too. `velocity_max`
-    [rad/s or m/s]: inf where there is none.
+    [rad/s or m/s]: inf where the URDF gives no limit.
     """
 
     name: str

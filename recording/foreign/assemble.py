@@ -111,6 +111,10 @@ def _with_joint_names(found: SourceContents, names: dict[str, str]) -> SourceCon
         raise RecordingError(
             f"joints {unknown} of joint_names were not recorded; recorded are {', '.join(sorted(recorded))}"
         )
+    return _renamed_joints(found, names)
+
+
+def _renamed_joints(found: SourceContents, names: dict[str, str]) -> SourceContents:
     signals = [
         replace(signal, joint_names=tuple(names.get(joint, joint) for joint in signal.joint_names))
         for signal in found.signals
@@ -127,11 +131,7 @@ def _named_by_chain(found: SourceContents, chain: ChosenChain) -> SourceContents
             f"joint {most} was recorded, and {len(names)} joints move between {chain.base_link} and {chain.tip_link} "
             "of the URDF; give base_link and tip_link under [urdf] of the mapping file, or correct the joints' numbers"
         )
-    signals = [
-        replace(signal, joint_names=tuple(names[int(joint.removeprefix("joint")) - 1] for joint in signal.joint_names))
-        for signal in found.signals
-    ]
-    return replace(found, signals=signals)
+    return _renamed_joints(found, {f"joint{number}": name for number, name in enumerate(names, start=1)})
 
 
 def _urdf_text(urdf: Path | None) -> str:

@@ -240,7 +240,7 @@ def _log10_nfa(aligned: BoolArray, camera: StereoCamera) -> float:
     """
     n, k = len(aligned), int(aligned.sum())
     tests = 2.5 * np.log10(float(camera.width_px * camera.height_px))
-    by_chance = float(bdtrc(k - 1, n, CHANCE_ALIGNMENT_PROBABILITY)) if k else 1.0
+    by_chance = float(bdtrc(k - 1, n, CHANCE_ALIGNMENT_PROBABILITY))
     return float(tests + np.log10(max(by_chance, np.finfo(float).tiny)))
 
 

@@ -14,7 +14,7 @@ from longreach.fleet_client import read_key as read_api_key
 from machine.errors import MachineError
 from recording.errors import RecordingError
 from recording.folder import read_folder
-from recording.opening import text_of_machine
+from recording.machine_files import text_of_machine
 from server.access.keys import read_keys
 from server.camera.errors import CameraError
 from server.camera.rectification_reading import read_calibration

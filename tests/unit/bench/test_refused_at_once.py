@@ -11,7 +11,7 @@ from longreach import processes
 from longreach.cli import app
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.processes import Address, require_bindable
-from recording.opening import file_of_machine
+from recording.machine_files import file_of_machine
 from server.errors import SettingsError
 
 
